@@ -1,0 +1,144 @@
+//! The Vulkan instance, and the messages that validation sends.
+
+use crate::error::{Check, Error, Result};
+use ash::{ext, vk};
+use std::ffi::{CStr, c_void};
+use std::sync::{Arc, Mutex};
+
+const LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// Collects validation messages of one instance.
+#[derive(Debug, Default)]
+pub struct Messages(Mutex<Vec<String>>);
+
+impl Messages {
+    /// Everything reported so far, emptied.
+    pub fn take(&self) -> Vec<String> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(|e| e.into_inner()))
+    }
+
+    fn push(&self, message: String) {
+        self.0.lock().unwrap_or_else(|e| e.into_inner()).push(message);
+    }
+}
+
+/// An instance with its loader and, in validation mode, its messenger.
+pub(crate) struct Instance {
+    pub raw: ash::Instance,
+    /// Keeps the loader in memory.
+    _entry: ash::Entry,
+    pub messages: Arc<Messages>,
+    pub validation: bool,
+    messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    pub debug_utils: bool,
+}
+
+impl Instance {
+    pub fn new(validation: bool) -> Result<Arc<Instance>> {
+        // SAFETY: loading the system's Vulkan loader runs its initializers, which are sound by the platform's contract.
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::Loader(e.to_string()))?;
+        // SAFETY: the entry is loaded; both calls only enumerate.
+        let (layers, extensions) = unsafe {
+            (
+                entry.enumerate_instance_layer_properties().check("vkEnumerateInstanceLayerProperties", "instance")?,
+                entry
+                    .enumerate_instance_extension_properties(None)
+                    .check("vkEnumerateInstanceExtensionProperties", "instance")?,
+            )
+        };
+        let has_layer = layers.iter().any(|l| l.layer_name_as_c_str() == Ok(LAYER));
+        if validation && !has_layer {
+            return Err(Error::NoValidation);
+        }
+        let debug_utils =
+            validation || extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(ext::debug_utils::NAME));
+        let messages = Arc::new(Messages::default());
+        let application = vk::ApplicationInfo::default()
+            .application_name(c"sgs")
+            .engine_name(c"sgs-engine")
+            .api_version(vk::API_VERSION_1_3);
+        let layer_names = [LAYER.as_ptr()];
+        let mut extension_names = Vec::new();
+        if debug_utils {
+            extension_names.push(ext::debug_utils::NAME.as_ptr());
+        }
+        let enables = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+        let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enables);
+        let mut debug = messenger_info(&messages);
+        let mut info = vk::InstanceCreateInfo::default()
+            .application_info(&application)
+            .enabled_extension_names(&extension_names);
+        if validation {
+            info = info.enabled_layer_names(&layer_names).push_next(&mut features).push_next(&mut debug);
+        }
+        // SAFETY: every pointer in `info` outlives the call; layers and extensions were found above.
+        let raw = unsafe { entry.create_instance(&info, None) }.check("vkCreateInstance", "sgs")?;
+        let messenger = if validation {
+            let api = ext::debug_utils::Instance::new(&entry, &raw);
+            // SAFETY: the instance is alive and has the extension; the sink outlives the messenger, which is destroyed
+            // before the last reference to the sink that this struct holds goes away.
+            let made = unsafe { api.create_debug_utils_messenger(&messenger_info(&messages), None) };
+            match made {
+                Ok(m) => Some((api, m)),
+                Err(result) => {
+                    // SAFETY: nothing was made from the instance yet.
+                    unsafe { raw.destroy_instance(None) };
+                    return Err(result).check("vkCreateDebugUtilsMessengerEXT", "validation");
+                }
+            }
+        } else {
+            None
+        };
+        Ok(Arc::new(Instance { raw, _entry: entry, messages, validation, messenger, debug_utils }))
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        // SAFETY: devices hold an `Arc` of this, so none is left; the messenger belongs to this instance.
+        unsafe {
+            if let Some((api, messenger)) = self.messenger.take() {
+                api.destroy_debug_utils_messenger(messenger, None);
+            }
+            self.raw.destroy_instance(None);
+        }
+    }
+}
+
+fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfoEXT<'static> {
+    vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(
+            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+        )
+        .message_type(
+            vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
+                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE
+                | vk::DebugUtilsMessageTypeFlagsEXT::GENERAL,
+        )
+        .pfn_user_callback(Some(on_message))
+        .user_data(Arc::as_ptr(messages).cast_mut().cast())
+}
+
+/// # Safety
+/// Called by the layer with its own data and the sink that `messenger_info` registered.
+unsafe extern "system" fn on_message(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    kind: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    if data.is_null() || user.is_null() {
+        return vk::FALSE;
+    }
+    // SAFETY: the layer passes valid data for the duration of the call, and `user` is the sink registered with it,
+    // which outlives the messenger.
+    let (text, messages) = unsafe { ((*data).message_as_c_str(), &*user.cast::<Messages>()) };
+    let text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    // The loader speaks of absent drivers and layers through GENERAL: not about our use of Vulkan.
+    if kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::GENERAL) {
+        tracing::debug!("{text}");
+    } else {
+        messages.push(text);
+    }
+    vk::FALSE
+}

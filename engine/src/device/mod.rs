@@ -1,0 +1,267 @@
+//! A Vulkan device with one compute queue, its memory, its pipelines and its clock.
+//!
+//! Promises: everything made from it keeps it alive; work is ordered by one timeline semaphore; nothing waits for the
+//! whole device. Leaves the order of passes to the graph.
+
+mod instance;
+mod pipeline;
+mod select;
+
+pub(crate) use instance::Instance;
+pub use instance::Messages;
+pub(crate) use pipeline::{Pipeline, descriptor_type};
+pub use select::{DeviceInfo, Optional};
+
+use crate::error::{Check, Error, Result};
+use crate::memory::Memory;
+use ash::{ext, vk};
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+/// How a device is opened.
+#[derive(Clone, Debug)]
+pub struct DeviceOptions {
+    /// Index or part of a name; the best device if absent.
+    pub select: Option<String>,
+    /// Validation and synchronization validation; messages are collected in [`Device::messages`].
+    pub validation: bool,
+    /// Where compiled pipelines are kept between runs; nowhere if absent.
+    pub pipeline_cache: Option<PathBuf>,
+    /// After how long a wait gives up.
+    pub timeout: Duration,
+}
+
+impl Default for DeviceOptions {
+    fn default() -> Self {
+        DeviceOptions { select: None, validation: false, pipeline_cache: None, timeout: Duration::from_secs(300) }
+    }
+}
+
+/// A point on the device's timeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Ticket(pub(crate) u64);
+
+/// An open device; clones share it.
+#[derive(Clone)]
+pub struct Device(pub(crate) Arc<Shared>);
+
+pub(crate) struct Shared {
+    pub raw: ash::Device,
+    pub info: DeviceInfo,
+    pub queue_family: u32,
+    queue: Mutex<Queue>,
+    timeline: vk::Semaphore,
+    pub memory: Memory,
+    pub pipelines: pipeline::Pipelines,
+    pub labels: Option<ext::debug_utils::Device>,
+    timeout: Duration,
+    // Last, so that it is dropped after everything made from it.
+    pub instance: Arc<Instance>,
+}
+
+struct Queue {
+    raw: vk::Queue,
+    submitted: u64,
+}
+
+/// Every device that the loader knows, with what each lacks.
+///
+/// # Errors
+/// If the loader is missing or the instance cannot be made.
+pub fn devices() -> Result<Vec<DeviceInfo>> {
+    let instance = Instance::new(false)?;
+    Ok(select::candidates(&instance)?.into_iter().map(|c| c.info).collect())
+}
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// If there is no loader, no matching device, or the device lacks a required feature (named).
+    pub fn open(options: &DeviceOptions) -> Result<Device> {
+        let instance = Instance::new(options.validation)?;
+        let chosen = select::choose(select::candidates(&instance)?, options.select.as_deref())?;
+        let info = chosen.info;
+        let queue_family = chosen.queue_family.ok_or_else(|| Error::MissingFeatures {
+            device: info.name.clone(),
+            missing: vec!["a compute queue".into()],
+        })?;
+        let priorities = [1.0];
+        let queues =
+            [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&priorities)];
+        let mut extensions = Vec::new();
+        let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
+            .timeline_semaphore(true)
+            .scalar_block_layout(true)
+            .host_query_reset(true);
+        let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
+            .synchronization2(true)
+            .maintenance4(true)
+            .subgroup_size_control(info.optional.subgroup_size_control);
+        let mut atomics = vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default().shader_buffer_float32_atomic_add(true);
+        if info.optional.memory_budget {
+            extensions.push(ext::memory_budget::NAME.as_ptr());
+        }
+        let mut create = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
+        if info.optional.float_atomics {
+            extensions.push(ext::shader_atomic_float::NAME.as_ptr());
+            create = create.push_next(&mut atomics);
+        }
+        let create = create.enabled_extension_names(&extensions);
+        // SAFETY: the physical device belongs to the instance; every feature and extension asked for was reported by it.
+        let raw =
+            unsafe { instance.raw.create_device(chosen.physical, &create, None) }.check("vkCreateDevice", &info.name)?;
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let semaphore = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: the device is alive and has timeline semaphores; the queue was created with it.
+        let (timeline, queue) =
+            unsafe { (raw.create_semaphore(&semaphore, None), raw.get_device_queue(queue_family, 0)) };
+        let memory = Memory::new(&instance, &raw, chosen.physical, &info);
+        let pipelines = pipeline::Pipelines::new(&raw, &info, options.pipeline_cache.clone());
+        let (timeline, memory, pipelines) = match (timeline, memory, pipelines) {
+            (Ok(t), Ok(m), Ok(p)) => (t, m, p),
+            (t, m, p) => {
+                // Whatever was made is given back before the first failure is reported.
+                let timeline = t.check("vkCreateSemaphore", "timeline");
+                if let Ok(p) = &p {
+                    p.destroy(&raw);
+                }
+                if let Ok(m) = &m {
+                    m.shut_down();
+                }
+                // SAFETY: nothing made from the device is left but the semaphore, destroyed here.
+                unsafe {
+                    if let Ok(t) = &timeline {
+                        raw.destroy_semaphore(*t, None);
+                    }
+                    raw.destroy_device(None);
+                }
+                timeline?;
+                m?;
+                p?;
+                return Err(Error::DeviceLost("device creation".into()));
+            }
+        };
+        let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
+        tracing::debug!(device = info.name, driver = info.driver, "device opened");
+        Ok(Device(Arc::new(Shared {
+            raw,
+            info,
+            queue_family,
+            queue: Mutex::new(Queue { raw: queue, submitted: 0 }),
+            timeline,
+            memory,
+            pipelines,
+            labels,
+            timeout: options.timeout,
+            instance,
+        })))
+    }
+
+    /// What is known of the device.
+    pub fn info(&self) -> &DeviceInfo {
+        &self.0.info
+    }
+
+    /// Validation messages so far (empty without validation).
+    pub fn messages(&self) -> &Arc<Messages> {
+        &self.0.instance.messages
+    }
+
+    /// Whether validation runs.
+    pub fn validating(&self) -> bool {
+        self.0.instance.validation
+    }
+
+    /// Bytes of device memory in use by this device's buffers, now and at most.
+    pub fn memory_use(&self) -> (u64, u64) {
+        self.0.memory.usage()
+    }
+
+    /// Waits until everything up to `ticket` is done.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`] after the time set at opening; [`Error::DeviceLost`].
+    pub fn wait(&self, ticket: Ticket, what: &str) -> Result<()> {
+        self.0.wait(ticket, what)
+    }
+
+    /// Whether everything up to `ticket` is done.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`].
+    pub fn is_done(&self, ticket: Ticket) -> Result<bool> {
+        // SAFETY: the semaphore belongs to this device.
+        let value = unsafe { self.0.raw.get_semaphore_counter_value(self.0.timeline) };
+        Ok(value.check("vkGetSemaphoreCounterValue", "timeline")? >= ticket.0)
+    }
+
+    /// The last submission so far.
+    pub fn last_ticket(&self) -> Ticket {
+        Ticket(self.0.queue().submitted)
+    }
+}
+
+impl Shared {
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    pub fn wait(&self, ticket: Ticket, what: &str) -> Result<()> {
+        let semaphores = [self.timeline];
+        let values = [ticket.0];
+        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        let timeout = u64::try_from(self.timeout.as_nanos()).unwrap_or(u64::MAX);
+        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
+        match unsafe { self.raw.wait_semaphores(&info, timeout) } {
+            Err(vk::Result::TIMEOUT) => Err(Error::Timeout { what: what.to_owned(), seconds: self.timeout.as_secs() }),
+            other => other.check("vkWaitSemaphores", what),
+        }
+    }
+
+    /// Submits one recorded command buffer; its end is the returned ticket.
+    pub fn submit(&self, commands: vk::CommandBuffer, what: &str) -> Result<Ticket> {
+        let mut queue = self.queue();
+        let value = queue.submitted + 1;
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let signals = [vk::SemaphoreSubmitInfo::default()
+            .semaphore(self.timeline)
+            .value(value)
+            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
+        let submit = [vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals)];
+        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first); the queue is
+        // locked; the timeline only grows.
+        unsafe { self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null()) }.check("vkQueueSubmit2", what)?;
+        queue.submitted = value;
+        Ok(Ticket(value))
+    }
+
+    /// Gives an object a name that tools and messages show.
+    pub fn name<T: vk::Handle>(&self, handle: T, name: &str) {
+        let Some(api) = &self.labels else { return };
+        let Ok(name) = std::ffi::CString::new(name) else { return };
+        let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
+        // SAFETY: the handle was made from this device. A failure only loses the name.
+        let _ = unsafe { api.set_debug_utils_object_name(&info) };
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        let last = Ticket(self.queue().submitted);
+        if self.wait(last, "closing the device").is_err() {
+            // Freeing what the GPU may still use is worse than leaking it.
+            tracing::error!("the device did not finish its work; its objects are leaked");
+            return;
+        }
+        self.pipelines.destroy(&self.raw);
+        self.memory.shut_down();
+        // SAFETY: all work is done and everything made from the device is destroyed.
+        unsafe {
+            self.raw.destroy_semaphore(self.timeline, None);
+            self.raw.destroy_device(None);
+        }
+    }
+}

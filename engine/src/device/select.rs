@@ -1,0 +1,233 @@
+//! Which devices there are, what each lacks, and which one is taken.
+
+use super::instance::Instance;
+use crate::error::{Check, Error, Result};
+use ash::vk;
+use serde::Serialize;
+
+/// What is known of a physical device.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeviceInfo {
+    /// Position in the loader's list, as `--device INDEX` takes it.
+    pub index: usize,
+    /// The driver's name for it.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
+    pub kind: &'static str,
+    /// Driver name and version.
+    pub driver: String,
+    /// Highest Vulkan version, as text.
+    pub api: String,
+    /// Default subgroup size.
+    pub subgroup_size: u32,
+    /// Smallest and largest subgroup size that a pipeline may ask for.
+    pub subgroup_sizes: (u32, u32),
+    /// Largest range of one storage binding.
+    pub max_storage_range: u64,
+    /// Shared memory of a workgroup.
+    pub max_shared_bytes: u32,
+    /// Storage buffers a kernel may bind.
+    pub max_storage_buffers: u32,
+    /// Invocations of a workgroup.
+    pub max_workgroup: u32,
+    /// Storage buffer offset alignment.
+    pub storage_alignment: u64,
+    /// Uniform buffer offset alignment.
+    pub uniform_alignment: u64,
+    /// Nanoseconds of a timestamp tick; 0 where there are none.
+    pub timestamp_period: f32,
+    /// Device-local memory in bytes.
+    pub memory_bytes: u64,
+    /// Required features that are absent, by name.
+    pub missing: Vec<String>,
+    /// Optional features that are absent, by name, with what is done instead.
+    pub fallbacks: Vec<String>,
+    /// Optional features that are used.
+    #[serde(skip)]
+    pub optional: Optional,
+}
+
+/// Features that are used where they exist.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Optional {
+    /// Float32 atomic add on storage buffers.
+    pub float_atomics: bool,
+    /// Choosing a subgroup size.
+    pub subgroup_size_control: bool,
+    /// `VK_EXT_memory_budget`.
+    pub memory_budget: bool,
+}
+
+pub(crate) struct Candidate {
+    pub physical: vk::PhysicalDevice,
+    pub queue_family: Option<u32>,
+    pub info: DeviceInfo,
+}
+
+pub(crate) fn candidates(instance: &Instance) -> Result<Vec<Candidate>> {
+    // SAFETY: the instance is alive.
+    let physicals =
+        unsafe { instance.raw.enumerate_physical_devices() }.check("vkEnumeratePhysicalDevices", "instance")?;
+    physicals.into_iter().enumerate().map(|(index, p)| describe(instance, index, p)).collect()
+}
+
+fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> Result<Candidate> {
+    let api = &instance.raw;
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+    let mut atomics = vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default();
+    let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
+    let mut sizes = vk::PhysicalDeviceSubgroupSizeControlProperties::default();
+    let mut driver = vk::PhysicalDeviceDriverProperties::default();
+    // SAFETY: the physical device comes from this instance; a first query of the version decides which structs may be
+    // chained, since older devices do not know the newer ones.
+    let basic = unsafe { api.get_physical_device_properties(physical) };
+    let modern = basic.api_version >= vk::API_VERSION_1_3;
+    // SAFETY: as above.
+    let extensions = unsafe { api.enumerate_device_extension_properties(physical) }
+        .check("vkEnumerateDeviceExtensionProperties", "device")?;
+    let has = |name: &std::ffi::CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+    let has_atomics = has(ash::ext::shader_atomic_float::NAME);
+    let mut properties = vk::PhysicalDeviceProperties2::default();
+    if modern {
+        properties = properties.push_next(&mut subgroup).push_next(&mut sizes).push_next(&mut driver);
+        let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
+        if has_atomics {
+            features = features.push_next(&mut atomics);
+        }
+        // SAFETY: the chain holds structs that a 1.3 device with that extension knows.
+        unsafe {
+            api.get_physical_device_features2(physical, &mut features);
+            api.get_physical_device_properties2(physical, &mut properties);
+        }
+    }
+    // SAFETY: the physical device comes from this instance.
+    let (families, memory) = unsafe {
+        (api.get_physical_device_queue_family_properties(physical), api.get_physical_device_memory_properties(physical))
+    };
+    let queue_family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE));
+    let timestamps = queue_family.is_some_and(|f| families[f].timestamp_valid_bits > 0);
+    let mut missing = Vec::new();
+    let mut need = |present: bool, name: &str| {
+        if !present {
+            missing.push(name.to_owned());
+        }
+    };
+    need(modern, "Vulkan 1.3");
+    if modern {
+        need(queue_family.is_some(), "a compute queue");
+        need(v12.timeline_semaphore != 0, "timelineSemaphore");
+        need(v12.scalar_block_layout != 0, "scalarBlockLayout");
+        need(v12.host_query_reset != 0, "hostQueryReset");
+        need(v13.synchronization2 != 0, "synchronization2");
+        need(v13.maintenance4 != 0, "maintenance4");
+        let operations = vk::SubgroupFeatureFlags::BASIC
+            | vk::SubgroupFeatureFlags::VOTE
+            | vk::SubgroupFeatureFlags::ARITHMETIC
+            | vk::SubgroupFeatureFlags::BALLOT
+            | vk::SubgroupFeatureFlags::SHUFFLE;
+        need(
+            subgroup.supported_operations.contains(operations)
+                && subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE),
+            "subgroup basic, vote, arithmetic, ballot and shuffle operations in compute",
+        );
+        need((8..=128).contains(&subgroup.subgroup_size), "a subgroup size between 8 and 128");
+        need(basic.limits.max_compute_work_group_invocations >= 256, "workgroups of 256 invocations");
+        need(basic.limits.max_compute_shared_memory_size >= 32768, "32 KiB of shared memory");
+        need(basic.limits.max_per_stage_descriptor_storage_buffers >= 32, "32 storage buffers per kernel");
+    }
+    let optional = Optional {
+        float_atomics: has_atomics && atomics.shader_buffer_float32_atomic_add != 0,
+        subgroup_size_control: v13.subgroup_size_control != 0
+            && sizes.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        memory_budget: has(ash::ext::memory_budget::NAME),
+    };
+    let mut fallbacks = Vec::new();
+    if !optional.float_atomics {
+        fallbacks.push("shaderBufferFloat32AtomicAdd absent: gradients are reduced in order only".to_owned());
+    }
+    if !optional.subgroup_size_control {
+        fallbacks.push("subgroupSizeControl absent: kernels run at the default subgroup size".to_owned());
+    }
+    if !optional.memory_budget {
+        fallbacks.push("VK_EXT_memory_budget absent: the budget is the size of the heap".to_owned());
+    }
+    if !timestamps {
+        fallbacks.push("timestamps absent: passes are not timed".to_owned());
+    }
+    let heaps = &memory.memory_heaps[..memory.memory_heap_count as usize];
+    let limits = basic.limits;
+    let text = |c: std::result::Result<&std::ffi::CStr, _>| {
+        c.map_or_else(|_: std::ffi::FromBytesUntilNulError| String::new(), |c| c.to_string_lossy().into_owned())
+    };
+    let info = DeviceInfo {
+        index,
+        name: text(basic.device_name_as_c_str()),
+        kind: match basic.device_type {
+            vk::PhysicalDeviceType::DISCRETE_GPU => "discrete",
+            vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated",
+            vk::PhysicalDeviceType::VIRTUAL_GPU => "virtual",
+            vk::PhysicalDeviceType::CPU => "cpu",
+            _ => "other",
+        },
+        driver: format!("{} {}", text(driver.driver_name_as_c_str()), text(driver.driver_info_as_c_str())),
+        api: format!(
+            "{}.{}.{}",
+            vk::api_version_major(basic.api_version),
+            vk::api_version_minor(basic.api_version),
+            vk::api_version_patch(basic.api_version)
+        ),
+        subgroup_size: subgroup.subgroup_size,
+        subgroup_sizes: (
+            if optional.subgroup_size_control { sizes.min_subgroup_size } else { subgroup.subgroup_size },
+            if optional.subgroup_size_control { sizes.max_subgroup_size } else { subgroup.subgroup_size },
+        ),
+        max_storage_range: u64::from(limits.max_storage_buffer_range),
+        max_shared_bytes: limits.max_compute_shared_memory_size,
+        max_storage_buffers: limits.max_per_stage_descriptor_storage_buffers,
+        max_workgroup: limits.max_compute_work_group_invocations,
+        storage_alignment: limits.min_storage_buffer_offset_alignment,
+        uniform_alignment: limits.min_uniform_buffer_offset_alignment,
+        timestamp_period: if timestamps { limits.timestamp_period } else { 0.0 },
+        memory_bytes: heaps
+            .iter()
+            .filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
+            .map(|h| h.size)
+            .sum(),
+        missing,
+        fallbacks,
+        optional,
+    };
+    Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+}
+
+/// Takes the wanted device (an index or a part of a name), else the best: discrete first, then integrated, virtual, cpu.
+pub(crate) fn choose(mut all: Vec<Candidate>, wanted: Option<&str>) -> Result<Candidate> {
+    let found =
+        if all.is_empty() { "none".to_owned() } else { all.iter().map(|c| c.info.name.clone()).collect::<Vec<_>>().join(", ") };
+    let none = |wanted: &str| Error::NoDevice { wanted: wanted.to_owned(), found: found.clone() };
+    let rank = |c: &Candidate| match c.info.kind {
+        "discrete" => 0,
+        "integrated" => 1,
+        "virtual" => 2,
+        "cpu" => 3,
+        _ => 4,
+    };
+    if let Some(wanted) = wanted {
+        let matches = |c: &Candidate| match wanted.parse::<usize>() {
+            Ok(index) => c.info.index == index,
+            Err(_) => c.info.name.to_lowercase().contains(&wanted.to_lowercase()),
+        };
+        all.retain(matches);
+        if all.is_empty() {
+            return Err(none(wanted));
+        }
+    }
+    // A stable sort keeps the loader's order among equals; complete devices go before incomplete ones.
+    all.sort_by_key(|c| (!c.info.missing.is_empty(), rank(c)));
+    let best = all.into_iter().next().ok_or_else(|| none("any device"))?;
+    if !best.info.missing.is_empty() {
+        return Err(Error::MissingFeatures { device: best.info.name, missing: best.info.missing });
+    }
+    Ok(best)
+}

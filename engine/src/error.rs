@@ -1,0 +1,114 @@
+//! What can go wrong below the graph: each error names the call or the thing, and the figures.
+
+use ash::vk;
+
+/// Errors of the engine.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The Vulkan loader is missing.
+    #[error("The Vulkan loader could not be opened ({0}); install it (libvulkan1 on Debian) together with a driver.")]
+    Loader(String),
+    /// No device matches.
+    #[error("No Vulkan device matches \"{wanted}\"; found: {found}.")]
+    NoDevice {
+        /// What was asked for.
+        wanted: String,
+        /// Names of those there are.
+        found: String,
+    },
+    /// A device lacks required features.
+    #[error("Device \"{device}\" lacks {}.", missing.join(", "))]
+    MissingFeatures {
+        /// Its name.
+        device: String,
+        /// What is missing, by name.
+        missing: Vec<String>,
+    },
+    /// A layer was asked for that is not installed.
+    #[error("The validation layer is not installed (vulkan-validationlayers on Debian).")]
+    NoValidation,
+    /// A Vulkan call failed.
+    #[error("{call} failed for \"{what}\": {result}.")]
+    Vulkan {
+        /// The call.
+        call: &'static str,
+        /// The object or pass concerned.
+        what: String,
+        /// Its result.
+        result: vk::Result,
+    },
+    /// Memory ran out.
+    #[error("{bytes} bytes for \"{what}\" could not be allocated: {reason}.")]
+    OutOfMemory {
+        /// The buffer.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// The allocator's words.
+        reason: String,
+    },
+    /// A buffer exceeds what one binding may cover.
+    #[error("Buffer \"{what}\" needs {bytes} bytes, but one storage binding covers at most {limit} on this device.")]
+    BindingTooLarge {
+        /// The buffer.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// The device's limit.
+        limit: u64,
+    },
+    /// The device is gone.
+    #[error("The device was lost in {0}.")]
+    DeviceLost(String),
+    /// The GPU did not answer in time.
+    #[error("Work submitted as \"{what}\" did not finish within {seconds} s.")]
+    Timeout {
+        /// What was waited for.
+        what: String,
+        /// How long.
+        seconds: u64,
+    },
+    /// A plan's external buffer has no memory bound to it.
+    #[error("Buffer \"{buffer}\" of plan \"{plan}\" is not bound to any memory.")]
+    Unbound {
+        /// The buffer.
+        buffer: String,
+        /// The plan.
+        plan: String,
+    },
+    /// A range lies outside a buffer.
+    #[error("Bytes {offset}..{end} lie outside buffer \"{buffer}\" of {bytes} bytes.")]
+    OutOfRange {
+        /// The buffer.
+        buffer: String,
+        /// First byte.
+        offset: u64,
+        /// One past the last.
+        end: u64,
+        /// The buffer's size.
+        bytes: u64,
+    },
+    /// The buffer cannot be read or written by the host.
+    #[error("Buffer \"{0}\" is not visible to the host.")]
+    NotHostVisible(String),
+    /// The graph is wrong.
+    #[error(transparent)]
+    Graph(#[from] crate::graph::GraphError),
+}
+
+/// Result with the engine's error.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Names the failed call and what it was for.
+pub(crate) trait Check<T> {
+    fn check(self, call: &'static str, what: &str) -> Result<T>;
+}
+
+impl<T> Check<T> for std::result::Result<T, vk::Result> {
+    fn check(self, call: &'static str, what: &str) -> Result<T> {
+        self.map_err(|result| match result {
+            vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost(format!("{call} for \"{what}\"")),
+            _ => Error::Vulkan { call, what: what.to_owned(), result },
+        })
+    }
+}

@@ -1,0 +1,276 @@
+//! Declaring a graph: its buffers, and its passes in the order in which the data flows.
+//!
+//! Promises that whatever it accepts is meaningful: every slice lies in its buffer, every binding is bound, nothing
+//! read-only is written, nothing transient is read before it is written. Whether the declaration is fast is the
+//! compiler's business ([`super::plan`]).
+
+use std::sync::Arc;
+
+use super::error::GraphError;
+use super::pass::{Pass, PassKind, Use, writes};
+use super::pass_builder::PassBuilder;
+use super::plan::{self, CompileOptions, Plan};
+use super::ranges::RangeMap;
+use super::resource::{Buffer, BufferInfo, BufferKind, Slice};
+use crate::shader::{Access, BindingKind, Shader};
+
+/// A declaration under way.
+#[derive(Clone, Debug)]
+pub struct Graph {
+    pub(super) name: String,
+    pub(super) buffers: Vec<BufferInfo>,
+    pub(super) passes: Vec<Pass>,
+    /// By buffer: which bytes of a transient some pass writes. Absent for other kinds.
+    written: Vec<Option<RangeMap<bool>>>,
+    /// What was wrong with calls that return no result.
+    errors: Vec<GraphError>,
+    /// The pass that was begun and has not been finished.
+    open: Option<String>,
+}
+
+impl Graph {
+    /// A graph without buffers and passes.
+    pub fn new(name: impl Into<String>) -> Self {
+        Graph {
+            name: name.into(),
+            buffers: Vec::new(),
+            passes: Vec::new(),
+            written: Vec::new(),
+            errors: Vec::new(),
+            open: None,
+        }
+    }
+
+    /// A buffer bound at replay, whose contents persist. Writes to it are outputs.
+    pub fn external(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
+        self.declare(name.into(), bytes, BufferKind::External, true)
+    }
+
+    /// A buffer bound at replay that no pass may write.
+    pub fn input(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
+        self.declare(name.into(), bytes, BufferKind::External, false)
+    }
+
+    /// A small buffer that the host writes before each replay; no pass may write it.
+    pub fn uniform(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
+        self.declare(name.into(), bytes, BufferKind::Uniform, false)
+    }
+
+    /// A buffer that exists within a replay only. What it holds at first is undefined.
+    pub fn transient(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
+        self.declare(name.into(), bytes, BufferKind::Transient, false)
+    }
+
+    fn declare(&mut self, name: String, bytes: u64, kind: BufferKind, keep: bool) -> Buffer {
+        if bytes == 0 {
+            self.errors.push(GraphError::EmptyBuffer { buffer: name.clone() });
+        }
+        let buffer = Buffer(u32::try_from(self.buffers.len()).expect("invariant: fewer than 2^32 buffers"));
+        self.written.push((kind == BufferKind::Transient).then(|| RangeMap::new(bytes, false)));
+        self.buffers.push(BufferInfo { name, bytes, kind, keep });
+        buffer
+    }
+
+    /// Wants the contents of a transient after the replay, until the next replay of a plan in the same arena begins.
+    pub fn keep(&mut self, buffer: Buffer) {
+        match self.buffers.get_mut(buffer.index()) {
+            Some(info) if info.writable() => info.keep = true,
+            Some(info) => {
+                let error = GraphError::KeepReadOnly { buffer: info.name.clone(), kind: read_only(info) };
+                self.errors.push(error);
+            }
+            None => {
+                let error = self.unknown("keep", buffer);
+                self.errors.push(error);
+            }
+        }
+    }
+
+    /// Begins a pass that runs a kernel. It is declared when [`PassBuilder::dispatch`] has returned without an error.
+    pub fn pass(&mut self, name: impl Into<String>, shader: &Arc<Shader>) -> PassBuilder<'_> {
+        let name = name.into();
+        self.begin(&name);
+        PassBuilder::new(self, name, Arc::clone(shader))
+    }
+
+    /// Declares a pass that writes `value` over a range.
+    pub fn fill(&mut self, name: impl Into<String>, target: impl Into<Slice>, value: u32) -> Result<(), GraphError> {
+        let name = name.into();
+        self.begin(&name);
+        let target = self.resolve(&name, target.into())?;
+        self.check_write(&name, target.buffer, "fill")?;
+        if !(target.offset.is_multiple_of(4) && target.bytes.is_multiple_of(4)) {
+            let buffer = self.buffers[target.buffer.index()].name.clone();
+            return Err(GraphError::FillAlignment { pass: name, buffer, offset: target.offset, bytes: target.bytes });
+        }
+        self.finish(Pass {
+            name,
+            kind: PassKind::Fill { target, value },
+            accesses: vec![(target, Access::Write, Use::Transfer)],
+            discards: vec![target],
+        })
+    }
+
+    /// Declares a pass that copies a range to another of the same length.
+    pub fn copy(
+        &mut self,
+        name: impl Into<String>,
+        source: impl Into<Slice>,
+        target: impl Into<Slice>,
+    ) -> Result<(), GraphError> {
+        let name = name.into();
+        self.begin(&name);
+        let source = self.resolve(&name, source.into())?;
+        let target = self.resolve(&name, target.into())?;
+        self.check_not_uniform(&name, source.buffer, "the source of a copy")?;
+        self.check_write(&name, target.buffer, "copy")?;
+        if source.bytes != target.bytes {
+            return Err(GraphError::CopySize {
+                pass: name,
+                from: self.buffers[source.buffer.index()].name.clone(),
+                source_bytes: source.bytes,
+                to: self.buffers[target.buffer.index()].name.clone(),
+                target_bytes: target.bytes,
+            });
+        }
+        if source.overlaps(&target) {
+            let buffer = self.buffers[source.buffer.index()].name.clone();
+            return Err(GraphError::Overlap { pass: name, buffer, first: "source".into(), second: "target".into() });
+        }
+        self.check_written(&name, &source)?;
+        self.finish(Pass {
+            name,
+            kind: PassKind::Copy { source, target },
+            accesses: vec![(source, Access::Read, Use::Transfer), (target, Access::Write, Use::Transfer)],
+            discards: vec![target],
+        })
+    }
+
+    /// Turns the declaration into a plan.
+    pub fn compile(mut self, options: &CompileOptions) -> Result<Plan, GraphError> {
+        let graph = self.name.clone();
+        if let Some(pass) = self.open.take() {
+            self.errors.push(GraphError::Unfinished { graph: graph.clone(), pass });
+        }
+        if options.alignment.is_power_of_two() {
+            self.check_alignment(options.alignment);
+        } else {
+            self.errors.push(GraphError::BadAlignment { graph: graph.clone(), alignment: options.alignment });
+        }
+        GraphError::collect(std::mem::take(&mut self.errors))?;
+        let plan = plan::compile(self, options);
+        if options.verify {
+            plan::verify::verify(&plan).map_err(|error| GraphError::Verify { graph, error: Box::new(error) })?;
+        }
+        Ok(plan)
+    }
+
+    /// Collects the bound slices that the device cannot bind.
+    fn check_alignment(&mut self, alignment: u64) {
+        for pass in &self.passes {
+            let PassKind::Compute { shader, bindings, .. } = &pass.kind else { continue };
+            for (binding, (_, slice)) in shader.bindings.iter().zip(bindings) {
+                if !slice.offset.is_multiple_of(alignment) {
+                    self.errors.push(GraphError::SliceAlignment {
+                        pass: pass.name.clone(),
+                        buffer: self.buffers[slice.buffer.index()].name.clone(),
+                        binding: binding.name.to_string(),
+                        offset: slice.offset,
+                        alignment,
+                    });
+                }
+            }
+        }
+    }
+
+    /// Opens a pass; it stays open, and so makes the graph useless, until [`Graph::finish`].
+    fn begin(&mut self, name: &str) {
+        if let Some(pass) = self.open.replace(name.to_owned()) {
+            self.errors.push(GraphError::Unfinished { graph: self.name.clone(), pass });
+        }
+    }
+
+    /// Takes a pass that has passed all checks.
+    pub(super) fn finish(&mut self, pass: Pass) -> Result<(), GraphError> {
+        for (slice, access, _) in &pass.accesses {
+            if let (true, Some(written)) = (writes(*access), &mut self.written[slice.buffer.index()]) {
+                written.set(slice.range(), true);
+            }
+        }
+        self.passes.push(pass);
+        self.open = None;
+        Ok(())
+    }
+
+    /// Checks a slice and gives it its length.
+    pub(super) fn resolve(&self, pass: &str, mut slice: Slice) -> Result<Slice, GraphError> {
+        let Some(info) = self.buffers.get(slice.buffer.index()) else {
+            return Err(self.unknown(pass, slice.buffer));
+        };
+        let Slice { offset, .. } = slice;
+        if slice.bytes == Slice::WHOLE {
+            slice.bytes = info.bytes.saturating_sub(offset);
+        }
+        let bytes = slice.bytes;
+        let (pass, buffer) = (pass.to_owned(), info.name.clone());
+        if offset.checked_add(bytes).is_none_or(|end| end > info.bytes) {
+            return Err(GraphError::SliceRange { pass, buffer, offset, bytes, size: info.bytes });
+        }
+        if bytes == 0 {
+            return Err(GraphError::EmptySlice { pass, buffer, offset });
+        }
+        Ok(slice)
+    }
+
+    pub(super) fn check_write(&self, pass: &str, buffer: Buffer, through: &str) -> Result<(), GraphError> {
+        let info = &self.buffers[buffer.index()];
+        if info.writable() {
+            return Ok(());
+        }
+        Err(GraphError::WriteToReadOnly {
+            pass: pass.to_owned(),
+            buffer: info.name.clone(),
+            through: through.to_owned(),
+            kind: read_only(info),
+        })
+    }
+
+    pub(super) fn check_not_uniform(&self, pass: &str, buffer: Buffer, role: &'static str) -> Result<(), GraphError> {
+        let info = &self.buffers[buffer.index()];
+        if info.kind != BufferKind::Uniform {
+            return Ok(());
+        }
+        Err(GraphError::UniformMisused { pass: pass.to_owned(), buffer: info.name.clone(), role })
+    }
+
+    /// Refuses to read a transient where nobody wrote any of it. One written byte is enough: a buffer bound as a
+    /// whole may have gaps and slack that nobody ever writes.
+    pub(super) fn check_written(&self, pass: &str, slice: &Slice) -> Result<(), GraphError> {
+        match &self.written[slice.buffer.index()] {
+            Some(written) if !written.any(slice.range(), |&written| written) => Err(GraphError::Unwritten {
+                pass: pass.to_owned(),
+                buffer: self.buffers[slice.buffer.index()].name.clone(),
+                offset: slice.offset,
+                bytes: slice.bytes,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn unknown(&self, pass: &str, buffer: Buffer) -> GraphError {
+        GraphError::UnknownBuffer { pass: pass.to_owned(), index: buffer.0, count: self.buffers.len() }
+    }
+}
+
+/// What a buffer that no pass may write is called in messages.
+fn read_only(info: &BufferInfo) -> &'static str {
+    if info.kind == BufferKind::Uniform { "a uniform" } else { "a read-only input" }
+}
+
+/// How a kernel reads or writes what it binds.
+pub(super) fn use_of(kind: BindingKind) -> Use {
+    match kind {
+        BindingKind::Storage => Use::Compute,
+        BindingKind::Uniform => Use::Uniform,
+    }
+}

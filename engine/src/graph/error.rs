@@ -1,0 +1,112 @@
+//! What can be wrong with a declaration. Every message is a sentence that names the pass, the resource and both values.
+
+use super::plan::verify::VerifyError;
+use crate::shader::Access;
+
+/// A declaration that the graph refuses.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)] // The fields are what the messages say of them.
+pub enum GraphError {
+    /// A buffer of another graph was used.
+    #[error("Pass [{pass}] uses buffer number {index}, but its graph has {count} buffers.")]
+    UnknownBuffer { pass: String, index: u32, count: usize },
+    /// A buffer without bytes was declared.
+    #[error("Buffer [{buffer}] is declared with 0 bytes, but a buffer needs at least 1.")]
+    EmptyBuffer { buffer: String },
+    /// A read-only buffer was to be kept.
+    #[error("Buffer [{buffer}] is to be kept, but it is {kind}, which no pass can write.")]
+    KeepReadOnly { buffer: String, kind: &'static str },
+    /// A slice without bytes.
+    #[error("Pass [{pass}] uses 0 bytes of buffer [{buffer}] at offset {offset}, but a slice needs at least 1.")]
+    EmptySlice { pass: String, buffer: String, offset: u64 },
+    /// A slice reaches past the end.
+    #[error(
+        "Pass [{pass}] uses {bytes} bytes of buffer [{buffer}] at offset {offset}, which end after its {size} bytes."
+    )]
+    SliceRange { pass: String, buffer: String, offset: u64, bytes: u64, size: u64 },
+    /// The kernel has no binding of that name.
+    #[error("Pass [{pass}] binds [{binding}], but kernel [{shader}] has only the bindings [{known}].")]
+    UnknownBinding { pass: String, shader: String, binding: String, known: String },
+    /// A binding was left open.
+    #[error("Pass [{pass}] leaves binding [{binding}] of kernel [{shader}] unbound.")]
+    Unbound { pass: String, shader: String, binding: String },
+    /// A binding was bound again.
+    #[error("Pass [{pass}] binds [{binding}] twice: to buffer [{first}] and to buffer [{second}].")]
+    BoundTwice { pass: String, binding: String, first: String, second: String },
+    /// The kernel has no specialization constant of that name.
+    #[error("Pass [{pass}] specializes [{spec}], but kernel [{shader}] has only the constants [{known}].")]
+    UnknownSpec { pass: String, shader: String, spec: String, known: String },
+    /// A specialization constant was given again.
+    #[error("Pass [{pass}] specializes [{spec}] twice: with {first:#x} and with {second:#x}.")]
+    SpecTwice { pass: String, spec: String, first: u32, second: u32 },
+    /// Push constants of the wrong size.
+    #[error("Pass [{pass}] pushes {given} bytes of constants, but kernel [{shader}] has {expected}.")]
+    PushSize { pass: String, shader: String, given: usize, expected: u32 },
+    /// A subgroup size that cannot exist.
+    #[error("Pass [{pass}] requires subgroups of {size}, which is not a power of two between 1 and 128.")]
+    SubgroupSize { pass: String, size: u32 },
+    /// One pass touches the same bytes twice and changes them.
+    #[error(
+        "Pass [{pass}] touches the same bytes of buffer [{buffer}] as [{first}] and as [{second}] and writes them."
+    )]
+    Overlap { pass: String, buffer: String, first: String, second: String },
+    /// A read of what nobody wrote.
+    #[error(
+        "Pass [{pass}] reads {bytes} bytes at offset {offset} of transient buffer [{buffer}], which no earlier pass \
+         writes."
+    )]
+    Unwritten { pass: String, buffer: String, offset: u64, bytes: u64 },
+    /// Too many groups.
+    #[error("Pass [{pass}] dispatches {count} groups along {axis}, more than the {limit} that every device can.")]
+    GroupCount { pass: String, axis: char, count: u32, limit: u32 },
+    /// Indirect arguments between words.
+    #[error("Pass [{pass}] reads its group counts at offset {offset} of buffer [{buffer}], not a multiple of 4.")]
+    IndirectAlignment { pass: String, buffer: String, offset: u64 },
+    /// A write to a read-only buffer.
+    #[error("Pass [{pass}] writes buffer [{buffer}] through [{through}], but it is {kind}.")]
+    WriteToReadOnly { pass: String, buffer: String, through: String, kind: &'static str },
+    /// A uniform outside a kernel.
+    #[error("Pass [{pass}] uses uniform [{buffer}] as {role}, but only kernels can read it.")]
+    UniformMisused { pass: String, buffer: String, role: &'static str },
+    /// A discard of contents that the kernel needs.
+    #[error(
+        "Pass [{pass}] discards the contents of [{binding}], but its kernel's access is {access:?}, which needs them."
+    )]
+    DiscardOfRead { pass: String, binding: String, access: Access },
+    /// A fill between words.
+    #[error("Pass [{pass}] fills {bytes} bytes at offset {offset} of buffer [{buffer}]; both must be multiples of 4.")]
+    FillAlignment { pass: String, buffer: String, offset: u64, bytes: u64 },
+    /// A copy whose ends differ in length.
+    #[error("Pass [{pass}] copies {source_bytes} bytes of buffer [{from}] to {target_bytes} bytes of buffer [{to}].")]
+    CopySize { pass: String, from: String, source_bytes: u64, to: String, target_bytes: u64 },
+    /// A pass that was begun and not finished.
+    #[error("Pass [{pass}] was begun in graph [{graph}] but never dispatched without an error.")]
+    Unfinished { graph: String, pass: String },
+    /// An alignment that cannot be.
+    #[error("Graph [{graph}] is compiled for offsets aligned to {alignment} bytes, which is not a power of two.")]
+    BadAlignment { graph: String, alignment: u64 },
+    /// A bound slice that the device could not bind.
+    #[error(
+        "Pass [{pass}] binds buffer [{buffer}] as [{binding}] at offset {offset}, not a multiple of the device's \
+         {alignment}."
+    )]
+    SliceAlignment { pass: String, buffer: String, binding: String, offset: u64, alignment: u64 },
+    /// More than one of the above, in the order in which they were made.
+    #[error("{}", .0.iter().map(|e| e.to_string()).collect::<Vec<_>>().join(" "))]
+    Several(Vec<GraphError>),
+    /// The compiler made a plan that its own verifier refuses: a defect of this crate.
+    #[error("The plan of graph [{graph}] is wrong: {error}")]
+    Verify { graph: String, error: Box<VerifyError> },
+}
+
+impl GraphError {
+    /// None, the one, or all of them.
+    pub(crate) fn collect(mut errors: Vec<GraphError>) -> Result<(), GraphError> {
+        match errors.len() {
+            0 => Ok(()),
+            1 => Err(errors.remove(0)),
+            _ => Err(GraphError::Several(errors)),
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Runs plans: binds memory, records one command buffer a frame in flight, replays it.
+//!
+//! Promises: once every slot is recorded, a replay waits only for its own slot, copies the uniforms, and submits;
+//! nothing is allocated or recorded. Work of different executors on one device is ordered by submission. Leaves hazards
+//! inside a replay to the plan.
+
+mod bind;
+mod record;
+mod time;
+
+pub use time::PassTime;
+
+use super::{Buffer, BufferKind, Plan};
+use crate::device::{Device, Ticket};
+use crate::error::{Check, Error, Result};
+use crate::memory::{DeviceBuffer, Location};
+use ash::vk;
+use std::sync::Arc;
+
+/// How a plan is run.
+#[derive(Clone, Debug)]
+pub struct ExecOptions {
+    /// Replays that may be in flight together; uniforms have one slot each.
+    pub frames_in_flight: usize,
+    /// Two timestamps around every pass.
+    pub timestamps: bool,
+    /// Fill the arena with ones before each replay, so that reading what nobody wrote shows.
+    pub poison: bool,
+    /// Memory for the transients, shared with other executors of the device; own memory if absent or too small.
+    pub arena: Option<DeviceBuffer>,
+}
+
+impl Default for ExecOptions {
+    fn default() -> Self {
+        ExecOptions { frames_in_flight: 2, timestamps: false, poison: false, arena: None }
+    }
+}
+
+/// A plan with its memory, ready to be replayed.
+pub struct Executor {
+    device: Device,
+    plan: Arc<Plan>,
+    options: ExecOptions,
+    /// By buffer; uniforms and transients stay empty.
+    externals: Vec<Option<DeviceBuffer>>,
+    arena: Option<DeviceBuffer>,
+    /// Byte offset of each uniform inside a slot's uniform memory.
+    uniform_offsets: Vec<u64>,
+    slots: Vec<Slot>,
+    next: usize,
+    times: time::Times,
+}
+
+/// What one replay in flight owns.
+struct Slot {
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    descriptors: vk::DescriptorPool,
+    queries: vk::QueryPool,
+    uniforms: Option<DeviceBuffer>,
+    recorded: bool,
+    ticket: Option<Ticket>,
+}
+
+impl Executor {
+    /// Prepares a plan: its arena and the slots.
+    ///
+    /// # Errors
+    /// If memory runs out, or a slice exceeds what one binding may cover.
+    pub fn new(device: &Device, plan: Arc<Plan>, options: ExecOptions) -> Result<Executor> {
+        let limit = device.info().max_storage_range;
+        for pass in &plan.passes {
+            for (slice, _, _) in &pass.accesses {
+                if slice.bytes > limit {
+                    let what = plan.buffers[slice.buffer.index()].name.clone();
+                    return Err(Error::BindingTooLarge { what, bytes: slice.bytes, limit });
+                }
+            }
+        }
+        let arena = match (&options.arena, plan.arena_bytes) {
+            (_, 0) => None,
+            (Some(shared), bytes) if shared.bytes() >= bytes => Some(shared.clone()),
+            (_, bytes) => Some(device.buffer(&format!("arena of {}", plan.name), bytes, Location::Device)?),
+        };
+        let mut uniform_bytes = 0;
+        let uniform_offsets = plan
+            .buffers
+            .iter()
+            .map(|b| {
+                let at = uniform_bytes;
+                if b.kind == BufferKind::Uniform {
+                    uniform_bytes += b.bytes.next_multiple_of(device.info().uniform_alignment.max(16));
+                }
+                at
+            })
+            .collect();
+        let mut executor = Executor {
+            device: device.clone(),
+            externals: vec![None; plan.buffers.len()],
+            arena,
+            uniform_offsets,
+            slots: Vec::new(),
+            next: 0,
+            times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
+            plan,
+            options,
+        };
+        for _ in 0..executor.options.frames_in_flight.max(1) {
+            let slot = executor.slot(uniform_bytes)?;
+            executor.slots.push(slot);
+        }
+        Ok(executor)
+    }
+
+    /// The plan.
+    pub fn plan(&self) -> &Arc<Plan> {
+        &self.plan
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// The arena's memory, for sharing with other executors.
+    pub fn arena(&self) -> Option<&DeviceBuffer> {
+        self.arena.as_ref()
+    }
+
+    /// Puts memory behind an external buffer of the plan. Before the first replay this is free; later it waits for
+    /// the replays in flight and records again.
+    ///
+    /// # Errors
+    /// If the memory is smaller than declared.
+    pub fn bind(&mut self, buffer: Buffer, memory: &DeviceBuffer) -> Result<()> {
+        memory.check_range(0, self.plan.buffers[buffer.index()].bytes)?;
+        let place = &mut self.externals[buffer.index()];
+        if place.as_ref().is_some_and(|old| Arc::ptr_eq(&old.0, &memory.0)) {
+            return Ok(());
+        }
+        if place.is_some() {
+            self.finish()?;
+        }
+        self.externals[buffer.index()] = Some(memory.clone());
+        for slot in &mut self.slots {
+            slot.recorded = false;
+        }
+        Ok(())
+    }
+
+    /// Replays the plan with these uniforms; returns where on the timeline it ends.
+    ///
+    /// # Errors
+    /// If an external buffer is not bound, or the device fails.
+    pub fn submit(&mut self, uniforms: &[(Buffer, &[u8])]) -> Result<Ticket> {
+        let index = self.next;
+        if let Some(ticket) = self.slots[index].ticket.take() {
+            self.device.wait(ticket, &self.plan.name)?;
+            self.times.collect(&self.device, self.slots[index].queries)?;
+        }
+        if let Some(memory) = &self.slots[index].uniforms {
+            for (buffer, data) in uniforms {
+                memory.write(self.uniform_offsets[buffer.index()], data)?;
+            }
+        }
+        if !self.slots[index].recorded {
+            self.record(index)?;
+        }
+        let slot = &mut self.slots[index];
+        let ticket = self.device.0.submit(slot.commands, &self.plan.name)?;
+        slot.ticket = Some(ticket);
+        self.next = (index + 1) % self.slots.len();
+        Ok(ticket)
+    }
+
+    /// Waits for every replay in flight.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`], [`Error::DeviceLost`].
+    pub fn finish(&mut self) -> Result<()> {
+        for i in 0..self.slots.len() {
+            let index = (self.next + i) % self.slots.len();
+            if let Some(ticket) = self.slots[index].ticket.take() {
+                self.device.wait(ticket, &self.plan.name)?;
+                self.times.collect(&self.device, self.slots[index].queries)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Nanoseconds of each pass in the replays whose end was seen since the last call (empty without timestamps).
+    pub fn take_times(&mut self) -> Vec<PassTime> {
+        self.times.take()
+    }
+
+    fn slot(&self, uniform_bytes: u64) -> Result<Slot> {
+        let shared = &self.device.0;
+        let name = &self.plan.name;
+        let uniforms = if uniform_bytes > 0 {
+            Some(self.device.buffer(&format!("uniforms of {name}"), uniform_bytes, Location::Upload)?)
+        } else {
+            None
+        };
+        let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
+        // SAFETY: the device is alive.
+        let pool = unsafe { shared.raw.create_command_pool(&pool_info, None) }.check("vkCreateCommandPool", name)?;
+        let mut slot = Slot {
+            pool,
+            commands: vk::CommandBuffer::null(),
+            descriptors: vk::DescriptorPool::null(),
+            queries: vk::QueryPool::null(),
+            uniforms,
+            recorded: false,
+            ticket: None,
+        };
+        if let Err(error) = self.fill_slot(&mut slot) {
+            self.destroy_slot(&slot);
+            return Err(error);
+        }
+        Ok(slot)
+    }
+
+    fn fill_slot(&self, slot: &mut Slot) -> Result<()> {
+        let shared = &self.device.0;
+        let name = &self.plan.name;
+        let commands = vk::CommandBufferAllocateInfo::default()
+            .command_pool(slot.pool)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        // SAFETY: the pool was made from this device.
+        slot.commands =
+            unsafe { shared.raw.allocate_command_buffers(&commands) }.check("vkAllocateCommandBuffers", name)?[0];
+        slot.descriptors = self.descriptor_pool()?;
+        if self.times.enabled() {
+            let info = vk::QueryPoolCreateInfo::default()
+                .query_type(vk::QueryType::TIMESTAMP)
+                .query_count(2 * self.plan.passes.len() as u32);
+            // SAFETY: the device is alive.
+            slot.queries = unsafe { shared.raw.create_query_pool(&info, None) }.check("vkCreateQueryPool", name)?;
+        }
+        Ok(())
+    }
+
+    fn destroy_slot(&self, slot: &Slot) {
+        let raw = &self.device.0.raw;
+        // SAFETY: the slot's work is done or was never submitted; null handles are allowed.
+        unsafe {
+            raw.destroy_query_pool(slot.queries, None);
+            raw.destroy_descriptor_pool(slot.descriptors, None);
+            raw.destroy_command_pool(slot.pool, None);
+        }
+    }
+}
+
+impl Drop for Executor {
+    fn drop(&mut self) {
+        if let Err(error) = self.finish() {
+            tracing::error!(%error, plan = self.plan.name, "work did not finish; its objects are leaked");
+            // The GPU may still use them: leak what it reads and writes.
+            std::mem::forget(std::mem::take(&mut self.externals));
+            std::mem::forget(self.arena.take());
+            for slot in &mut self.slots {
+                std::mem::forget(slot.uniforms.take());
+            }
+            return;
+        }
+        for slot in &self.slots {
+            self.destroy_slot(slot);
+        }
+    }
+}

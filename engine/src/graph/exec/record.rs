@@ -1,0 +1,170 @@
+//! From a plan to a command buffer.
+
+use super::Executor;
+use crate::error::{Check, Result};
+use crate::graph::plan::{Barrier, Plan};
+use crate::graph::{Accesses, Dispatch, PassKind, Stages};
+use ash::vk;
+
+impl Executor {
+    /// Records one slot's command buffer.
+    pub(super) fn record(&mut self, index: usize) -> Result<()> {
+        let shared = &self.device.0;
+        let raw = &shared.raw;
+        let plan = self.plan.clone();
+        let slot = &self.slots[index];
+        let commands = slot.commands;
+        let begin = vk::CommandBufferBeginInfo::default();
+        // SAFETY: the slot is not in flight (its ticket was waited for), so pool and sets may be reset.
+        unsafe {
+            raw.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty())
+                .check("vkResetCommandPool", &plan.name)?;
+            raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
+                .check("vkResetDescriptorPool", &plan.name)?;
+            raw.begin_command_buffer(commands, &begin).check("vkBeginCommandBuffer", &plan.name)?;
+            if self.times.enabled() {
+                raw.cmd_reset_query_pool(commands, slot.queries, 0, 2 * plan.passes.len() as u32);
+            }
+        }
+        // Other plans and transfers may have touched the same externals and the same arena just before, so the entry
+        // orders everything on the queue rather than what this plan alone would need.
+        self.barrier(commands, &everything());
+        if let (true, Some(arena)) = (self.options.poison, &self.arena) {
+            // SAFETY: the arena is alive; the fill is inside its size.
+            unsafe { raw.cmd_fill_buffer(commands, arena.0.raw, 0, plan.arena_bytes.next_multiple_of(4), u32::MAX) };
+            self.barrier(commands, &everything());
+        }
+        for (g, group) in plan.groups.iter().enumerate() {
+            if let (Some(barrier), true) = (&group.barrier, g > 0) {
+                self.barrier(commands, &translate(barrier));
+            }
+            for &pass in &group.passes {
+                self.stamp(commands, index, pass, false);
+                self.pass(commands, index, &plan, pass)?;
+                self.stamp(commands, index, pass, true);
+            }
+        }
+        let mut last = plan.final_barrier.as_ref().map_or_else(vk::MemoryBarrier2::default, translate);
+        last.dst_stage_mask |= vk::PipelineStageFlags2::HOST;
+        last.dst_access_mask |= vk::AccessFlags2::HOST_READ;
+        last.src_stage_mask |= vk::PipelineStageFlags2::COMPUTE_SHADER | vk::PipelineStageFlags2::ALL_TRANSFER;
+        last.src_access_mask |= vk::AccessFlags2::SHADER_STORAGE_WRITE | vk::AccessFlags2::TRANSFER_WRITE;
+        self.barrier(commands, &last);
+        // SAFETY: recording began above.
+        unsafe { raw.end_command_buffer(commands) }.check("vkEndCommandBuffer", &plan.name)?;
+        self.slots[index].recorded = true;
+        Ok(())
+    }
+
+    fn pass(&self, commands: vk::CommandBuffer, index: usize, plan: &Plan, pass: usize) -> Result<()> {
+        let shared = &self.device.0;
+        let raw = &shared.raw;
+        let slot = &self.slots[index];
+        let pass = &plan.passes[pass];
+        if let Some(labels) = &shared.labels {
+            let name = std::ffi::CString::new(pass.name.as_str()).unwrap_or_default();
+            let label = vk::DebugUtilsLabelEXT::default().label_name(&name);
+            // SAFETY: the command buffer is being recorded; begin and end come in pairs.
+            unsafe { labels.cmd_begin_debug_utils_label(commands, &label) };
+        }
+        match &pass.kind {
+            PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
+                let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
+                let set = self.descriptor_set(slot, &pipeline, shader, bindings)?;
+                // SAFETY: pipeline, layout and set belong together; the push constants are as many as the layout has;
+                // indirect arguments lie inside their buffer, as the builder checked.
+                unsafe {
+                    raw.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.raw);
+                    let sets = [set];
+                    let point = vk::PipelineBindPoint::COMPUTE;
+                    raw.cmd_bind_descriptor_sets(commands, point, pipeline.layout, 0, &sets, &[]);
+                    if !push.is_empty() {
+                        raw.cmd_push_constants(commands, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+                    }
+                    match dispatch {
+                        Dispatch::Groups([x, y, z]) => raw.cmd_dispatch(commands, *x, *y, *z),
+                        Dispatch::Indirect { buffer, offset } => {
+                            let (buffer, offset) = self.resolve(slot, &buffer.slice(*offset, 12))?;
+                            raw.cmd_dispatch_indirect(commands, buffer, offset);
+                        }
+                    }
+                }
+            }
+            PassKind::Fill { target, value } => {
+                let (buffer, offset) = self.resolve(slot, target)?;
+                // SAFETY: the range lies inside the buffer and is aligned to words, as the builder checked.
+                unsafe { raw.cmd_fill_buffer(commands, buffer, offset, target.bytes, *value) };
+            }
+            PassKind::Copy { source, target } => {
+                let (from, src_offset) = self.resolve(slot, source)?;
+                let (to, dst_offset) = self.resolve(slot, target)?;
+                let region = [vk::BufferCopy { src_offset, dst_offset, size: source.bytes }];
+                // SAFETY: both ranges lie inside their buffers and do not overlap, as the builder checked.
+                unsafe { raw.cmd_copy_buffer(commands, from, to, &region) };
+            }
+        }
+        if let Some(labels) = &shared.labels {
+            // SAFETY: closes the label opened above.
+            unsafe { labels.cmd_end_debug_utils_label(commands) };
+        }
+        Ok(())
+    }
+
+    fn barrier(&self, commands: vk::CommandBuffer, barrier: &vk::MemoryBarrier2<'_>) {
+        let barriers = [*barrier];
+        let info = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: the command buffer is being recorded.
+        unsafe { self.device.0.raw.cmd_pipeline_barrier2(commands, &info) };
+    }
+
+    fn stamp(&self, commands: vk::CommandBuffer, index: usize, pass: usize, end: bool) {
+        if self.times.enabled() {
+            let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
+            let query = 2 * pass as u32 + u32::from(end);
+            // SAFETY: the pool has two queries for every pass, reset at the start of this command buffer.
+            unsafe { self.device.0.raw.cmd_write_timestamp2(commands, stage, self.slots[index].queries, query) };
+        }
+    }
+}
+
+fn everything() -> vk::MemoryBarrier2<'static> {
+    let stages = vk::PipelineStageFlags2::COMPUTE_SHADER
+        | vk::PipelineStageFlags2::ALL_TRANSFER
+        | vk::PipelineStageFlags2::DRAW_INDIRECT;
+    vk::MemoryBarrier2::default()
+        .src_stage_mask(stages)
+        .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+        .dst_stage_mask(stages)
+        .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
+}
+
+fn translate(barrier: &Barrier) -> vk::MemoryBarrier2<'static> {
+    vk::MemoryBarrier2::default()
+        .src_stage_mask(stages(barrier.src_stage))
+        .src_access_mask(accesses(barrier.src_access))
+        .dst_stage_mask(stages(barrier.dst_stage))
+        .dst_access_mask(accesses(barrier.dst_access))
+}
+
+fn stages(s: Stages) -> vk::PipelineStageFlags2 {
+    let table = [
+        (Stages::COMPUTE, vk::PipelineStageFlags2::COMPUTE_SHADER),
+        (Stages::INDIRECT, vk::PipelineStageFlags2::DRAW_INDIRECT),
+        (Stages::TRANSFER, vk::PipelineStageFlags2::ALL_TRANSFER),
+        (Stages::HOST, vk::PipelineStageFlags2::HOST),
+    ];
+    table.into_iter().filter(|(f, _)| s.contains(*f)).fold(vk::PipelineStageFlags2::NONE, |a, (_, f)| a | f)
+}
+
+fn accesses(a: Accesses) -> vk::AccessFlags2 {
+    let table = [
+        (Accesses::STORAGE_READ, vk::AccessFlags2::SHADER_STORAGE_READ),
+        (Accesses::STORAGE_WRITE, vk::AccessFlags2::SHADER_STORAGE_WRITE),
+        (Accesses::UNIFORM_READ, vk::AccessFlags2::UNIFORM_READ),
+        (Accesses::INDIRECT_READ, vk::AccessFlags2::INDIRECT_COMMAND_READ),
+        (Accesses::TRANSFER_READ, vk::AccessFlags2::TRANSFER_READ),
+        (Accesses::TRANSFER_WRITE, vk::AccessFlags2::TRANSFER_WRITE),
+        (Accesses::HOST_READ, vk::AccessFlags2::HOST_READ),
+    ];
+    table.into_iter().filter(|(f, _)| a.contains(*f)).fold(vk::AccessFlags2::NONE, |x, (_, f)| x | f)
+}

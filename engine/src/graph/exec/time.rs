@@ -1,0 +1,69 @@
+//! How long each pass took, by the device's own clock.
+
+use crate::device::Device;
+use crate::error::{Check, Result};
+use crate::graph::Plan;
+use ash::vk;
+
+/// The measured times of one pass.
+#[derive(Clone, Debug)]
+pub struct PassTime {
+    /// The pass.
+    pub name: String,
+    /// Start after the first pass of its replay began, in nanoseconds, one entry a replay.
+    pub start: Vec<f64>,
+    /// Duration in nanoseconds, one entry a replay.
+    pub nanoseconds: Vec<f64>,
+}
+
+pub(super) struct Times {
+    enabled: bool,
+    passes: Vec<PassTime>,
+    live: Vec<usize>,
+    stamps: Vec<u64>,
+}
+
+impl Times {
+    pub fn new(plan: &Plan, enabled: bool) -> Times {
+        let named =
+            plan.passes.iter().map(|p| PassTime { name: p.name.clone(), start: vec![], nanoseconds: vec![] }).collect();
+        let live = plan.groups.iter().flat_map(|g| g.passes.iter().copied()).collect();
+        Times { enabled, passes: named, live, stamps: vec![0; 2 * plan.passes.len()] }
+    }
+
+    pub fn enabled(&self) -> bool {
+        self.enabled && !self.passes.is_empty()
+    }
+
+    /// Reads the stamps of a finished replay.
+    pub fn collect(&mut self, device: &Device, queries: vk::QueryPool) -> Result<()> {
+        if !self.enabled() {
+            return Ok(());
+        }
+        let raw = &device.0.raw;
+        for &pass in &self.live {
+            let stamps = &mut self.stamps[2 * pass..2 * pass + 2];
+            // SAFETY: the replay is done, so both stamps are written; the pool has two queries for every pass.
+            unsafe { raw.get_query_pool_results(queries, 2 * pass as u32, stamps, vk::QueryResultFlags::TYPE_64) }
+                .check("vkGetQueryPoolResults", &self.passes[pass].name)?;
+        }
+        let period = f64::from(device.info().timestamp_period);
+        let first = self.live.iter().map(|&p| self.stamps[2 * p]).min().unwrap_or(0);
+        for &pass in &self.live {
+            let (begin, end) = (self.stamps[2 * pass], self.stamps[2 * pass + 1]);
+            self.passes[pass].start.push(begin.wrapping_sub(first) as f64 * period);
+            self.passes[pass].nanoseconds.push(end.wrapping_sub(begin) as f64 * period);
+        }
+        Ok(())
+    }
+
+    pub fn take(&mut self) -> Vec<PassTime> {
+        let mut taken = Vec::with_capacity(self.live.len());
+        for &p in &self.live {
+            let pass = &mut self.passes[p];
+            let (start, nanoseconds) = (std::mem::take(&mut pass.start), std::mem::take(&mut pass.nanoseconds));
+            taken.push(PassTime { name: pass.name.clone(), start, nanoseconds });
+        }
+        taken
+    }
+}

@@ -1,0 +1,82 @@
+//! Where in the arena each transient lives.
+//!
+//! Two transients that are alive in a common group never overlap; others may. The largest are placed first, the
+//! longest-lived among equals, each at the lowest offset that is free for its lifetime. That a byte passes from one
+//! transient to the next is a hazard like any other, and left to the barriers.
+
+use super::Group;
+use crate::graph::pass::Pass;
+use crate::graph::resource::{BufferInfo, BufferKind};
+
+/// First and last group of each transient that is used; a kept one lives past the last group.
+pub(super) fn lifetimes(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group]) -> Vec<Option<(usize, usize)>> {
+    let mut lives = vec![None; buffers.len()];
+    for (at, group) in groups.iter().enumerate() {
+        for &pass in &group.passes {
+            for (slice, ..) in &passes[pass].accesses {
+                let buffer = slice.buffer.index();
+                let info = &buffers[buffer];
+                if info.kind == BufferKind::Transient {
+                    let end = if info.keep { groups.len() } else { at };
+                    lives[buffer] = Some((lives[buffer].map_or(at, |(first, _)| first), end));
+                }
+            }
+        }
+    }
+    lives
+}
+
+/// An arena.
+pub(super) struct Layout {
+    /// By buffer: its offset, if it is a transient that is used.
+    pub(super) placements: Vec<Option<u64>>,
+    /// Size of the arena.
+    pub(super) bytes: u64,
+    /// Size that it would have without sharing.
+    pub(super) unaliased_bytes: u64,
+}
+
+/// Places the transients.
+pub(super) fn alias(
+    buffers: &[BufferInfo],
+    lifetimes: &[Option<(usize, usize)>],
+    alignment: u64,
+    share: bool,
+) -> Layout {
+    struct Placed {
+        offset: u64,
+        end: u64,
+        first: usize,
+        last: usize,
+    }
+
+    let size = |index: usize| buffers[index].bytes.next_multiple_of(alignment);
+    let mut todo: Vec<(usize, usize, usize)> = lifetimes
+        .iter()
+        .enumerate()
+        .filter_map(|(index, life)| life.map(|(first, last)| (index, first, last)))
+        .collect();
+    let unaliased_bytes = todo.iter().map(|&(index, ..)| size(index)).sum();
+    if share {
+        todo.sort_by_key(|&(index, first, last)| (std::cmp::Reverse((size(index), last - first)), index));
+    }
+    let mut placements = vec![None; buffers.len()];
+    // By offset, so that one walk finds the lowest gap.
+    let mut placed: Vec<Placed> = Vec::with_capacity(todo.len());
+    for (index, first, last) in todo {
+        let bytes = size(index);
+        let mut offset = 0;
+        for other in &placed {
+            if other.offset >= offset + bytes {
+                break;
+            }
+            if !share || (other.first <= last && first <= other.last) {
+                offset = offset.max(other.end);
+            }
+        }
+        placements[index] = Some(offset);
+        let at = placed.partition_point(|other| other.offset <= offset);
+        placed.insert(at, Placed { offset, end: offset + bytes, first, last });
+    }
+    Layout { placements, bytes: placed.iter().map(|p| p.end).max().unwrap_or(0), unaliased_bytes }
+}

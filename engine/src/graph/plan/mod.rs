@@ -1,0 +1,132 @@
+//! A compiled graph: which passes run, in which groups, behind which barriers, and where the transients live.
+//!
+//! A plan is data. It names no device object, can be printed, compared and verified without a device, and is replayed
+//! as often as wanted. Replays of one plan may follow each other on a queue without waiting: the barrier of the first
+//! group covers what the replay before left open. Between *different* plans, and between a plan and commands that the
+//! graph does not know of, the caller puts [`Barrier::FULL`]; only copies from outputs need none after a replay.
+//!
+//! Compilation is a pipeline of small steps, each in its file: `cull` what no output needs, `depend` and `order` the
+//! rest into groups, `alias` the transients into an arena, and place each `barrier` by the `hazard`s it must cover,
+//! which `clock`s measure. `verify` checks the result with code and a model of its own.
+
+mod alias;
+mod barrier;
+mod clock;
+mod cull;
+mod depend;
+mod hazard;
+mod key;
+mod order;
+pub mod scope;
+pub mod verify;
+
+pub use scope::{Accesses, Barrier, Stages};
+
+use super::builder::Graph;
+use super::pass::Pass;
+use super::resource::{Buffer, BufferInfo};
+
+/// How a graph is compiled.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct CompileOptions {
+    /// What the offsets of bound slices and of transients are multiples of; a power of two.
+    pub alignment: u64,
+    /// Whether transients share memory.
+    pub alias: bool,
+    /// Whether passes may leave their declared order.
+    pub reorder: bool,
+    /// Whether the plan is verified before it is returned.
+    pub verify: bool,
+}
+
+impl Default for CompileOptions {
+    /// An alignment that suits every device, everything on.
+    fn default() -> Self {
+        CompileOptions { alignment: 256, alias: true, reorder: true, verify: true }
+    }
+}
+
+/// A compiled graph.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The graph's name.
+    pub name: String,
+    /// Every declared buffer, by [`Buffer::index`].
+    pub buffers: Vec<BufferInfo>,
+    /// Every declared pass in declared order, those that do not run included.
+    pub passes: Vec<Pass>,
+    /// What runs.
+    pub groups: Vec<Group>,
+    /// Size of the arena.
+    pub arena_bytes: u64,
+    /// Size that the arena would have if no memory were shared.
+    pub arena_unaliased_bytes: u64,
+    /// By buffer: its offset in the arena, if it is a transient that is used.
+    pub placements: Vec<Option<u64>>,
+    /// The passes that no output needs, ascending.
+    pub culled: Vec<usize>,
+    /// After the last group: makes outputs visible to the host and to copies. As much a part of the replay as the
+    /// others: the next replay's first barrier counts on it.
+    pub final_barrier: Option<Barrier>,
+    /// The identity of the declaration and of the options that shaped the plan.
+    pub key: u64,
+}
+
+/// Passes without hazards among them, which may run at once and in any order.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Group {
+    /// What is recorded before the group, if anything.
+    pub barrier: Option<Barrier>,
+    /// Positions in [`Plan::passes`].
+    pub passes: Vec<usize>,
+}
+
+impl Plan {
+    /// The handle of the buffer at a position of [`Plan::buffers`].
+    pub fn buffer(&self, index: usize) -> Buffer {
+        Buffer(index as u32)
+    }
+
+    /// By buffer: the first and the last group in which a transient is alive; a kept one lives past the last group.
+    pub fn lifetimes(&self) -> Vec<Option<(usize, usize)>> {
+        alias::lifetimes(&self.buffers, &self.passes, &self.groups)
+    }
+
+    /// By pass: which passes it must stay behind, ascending, without those that others imply where that is free. Empty
+    /// for passes that do not run.
+    pub fn dependencies(&self) -> Vec<Vec<u32>> {
+        let mut lives = vec![true; self.passes.len()];
+        self.culled.iter().for_each(|&pass| lives[pass] = false);
+        depend::depend(&self.buffers, &self.passes, &lives)
+    }
+
+    /// The declared buffers, with their handles.
+    pub fn buffers(&self) -> impl Iterator<Item = (Buffer, &BufferInfo)> {
+        self.buffers.iter().enumerate().map(|(index, info)| (Buffer(index as u32), info))
+    }
+}
+
+/// Compiles a declaration that the builder has found meaningful.
+pub(super) fn compile(graph: Graph, options: &CompileOptions) -> Plan {
+    let Graph { name, buffers, passes, .. } = graph;
+    let key = key::key(&name, &buffers, &passes, options);
+    let lives = cull::cull(&buffers, &passes);
+    let follows = depend::depend(&buffers, &passes, &lives);
+    let order = order::order(&buffers, &passes, &lives, &follows, options.reorder);
+    let mut groups: Vec<Group> = order.into_iter().map(|passes| Group { barrier: None, passes }).collect();
+    let lifetimes = alias::lifetimes(&buffers, &passes, &groups);
+    let layout = alias::alias(&buffers, &lifetimes, options.alignment, options.alias);
+    let final_barrier = barrier::place(&buffers, &passes, &layout.placements, layout.bytes, &mut groups);
+    Plan {
+        name,
+        groups,
+        arena_bytes: layout.bytes,
+        arena_unaliased_bytes: layout.unaliased_bytes,
+        placements: layout.placements,
+        culled: (0..passes.len()).filter(|&index| !lives[index]).collect(),
+        final_barrier,
+        key,
+        buffers,
+        passes,
+    }
+}

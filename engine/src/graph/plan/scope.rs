@@ -1,0 +1,202 @@
+//! What a barrier waits for and holds back: pipeline stages and kinds of memory access, as sets.
+//!
+//! Only what compute graphs need, in numbers of our own; the executor translates them. Each access belongs to exactly
+//! one stage, so a set of accesses implies its stages.
+
+use std::fmt;
+
+/// A set of pipeline stages.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
+pub struct Stages(u32);
+
+/// A set of kinds of memory access.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
+pub struct Accesses(u32);
+
+impl Stages {
+    /// No stage.
+    pub const NONE: Stages = Stages(0);
+    /// Kernels.
+    pub const COMPUTE: Stages = Stages(1);
+    /// The reading of group counts.
+    pub const INDIRECT: Stages = Stages(2);
+    /// Fills and copies: every transfer stage.
+    pub const TRANSFER: Stages = Stages(4);
+    /// The host.
+    pub const HOST: Stages = Stages(8);
+    /// All of the above, by ascending bit.
+    pub const EACH: [Stages; 4] = [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST];
+
+    /// The name of a set of one.
+    fn name(self) -> &'static str {
+        match self {
+            Stages::COMPUTE => "compute",
+            Stages::INDIRECT => "indirect",
+            Stages::TRANSFER => "transfer",
+            Stages::HOST => "host",
+            _ => "?",
+        }
+    }
+}
+
+impl Accesses {
+    /// No access.
+    pub const NONE: Accesses = Accesses(0);
+    /// Loads from storage buffers.
+    pub const STORAGE_READ: Accesses = Accesses(1);
+    /// Stores to storage buffers.
+    pub const STORAGE_WRITE: Accesses = Accesses(2);
+    /// Loads from uniform buffers.
+    pub const UNIFORM_READ: Accesses = Accesses(4);
+    /// Reads of group counts.
+    pub const INDIRECT_READ: Accesses = Accesses(8);
+    /// Reads by copies.
+    pub const TRANSFER_READ: Accesses = Accesses(16);
+    /// Writes by fills and copies.
+    pub const TRANSFER_WRITE: Accesses = Accesses(32);
+    /// Loads by the host.
+    pub const HOST_READ: Accesses = Accesses(64);
+    /// All of the above, by ascending bit.
+    pub const EACH: [Accesses; 7] = [
+        Accesses::STORAGE_READ,
+        Accesses::STORAGE_WRITE,
+        Accesses::UNIFORM_READ,
+        Accesses::INDIRECT_READ,
+        Accesses::TRANSFER_READ,
+        Accesses::TRANSFER_WRITE,
+        Accesses::HOST_READ,
+    ];
+
+    /// The stages that perform these accesses.
+    pub fn stages(self) -> Stages {
+        let mut stages = Stages::NONE;
+        for access in Accesses::EACH.into_iter().filter(|&a| self.contains(a)) {
+            stages |= match access {
+                Accesses::STORAGE_READ | Accesses::STORAGE_WRITE | Accesses::UNIFORM_READ => Stages::COMPUTE,
+                Accesses::INDIRECT_READ => Stages::INDIRECT,
+                Accesses::TRANSFER_READ | Accesses::TRANSFER_WRITE => Stages::TRANSFER,
+                _ => Stages::HOST,
+            };
+        }
+        stages
+    }
+
+    /// The name of a set of one.
+    fn name(self) -> &'static str {
+        match self {
+            Accesses::STORAGE_READ => "storage_read",
+            Accesses::STORAGE_WRITE => "storage_write",
+            Accesses::UNIFORM_READ => "uniform_read",
+            Accesses::INDIRECT_READ => "indirect_read",
+            Accesses::TRANSFER_READ => "transfer_read",
+            Accesses::TRANSFER_WRITE => "transfer_write",
+            Accesses::HOST_READ => "host_read",
+            _ => "?",
+        }
+    }
+}
+
+macro_rules! set {
+    ($set:ident) => {
+        impl $set {
+            /// The bits, for a translation table or a hash.
+            pub fn bits(self) -> u32 {
+                self.0
+            }
+
+            /// Whether nothing is in the set.
+            pub fn is_empty(self) -> bool {
+                self.0 == 0
+            }
+
+            /// Whether all of `other` is in the set.
+            pub fn contains(self, other: Self) -> bool {
+                self.0 & other.0 == other.0
+            }
+
+            /// What is in both.
+            pub fn intersection(self, other: Self) -> Self {
+                $set(self.0 & other.0)
+            }
+
+            /// What is in this and not in `other`.
+            pub fn without(self, other: Self) -> Self {
+                $set(self.0 & !other.0)
+            }
+        }
+
+        impl std::ops::BitOr for $set {
+            type Output = Self;
+
+            fn bitor(self, other: Self) -> Self {
+                $set(self.0 | other.0)
+            }
+        }
+
+        impl std::ops::BitOrAssign for $set {
+            fn bitor_assign(&mut self, other: Self) {
+                self.0 |= other.0;
+            }
+        }
+
+        impl fmt::Display for $set {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                if self.is_empty() {
+                    return f.write_str("none");
+                }
+                let names = $set::EACH.into_iter().filter(|&one| self.contains(one)).map(|one| one.name());
+                f.write_str(&names.collect::<Vec<_>>().join("|"))
+            }
+        }
+
+        impl serde::Serialize for $set {
+            fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+                to.collect_seq($set::EACH.into_iter().filter(|&one| self.contains(one)).map(|one| one.name()))
+            }
+        }
+    };
+}
+
+set!(Stages);
+set!(Accesses);
+
+/// A global memory barrier between what was recorded before it and what is recorded after it.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, serde::Serialize)]
+pub struct Barrier {
+    /// Stages that must be done.
+    pub src_stage: Stages,
+    /// Writes of theirs that become available.
+    pub src_access: Accesses,
+    /// Stages that wait.
+    pub dst_stage: Stages,
+    /// Accesses of theirs that see what is available.
+    pub dst_access: Accesses,
+}
+
+impl Barrier {
+    /// Everything on the device before everything on the device after: for the seam between two plans, or between a
+    /// plan and commands that no plan knows of.
+    pub const FULL: Barrier = Barrier {
+        src_stage: Stages(7),
+        src_access: Accesses(2 | 32),
+        dst_stage: Stages(7),
+        dst_access: Accesses(1 | 2 | 4 | 8 | 16 | 32),
+    };
+
+    /// Does what both do, and perhaps more.
+    pub fn merge(&self, other: &Barrier) -> Barrier {
+        Barrier {
+            src_stage: self.src_stage | other.src_stage,
+            src_access: self.src_access | other.src_access,
+            dst_stage: self.dst_stage | other.dst_stage,
+            dst_access: self.dst_access | other.dst_access,
+        }
+    }
+}
+
+impl fmt::Display for Barrier {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Barrier { src_stage, src_access, dst_stage, dst_access } = self;
+        write!(f, "{src_stage}[{src_access}] -> {dst_stage}[{dst_access}]")
+    }
+}

@@ -1,0 +1,219 @@
+//! Whether conflicting memory operations are kept apart by barriers, through two replays in a row.
+//!
+//! Two suffice: each replay does the same to the same bytes, so what the third meets is what the second met.
+
+use super::cells::Cells;
+use super::shape::performs;
+use super::story::{Operation, Stories};
+use super::{Hazard, Missing, VerifyError, buffer_name, pass_name};
+use crate::graph::pass::Use;
+use crate::graph::plan::Plan;
+use crate::graph::plan::scope::{Accesses, Barrier};
+use crate::graph::resource::{BufferKind, Slice};
+use crate::shader::Access;
+
+/// Something that touched a cell.
+#[derive(Clone, Copy)]
+struct Event {
+    operation: Operation,
+    pass: usize,
+    buffer: usize,
+    replay: usize,
+    access: Access,
+}
+
+/// What touched a cell, beginning with its last write that commutes with nothing, in the order of the groups.
+type Since = Vec<Event>;
+
+/// Checks.
+pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
+    let mut walk = Walk::new(plan);
+    for replay in 0..2 {
+        for (at, group) in plan.groups.iter().enumerate() {
+            walk.now = walk.before[replay * (plan.groups.len() + 1) + at];
+            for &pass in &group.passes {
+                for (slice, access, used) in &plan.passes[pass].accesses {
+                    walk.touch(replay, pass, slice, *access, *used)?;
+                }
+            }
+        }
+        walk.now = walk.before[replay * (plan.groups.len() + 1) + plan.groups.len()];
+        walk.read_outputs(replay)?;
+    }
+    Ok(())
+}
+
+/// A pass number for the copies that read outputs between replays.
+const OUTSIDE: usize = usize::MAX;
+
+/// Which accesses of the device an access is.
+fn performed(access: Access, used: Use) -> Accesses {
+    match (used, access) {
+        (Use::Compute, Access::Read) => Accesses::STORAGE_READ,
+        (Use::Compute, Access::Write) => Accesses::STORAGE_WRITE,
+        (Use::Compute, Access::ReadWrite | Access::Accumulate) => Accesses::STORAGE_READ | Accesses::STORAGE_WRITE,
+        (Use::Transfer, Access::Read) => Accesses::TRANSFER_READ,
+        (Use::Transfer, Access::Write | Access::ReadWrite | Access::Accumulate) => Accesses::TRANSFER_WRITE,
+        (Use::Indirect, _) => Accesses::INDIRECT_READ,
+        (Use::Uniform, _) => Accesses::UNIFORM_READ,
+    }
+}
+
+struct Walk<'p> {
+    plan: &'p Plan,
+    stories: Stories,
+    /// How many barriers come before each group, and before the end, of each of the two replays.
+    before: Vec<usize>,
+    /// How many barriers came so far.
+    now: usize,
+    /// Memory spaces: one an external buffer, and the arena last.
+    cells: Cells,
+    since: Vec<Vec<Since>>,
+    /// By buffer: whether anything that runs writes it.
+    written: Vec<bool>,
+}
+
+impl<'p> Walk<'p> {
+    fn new(plan: &'p Plan) -> Self {
+        let mut barriers: Vec<Barrier> = Vec::new();
+        let mut before = Vec::new();
+        for _ in 0..2 {
+            for barrier in plan.groups.iter().map(|group| group.barrier).chain([plan.final_barrier]) {
+                barriers.extend(barrier);
+                before.push(barriers.len());
+            }
+        }
+        let mut written = vec![false; plan.buffers.len()];
+        let running =
+            || plan.groups.iter().flat_map(|group| &group.passes).flat_map(|&pass| &plan.passes[pass].accesses);
+        for (slice, access, _) in running() {
+            written[slice.buffer.index()] |= *access != Access::Read;
+        }
+        let outputs = outputs(plan);
+        let slices = running().map(|(slice, ..)| slice).chain(&outputs);
+        let cells = Cells::new(plan.buffers.len() + 1, slices.filter_map(|slice| place(plan, slice)));
+        let since = cells.table();
+        Walk { plan, stories: Stories::new(barriers), before, now: 0, cells, since, written }
+    }
+
+    fn touch(
+        &mut self,
+        replay: usize,
+        pass: usize,
+        slice: &Slice,
+        access: Access,
+        used: Use,
+    ) -> Result<(), VerifyError> {
+        let buffer = slice.buffer.index();
+        if !self.written[buffer] && self.plan.buffers[buffer].kind != BufferKind::Transient {
+            return Ok(()); // Nothing to conflict with.
+        }
+        let Some((space, range)) = place(self.plan, slice) else { return Ok(()) };
+        let accesses = performed(access, used);
+        let operation = self.stories.operation(self.now, accesses);
+        let event = Event { operation, pass, buffer, replay, access };
+        let stores = accesses.intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE);
+        let stage = Accesses::EACH.into_iter().find(|&one| accesses.contains(one)).map(performs).unwrap_or_default();
+        for cell in self.cells.of(space, &range) {
+            let byte = self.cells.byte(space, cell);
+            let since = &mut self.since[space][cell];
+            let mut read_since = false;
+            for earlier in since.iter().rev() {
+                if earlier.access == Access::Read {
+                    read_since = true;
+                    let unordered = self.stories.unordered(earlier.operation, self.now, stage);
+                    if access != Access::Read && !unordered.is_empty() {
+                        let missing = Missing::Order(unordered);
+                        return Err(hazard_error(self.plan, Hazard::WriteAfterRead, earlier, &event, byte, missing));
+                    }
+                } else if !(access == Access::Accumulate
+                    && earlier.access == Access::Accumulate
+                    && earlier.buffer == buffer)
+                {
+                    // Whoever read in between has the write behind it, and the write before us waits for the reader:
+                    // only to load what was written we have to see it.
+                    let needed = if read_since { accesses.without(stores) } else { accesses };
+                    let hidden = self.stories.hidden(earlier.operation, self.now, needed);
+                    if !hidden.is_empty() {
+                        let reads = access == Access::Read;
+                        let hazard = if reads { Hazard::ReadAfterWrite } else { Hazard::WriteAfterWrite };
+                        let missing = Missing::Visibility(hidden);
+                        return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
+                    }
+                }
+            }
+            // A run of accumulations keeps what it began on: each of its members has to follow that.
+            if matches!(access, Access::Write | Access::ReadWrite) {
+                since.clear();
+            }
+            let alike = |last: &Event| {
+                last.operation == operation && last.buffer == buffer && last.access == access && last.replay == replay
+            };
+            if !since.last().is_some_and(alike) {
+                since.push(event);
+            }
+        }
+        Ok(())
+    }
+
+    /// The host and copies, after a replay.
+    fn read_outputs(&mut self, replay: usize) -> Result<(), VerifyError> {
+        let wanted = Accesses::TRANSFER_READ | Accesses::HOST_READ;
+        let operation = self.stories.operation(self.now, Accesses::TRANSFER_READ);
+        for slice in outputs(self.plan) {
+            let buffer = slice.buffer.index();
+            let Some((space, range)) = place(self.plan, &slice).filter(|_| self.written[buffer]) else { continue };
+            for cell in self.cells.of(space, &range) {
+                let since = &mut self.since[space][cell];
+                for write in since.iter().filter(|event| event.access != Access::Read) {
+                    let access = self.stories.hidden(write.operation, self.now, wanted);
+                    if !access.is_empty() {
+                        let (pass, buffer) = (pass_name(self.plan, write.pass), buffer_name(self.plan, buffer));
+                        return Err(VerifyError::OutputHidden { pass, buffer, access });
+                    }
+                }
+                since.push(Event { operation, pass: OUTSIDE, buffer, replay, access: Access::Read });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Buffers whose contents are wanted after a replay, as a whole.
+fn outputs(plan: &Plan) -> Vec<Slice> {
+    plan.buffers().filter(|(_, info)| info.keep).map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
+}
+
+/// The memory of a slice: its space and the bytes there. Nothing for a transient without a place.
+fn place(plan: &Plan, slice: &Slice) -> Option<(usize, std::ops::Range<u64>)> {
+    let buffer = slice.buffer.index();
+    match plan.buffers[buffer].kind {
+        BufferKind::Transient => {
+            let offset = plan.placements[buffer]? + slice.offset;
+            Some((plan.buffers.len(), offset..offset + slice.bytes))
+        }
+        BufferKind::External | BufferKind::Uniform => Some((buffer, slice.range())),
+    }
+}
+
+fn hazard_error(
+    plan: &Plan,
+    hazard: Hazard,
+    first: &Event,
+    second: &Event,
+    byte: u64,
+    missing: Missing,
+) -> VerifyError {
+    let first_pass =
+        if first.pass == OUTSIDE { "whoever copies from the outputs".to_owned() } else { pass_name(plan, first.pass) };
+    VerifyError::Hazard {
+        hazard,
+        first: first_pass,
+        first_buffer: buffer_name(plan, first.buffer),
+        second: pass_name(plan, second.pass),
+        second_buffer: buffer_name(plan, second.buffer),
+        byte,
+        replays: 1 + second.replay - first.replay,
+        missing,
+    }
+}

@@ -1,0 +1,278 @@
+//! Every way in which a declaration can be wrong, and what is said of it.
+
+use std::sync::Arc;
+
+use super::kernels::{kernel, pass, with_kinds};
+use super::*;
+use crate::shader::Access::{Accumulate, Read, ReadWrite, Write};
+use crate::shader::{BindingKind, Shader};
+
+/// A graph with one buffer of each kind, and a kernel that reads one and writes one.
+struct World {
+    graph: Graph,
+    out: Buffer,
+    input: Buffer,
+    uniform: Buffer,
+    scratch: Buffer,
+    map: Arc<Shader>,
+}
+
+fn world() -> World {
+    let mut graph = Graph::new("world");
+    World {
+        out: graph.external("out", 1024),
+        input: graph.input("input", 1024),
+        uniform: graph.uniform("uniform", 256),
+        scratch: graph.transient("scratch", 1024),
+        map: kernel("map", &[Read, Write]),
+        graph,
+    }
+}
+
+impl World {
+    fn map(&mut self, from: impl Into<Slice>, to: impl Into<Slice>) -> String {
+        let pass = self.graph.pass("p", &self.map).bind("b0", from).bind("b1", to);
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string()
+    }
+
+    fn compile(self) -> String {
+        self.graph.compile(&CompileOptions::default()).unwrap_err().to_string()
+    }
+}
+
+#[test]
+fn slices() {
+    let mut w = world();
+    assert_eq!(
+        w.map(w.input.slice(512, 1024), w.out),
+        "Pass [p] uses 1024 bytes of buffer [input] at offset 512, which end after its 1024 bytes."
+    );
+    assert_eq!(
+        w.map(w.input.slice(u64::MAX, 2), w.out),
+        "Pass [p] uses 2 bytes of buffer [input] at offset 18446744073709551615, which end after its 1024 bytes."
+    );
+    assert_eq!(
+        w.map(w.input.slice(512, 0), w.out),
+        "Pass [p] uses 0 bytes of buffer [input] at offset 512, but a slice needs at least 1."
+    );
+    assert_eq!(w.map(Buffer(9), w.out), "Pass [p] uses buffer number 9, but its graph has 4 buffers.");
+}
+
+#[test]
+fn bindings() {
+    let mut w = world();
+    let error = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).bind("c", w.out).dispatch([1, 1, 1]);
+    assert_eq!(error.unwrap_err().to_string(), "Pass [p] binds [c], but kernel [map] has only the bindings [b0, b1].");
+    let error = w.graph.pass("p", &w.map).bind("b0", w.input).dispatch([1, 1, 1]).unwrap_err();
+    assert_eq!(error.to_string(), "Pass [p] leaves binding [b1] of kernel [map] unbound.");
+    let twice = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).bind("b0", w.uniform);
+    assert_eq!(
+        twice.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] binds [b0] twice: to buffer [input] and to buffer [uniform]."
+    );
+    let several = w.graph.pass("p", &w.map).bind("c", w.input).dispatch([1, 1, 1]).unwrap_err();
+    assert!(matches!(several, GraphError::Several(ref errors) if errors.len() == 3), "{several}");
+    let together = w.graph.pass("p", &w.map).bind_all([("b0", w.input.into()), ("b1", w.out.slice(0, 512))]);
+    together.dispatch([1, 1, 1]).unwrap();
+}
+
+#[test]
+fn what_could_not_be_bound_is_complained_of_once() {
+    let mut w = world();
+    let error = w.map(w.input, w.input.slice(0, 4));
+    assert_eq!(error, "Pass [p] writes buffer [input] through [b1], but it is a read-only input.");
+}
+
+#[test]
+fn constants() {
+    let mut w = world();
+    let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).spec("width", 1);
+    assert_eq!(
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] specializes [width], but kernel [map] has only the constants [size]."
+    );
+    let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).spec("size", 1).spec("size", 2);
+    assert_eq!(
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] specializes [size] twice: with 0x1 and with 0x2."
+    );
+    let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).push(&[0; 8]);
+    assert_eq!(
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] pushes 8 bytes of constants, but kernel [map] has 0."
+    );
+    let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).subgroup_size(Some(24));
+    assert_eq!(
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] requires subgroups of 24, which is not a power of two between 1 and 128."
+    );
+}
+
+#[test]
+fn dispatches() {
+    let mut w = world();
+    let bound = |w: &mut World| {
+        let map = Arc::clone(&w.map);
+        let (input, out) = (w.input, w.out);
+        move |graph: &mut Graph, run: &dyn Fn(PassBuilder<'_>) -> Result<(), GraphError>| {
+            run(graph.pass("p", &map).bind("b0", input.slice(0, 512)).bind("b1", out)).unwrap_err().to_string()
+        }
+    };
+    let bound = bound(&mut w);
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch([1, 65_536, 1])),
+        "Pass [p] dispatches 65536 groups along y, more than the 65535 that every device can."
+    );
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch_indirect(w.input, 514)),
+        "Pass [p] reads its group counts at offset 514 of buffer [input], not a multiple of 4."
+    );
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch_indirect(w.input, 1016)),
+        "Pass [p] uses 12 bytes of buffer [input] at offset 1016, which end after its 1024 bytes."
+    );
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch_indirect(w.uniform, 0)),
+        "Pass [p] uses uniform [uniform] as its group counts, but only kernels can read it."
+    );
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch_indirect(w.out, 0)),
+        "Pass [p] touches the same bytes of buffer [out] as [b1] and as [group counts] and writes them."
+    );
+    let unwritten = w.scratch;
+    assert_eq!(
+        bound(&mut w.graph, &|pass| pass.dispatch_indirect(unwritten, 4)),
+        "Pass [p] reads 12 bytes at offset 4 of transient buffer [scratch], which no earlier pass writes."
+    );
+}
+
+#[test]
+fn overlaps() {
+    let mut w = world();
+    assert_eq!(
+        w.map(w.out.slice(0, 512), w.out.slice(256, 512)),
+        "Pass [p] touches the same bytes of buffer [out] as [b0] and as [b1] and writes them."
+    );
+    let apart = w.graph.pass("p", &w.map).bind("b0", w.out.slice(0, 512)).bind("b1", w.out.slice(512, 512));
+    apart.dispatch([1, 1, 1]).unwrap();
+    let reads = kernel("reads", &[Read, Read, Write]);
+    let same = w.graph.pass("p", &reads).bind("b0", w.input).bind("b1", w.input).bind("b2", w.out);
+    same.dispatch([1, 1, 1]).unwrap();
+}
+
+#[test]
+fn reads_of_what_nobody_wrote() {
+    for access in [Read, ReadWrite, Accumulate] {
+        let mut w = world();
+        let kernel = kernel("k", &[access]);
+        let error = w.graph.pass("p", &kernel).bind("b0", w.scratch.slice(256, 256)).dispatch([1, 1, 1]).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "Pass [p] reads 256 bytes at offset 256 of transient buffer [scratch], which no earlier pass writes."
+        );
+    }
+    let mut w = world();
+    w.graph.fill("f", w.scratch.slice(0, 256), 0).unwrap();
+    assert!(w.map(w.scratch.slice(256, 256), w.out).contains("which no earlier pass writes"));
+    assert!(w.graph.copy("c", w.scratch.slice(256, 256), w.out.slice(0, 256)).is_err());
+    // Some of it written is enough, and a kernel that discards looks at nothing.
+    pass(&mut w.graph, "some", &[(w.scratch.slice(0, 1024), Read)]);
+    let both = kernel("both", &[ReadWrite]);
+    w.graph.pass("d", &both).bind_discard("b0", w.scratch.slice(512, 512)).dispatch([1, 1, 1]).unwrap();
+}
+
+#[test]
+fn writes_to_what_is_read_only() {
+    let mut w = world();
+    assert_eq!(
+        w.map(w.input.slice(0, 4), w.uniform),
+        "Pass [p] writes buffer [uniform] through [b1], but it is a uniform."
+    );
+    assert_eq!(
+        w.graph.fill("f", w.input, 0).unwrap_err().to_string(),
+        "Pass [f] writes buffer [input] through [fill], but it is a read-only input."
+    );
+    assert_eq!(
+        w.graph.copy("c", w.out, w.input).unwrap_err().to_string(),
+        "Pass [c] writes buffer [input] through [copy], but it is a read-only input."
+    );
+    w.graph.keep(w.input);
+    w.graph.fill("f", w.out, 0).unwrap();
+    assert!(
+        w.compile().contains("Buffer [input] is to be kept, but it is a read-only input, which no pass can write.")
+    );
+}
+
+#[test]
+fn discards() {
+    let mut w = world();
+    let pass = w.graph.pass("p", &w.map).bind_discard("b0", w.input).bind("b1", w.out);
+    assert_eq!(
+        pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
+        "Pass [p] discards the contents of [b0], but its kernel's access is Read, which needs them."
+    );
+    let sum = kernel("sum", &[Accumulate]);
+    let pass = w.graph.pass("p", &sum).bind_discard("b0", w.out);
+    assert!(matches!(pass.dispatch([1, 1, 1]), Err(GraphError::DiscardOfRead { .. })));
+}
+
+#[test]
+fn fills_and_copies() {
+    let mut w = world();
+    assert_eq!(
+        w.graph.fill("f", w.out.slice(2, 8), 0).unwrap_err().to_string(),
+        "Pass [f] fills 8 bytes at offset 2 of buffer [out]; both must be multiples of 4."
+    );
+    assert!(matches!(w.graph.fill("f", w.out.slice(0, 7), 0), Err(GraphError::FillAlignment { .. })));
+    assert_eq!(
+        w.graph.copy("c", w.input, w.out.slice(0, 512)).unwrap_err().to_string(),
+        "Pass [c] copies 1024 bytes of buffer [input] to 512 bytes of buffer [out]."
+    );
+    assert_eq!(
+        w.graph.copy("c", w.out.slice(0, 512), w.out.slice(256, 512)).unwrap_err().to_string(),
+        "Pass [c] touches the same bytes of buffer [out] as [source] and as [target] and writes them."
+    );
+    assert_eq!(
+        w.graph.copy("c", w.uniform, w.out.slice(0, 256)).unwrap_err().to_string(),
+        "Pass [c] uses uniform [uniform] as the source of a copy, but only kernels can read it."
+    );
+}
+
+#[test]
+fn a_graph_with_a_refused_pass_does_not_compile() {
+    let mut w = world();
+    w.graph.fill("f", w.input, 0).unwrap_err();
+    w.graph.fill("g", w.out, 0).unwrap();
+    assert_eq!(w.compile(), "Pass [f] was begun in graph [world] but never dispatched without an error.");
+    let mut w = world();
+    let _ = w.graph.pass("p", &w.map);
+    assert!(w.compile().starts_with("Pass [p] was begun"));
+}
+
+#[test]
+fn what_only_compiling_shows() {
+    let mut graph = Graph::new("g");
+    graph.external("nothing", 0);
+    let error = graph.compile(&CompileOptions::default()).unwrap_err();
+    assert_eq!(error.to_string(), "Buffer [nothing] is declared with 0 bytes, but a buffer needs at least 1.");
+
+    let mut graph = Graph::new("g");
+    graph.keep(Buffer(3));
+    assert!(matches!(graph.compile(&CompileOptions::default()), Err(GraphError::UnknownBuffer { index: 3, .. })));
+
+    let odd = CompileOptions { alignment: 48, ..Default::default() };
+    assert_eq!(
+        Graph::new("g").compile(&odd).unwrap_err().to_string(),
+        "Graph [g] is compiled for offsets aligned to 48 bytes, which is not a power of two."
+    );
+
+    let mut graph = Graph::new("g");
+    let out = graph.external("out", 1024);
+    let both = with_kinds("both", &[(BindingKind::Storage, ReadWrite)]);
+    graph.pass("p", &both).bind("b0", out.slice(64, 64)).dispatch([1, 1, 1]).unwrap();
+    graph.clone().compile(&CompileOptions { alignment: 64, ..Default::default() }).unwrap();
+    assert_eq!(
+        graph.compile(&CompileOptions::default()).unwrap_err().to_string(),
+        "Pass [p] binds buffer [out] as [b0] at offset 64, not a multiple of the device's 256."
+    );
+}

@@ -1,0 +1,13 @@
+//! Graphs without a device: every phase by itself, every error, a golden plan, random graphs, and damaged plans that
+//! the verifier must refuse.
+
+mod builder_errors;
+mod kernels;
+mod mutate;
+mod phases;
+mod random;
+mod scale;
+mod snapshot;
+mod verify_errors;
+
+use super::*;

@@ -1,0 +1,152 @@
+//! Damaged plans. The verifier is worth what it refuses: each of these changes breaks a sound plan, and each of them
+//! must be found. That every barrier bit is missed also shows that none is superfluous.
+
+use proptest::prelude::*;
+
+use super::random::recipes;
+use super::*;
+
+/// Every plan that lacks one barrier, or one bit of one, or one stage with its accesses; and what was taken.
+fn weakened(plan: &Plan) -> Vec<(String, Plan)> {
+    let mut found = Vec::new();
+    for at in 0..=plan.groups.len() {
+        let barrier = plan.groups.get(at).map_or(plan.final_barrier, |group| group.barrier);
+        let Some(barrier) = barrier else { continue };
+        let mut less = |what: String, barrier: Option<Barrier>| {
+            let mut plan = plan.clone();
+            *plan.groups.get_mut(at).map_or(&mut plan.final_barrier, |group| &mut group.barrier) = barrier;
+            found.push((format!("{what} before group {at}"), plan));
+        };
+        less("barrier".into(), None);
+        let Barrier { src_stage, src_access, dst_stage, dst_access } = barrier;
+        for access in Accesses::EACH {
+            if src_access.contains(access) {
+                less(format!("source {access}"), Some(Barrier { src_access: src_access.without(access), ..barrier }));
+            }
+            if dst_access.contains(access) {
+                less(format!("target {access}"), Some(Barrier { dst_access: dst_access.without(access), ..barrier }));
+            }
+        }
+        for stage in Stages::EACH {
+            let others = |set: Accesses| {
+                Accesses::EACH
+                    .into_iter()
+                    .filter(|access| access.stages() == stage)
+                    .fold(set, |set, access| set.without(access))
+            };
+            if src_stage.contains(stage) {
+                let src_stage = src_stage.without(stage);
+                less(format!("source {stage}"), Some(Barrier { src_stage, ..barrier }));
+                let barrier = Barrier { src_stage, src_access: others(src_access), ..barrier };
+                less(format!("source {stage} and its accesses"), Some(barrier));
+            }
+            if dst_stage.contains(stage) {
+                let dst_stage = dst_stage.without(stage);
+                less(format!("target {stage}"), Some(Barrier { dst_stage, ..barrier }));
+                let barrier = Barrier { dst_stage, dst_access: others(dst_access), ..barrier };
+                less(format!("target {stage} and its accesses"), Some(barrier));
+            }
+        }
+    }
+    found
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_barrier_bit_can_be_missed(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        for (what, weak) in weakened(&plan) {
+            prop_assert!(verify(&weak).is_err(), "{} is not missed in\n{}", what, plan);
+        }
+    }
+
+    #[test]
+    fn no_pass_can_be_dropped(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let places = plan.groups.iter().enumerate().flat_map(|(at, group)| group.passes.iter().map(move |&p| (at, p)));
+        for (group, pass) in places {
+            let mut less = plan.clone();
+            less.groups[group].passes.retain(|&other| other != pass);
+            let lost = matches!(verify(&less), Err(VerifyError::NotOnce { times: 0, .. }));
+            prop_assert!(lost);
+            less.culled.push(pass);
+            let refused = matches!(verify(&less), Err(VerifyError::NeededPassCulled { .. }));
+            prop_assert!(refused, "{} is not missed in\n{}", plan.passes[pass].name, plan);
+        }
+    }
+
+    #[test]
+    fn no_pass_can_move_past_what_it_follows(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let mut group_of = vec![0; plan.passes.len()];
+        for (at, group) in plan.groups.iter().enumerate() {
+            group.passes.iter().for_each(|&pass| group_of[pass] = at);
+        }
+        for (pass, follows) in plan.dependencies().into_iter().enumerate() {
+            for before in follows {
+                let mut moved = plan.clone();
+                moved.groups[group_of[pass]].passes.retain(|&other| other != pass);
+                moved.groups[group_of[before as usize]].passes.push(pass);
+                let refused = matches!(verify(&moved), Err(VerifyError::Order { .. }));
+                prop_assert!(refused, "{} before {} in\n{}", plan.passes[pass].name, before, plan);
+            }
+        }
+    }
+
+    #[test]
+    fn no_dependent_groups_can_be_swapped(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let follows = plan.dependencies();
+        for at in 1..plan.groups.len() {
+            let depends = |&pass: &usize| {
+                plan.groups[at - 1].passes.iter().any(|&before| follows[pass].contains(&(before as u32)))
+            };
+            if plan.groups[at].passes.iter().any(depends) {
+                let mut swapped = plan.clone();
+                swapped.groups.swap(at - 1, at);
+                prop_assert!(verify(&swapped).is_err(), "groups {} and {} in\n{}", at - 1, at, plan);
+            }
+        }
+    }
+
+    #[test]
+    fn no_two_living_transients_can_overlap(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let lifetimes = plan.lifetimes();
+        let living = || lifetimes.iter().enumerate().filter_map(|(index, life)| life.map(|life| (index, life)));
+        for (first, (start, end)) in living() {
+            for (second, _) in living().filter(|&(other, (s, e))| other != first && s <= end && start <= e) {
+                let mut plan = plan.clone();
+                plan.placements[first] = plan.placements[second];
+                plan.arena_bytes += plan.buffers[first].bytes;
+                let refused = matches!(verify(&plan), Err(VerifyError::Overlap { .. }));
+                prop_assert!(refused, "{} on {} in\n{}", first, second, plan);
+            }
+            let mut plan = plan.clone();
+            plan.placements[first] = Some(plan.arena_bytes);
+            let outside = matches!(verify(&plan), Err(VerifyError::OutOfArena { .. }));
+            prop_assert!(outside);
+            plan.placements[first] = None;
+            let unplaced = matches!(verify(&plan), Err(VerifyError::Unplaced { .. }));
+            prop_assert!(unplaced);
+        }
+    }
+
+    #[test]
+    fn no_access_can_be_hidden(recipe in recipes(15)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        for (pass, at) in (0..plan.passes.len()).flat_map(|p| (0..plan.passes[p].accesses.len()).map(move |a| (p, a))) {
+            let mut less = plan.clone();
+            less.passes[pass].accesses.remove(at);
+            let refused = matches!(verify(&less), Err(VerifyError::Undeclared { .. }));
+            prop_assert!(refused);
+            let mut other = plan.clone();
+            let used = &mut other.passes[pass].accesses[at].2;
+            *used = if *used == Use::Transfer { Use::Compute } else { Use::Transfer };
+            let refused = matches!(verify(&other), Err(VerifyError::Undeclared { .. }));
+            prop_assert!(refused);
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! Random graphs: the verifier accepts what the compiler makes of them, and running the plan gives what running the
+//! declaration gives.
+
+use proptest::prelude::*;
+
+use super::kernels::{kernel, pass};
+use super::*;
+use crate::shader::Access;
+
+/// Everything is a multiple of this.
+const CELL: u64 = 16;
+
+/// How buffers and passes are drawn. Numbers are reduced to what exists when the graph is built.
+#[derive(Clone, Debug)]
+pub(super) struct Recipe {
+    buffers: Vec<(u8, u64, bool)>,
+    passes: Vec<(u8, Vec<Touch>)>,
+    pub(super) options: CompileOptions,
+}
+
+#[derive(Clone, Debug)]
+struct Touch {
+    buffer: usize,
+    access: u8,
+    start: u64,
+    length: u64,
+    discard: bool,
+}
+
+pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
+    let touch = (0usize..64, 0u8..8, 0u64..6, 1u64..7, proptest::bool::weighted(0.2))
+        .prop_map(|(buffer, access, start, length, discard)| Touch { buffer, access, start, length, discard });
+    let buffers = proptest::collection::vec((0u8..12, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
+    let passes = proptest::collection::vec((0u8..8, proptest::collection::vec(touch, 1..5)), passes / 4..passes);
+    (buffers, passes, any::<(bool, bool)>()).prop_map(|(buffers, passes, (alias, reorder))| Recipe {
+        buffers,
+        passes,
+        options: CompileOptions { alignment: CELL, alias, reorder, verify: false },
+    })
+}
+
+impl Recipe {
+    /// The graph. What would be an error is left out.
+    pub(super) fn build(&self) -> Graph {
+        let mut graph = Graph::new("random");
+        // At least one output, so that not everything is dropped.
+        graph.external("e", 8 * CELL);
+        for (index, &(kind, cells, keep)) in self.buffers.iter().enumerate() {
+            let (name, bytes) = (format!("b{index}"), cells * CELL);
+            match kind {
+                0 => graph.input(name, bytes),
+                1 => graph.uniform(name, bytes),
+                2..=5 => graph.external(name, bytes),
+                _ => {
+                    let buffer = graph.transient(name, bytes);
+                    if keep {
+                        graph.keep(buffer);
+                    }
+                    buffer
+                }
+            };
+        }
+        for (index, (kind, touches)) in self.passes.iter().enumerate() {
+            let before = graph.clone();
+            if self.declare(&mut graph, format!("p{index}"), *kind, touches).is_err() {
+                graph = before;
+            }
+        }
+        // Somebody wants some of the transients in the end.
+        let made = (0..graph.buffers.len())
+            .filter(|index| index % 3 == 0)
+            .map(|index| Slice { bytes: graph.buffers[index].bytes, ..Slice::from(Buffer(index as u32)) });
+        let mut touched: Vec<_> = made
+            .filter(|slice| graph.buffers[slice.buffer.index()].kind == BufferKind::Transient)
+            .filter(|slice| graph.check_written("", slice).is_ok())
+            .map(|slice| (slice, Access::Read))
+            .collect();
+        touched.push((Buffer(0).slice(0, 8 * CELL), Access::ReadWrite));
+        pass(&mut graph, "end", &touched);
+        graph
+    }
+
+    fn declare(&self, graph: &mut Graph, name: String, kind: u8, touches: &[Touch]) -> Result<(), GraphError> {
+        let slice = |touch: &Touch| {
+            let index = touch.buffer % graph.buffers.len();
+            let cells = graph.buffers[index].bytes / CELL;
+            let start = touch.start % cells;
+            Buffer(index as u32).slice(start * CELL, touch.length.min(cells - start) * CELL)
+        };
+        let slices: Vec<_> = touches.iter().map(slice).collect();
+        match (kind, slices.as_slice()) {
+            (0, [target, ..]) => graph.fill(name, *target, 1),
+            (1, [source, target, ..]) => {
+                let bytes = source.bytes.min(target.bytes);
+                graph.copy(name, Slice { bytes, ..*source }, Slice { bytes, ..*target })
+            }
+            _ => {
+                // What was drawn is bent to what is allowed, so that most passes survive: the first of overlapping
+                // slices stays, inputs are read, and a transient that nobody wrote is written.
+                let keep = |at: &usize| !slices[..*at].iter().any(|slice| slice.overlaps(&slices[*at]));
+                let (touches, slices): (Vec<_>, Vec<_>) =
+                    (0..slices.len()).filter(keep).map(|at| (&touches[at], slices[at])).unzip();
+                let access = |(touch, slice): (&&Touch, &Slice)| {
+                    let written = graph.check_written("", slice).is_ok();
+                    match touch.access {
+                        _ if !graph.buffers[slice.buffer.index()].writable() => Access::Read,
+                        0..=3 if written && !touch.discard => Access::Read,
+                        4 if written => Access::ReadWrite,
+                        5 | 6 if written => Access::Accumulate,
+                        _ => Access::Write,
+                    }
+                };
+                let accesses: Vec<_> = touches.iter().zip(&slices).map(access).collect();
+                let kernel = kernel("k", &accesses);
+                let mut pass = graph.pass(name, &kernel);
+                for (index, (touch, slice)) in touches.iter().zip(&slices).enumerate() {
+                    let binding = format!("b{index}");
+                    let discards = touch.discard && matches!(accesses[index], Access::Write | Access::ReadWrite);
+                    pass = if discards { pass.bind_discard(&binding, *slice) } else { pass.bind(&binding, *slice) };
+                }
+                match slices.first() {
+                    Some(slice) if kind == 2 => pass.dispatch_indirect(slice.buffer, slice.offset),
+                    _ => pass.dispatch([1, 1, 1]),
+                }
+            }
+        }
+    }
+}
+
+/// The contents of memory after some replays, one number a cell: each pass mixes what it reads into what it writes.
+struct Machine<'p> {
+    plan: &'p Plan,
+    /// By space (a buffer, or the arena last) and cell: whose contents they are, and what.
+    cells: Vec<Vec<(usize, u64)>>,
+    /// Whether transients live in the arena.
+    arena: bool,
+}
+
+/// The owner of a cell that nobody wrote.
+const NOBODY: usize = usize::MAX;
+
+impl<'p> Machine<'p> {
+    fn new(plan: &'p Plan, arena: bool) -> Self {
+        let mut cells: Vec<Vec<_>> = Vec::new();
+        for (index, info) in plan.buffers.iter().enumerate() {
+            let owner = if info.kind == BufferKind::Transient { NOBODY } else { index };
+            cells.push((0..info.bytes / CELL).map(|cell| (owner, mix(index as u64, cell))).collect());
+        }
+        cells.push(vec![(NOBODY, 0); (plan.arena_bytes / CELL) as usize]);
+        Machine { plan, cells, arena }
+    }
+
+    fn cell(&mut self, buffer: usize, cell: u64) -> &mut (usize, u64) {
+        let in_arena = self.arena && self.plan.buffers[buffer].kind == BufferKind::Transient;
+        let (space, first) = if in_arena {
+            (self.plan.buffers.len(), self.plan.placements[buffer].unwrap() / CELL)
+        } else {
+            (buffer, 0)
+        };
+        &mut self.cells[space][(first + cell) as usize]
+    }
+
+    /// What is there; the same undefined thing whatever else is in its place.
+    fn load(&mut self, buffer: usize, cell: u64) -> u64 {
+        let (owner, value) = *self.cell(buffer, cell);
+        if owner == buffer { value } else { 0xdead }
+    }
+
+    fn run(&mut self, index: usize) {
+        let pass = &self.plan.passes[index];
+        let cells = |slice: &Slice| slice.offset / CELL..(slice.offset + slice.bytes).div_ceil(CELL);
+        let mut read = index as u64;
+        for (slice, access, _) in &pass.accesses {
+            if *access == Access::Read || (*access == Access::ReadWrite && !pass.discards(slice)) {
+                for cell in cells(slice) {
+                    read = mix(read, self.load(slice.buffer.index(), cell));
+                }
+            }
+        }
+        for (slice, access, _) in pass.accesses.iter().filter(|(_, access, _)| *access != Access::Read) {
+            let buffer = slice.buffer.index();
+            for cell in cells(slice) {
+                let value = mix(read, cell);
+                // A kernel that only writes may leave cells as they are, if it has not promised otherwise.
+                let leaves = *access == Access::Write && !pass.discards(slice) && value.is_multiple_of(3);
+                let old = self.load(buffer, cell);
+                let new = match access {
+                    Access::Accumulate => old.wrapping_add(value),
+                    _ if leaves => continue,
+                    _ => value,
+                };
+                *self.cell(buffer, cell) = (buffer, new);
+            }
+        }
+    }
+
+    fn outputs(&mut self) -> Vec<u64> {
+        let plan = self.plan;
+        // A kept transient that nothing uses has neither place nor contents.
+        let kept = plan.buffers().filter(|(buffer, info)| {
+            info.keep && (info.kind == BufferKind::External || plan.placements[buffer.index()].is_some())
+        });
+        kept.flat_map(|(buffer, info)| (0..info.bytes / CELL).map(move |cell| (buffer.index(), cell)))
+            .map(|(index, cell)| self.load(index, cell))
+            .collect()
+    }
+}
+
+fn mix(a: u64, b: u64) -> u64 {
+    (a ^ b.wrapping_mul(0x9e37_79b9_7f4a_7c15)).rotate_left(29).wrapping_mul(0xbf58_476d_1ce4_e5b9)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_verifier_accepts_every_plan(recipe in recipes(40)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        if let Err(error) = verify(&plan) {
+            return Err(TestCaseError::fail(format!("{error}\n{plan}")));
+        }
+    }
+
+    #[test]
+    fn equal_declarations_give_equal_plans(recipe in recipes(40)) {
+        let [first, second] = [(); 2].map(|()| recipe.build().compile(&recipe.options).unwrap());
+        prop_assert_eq!(format!("{first:?}"), format!("{second:?}"));
+        prop_assert_eq!(dump::json(&first), dump::json(&second));
+    }
+
+    #[test]
+    fn the_plan_computes_what_was_declared(recipe in recipes(40)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let mut declared = Machine::new(&plan, false);
+        let mut planned = Machine::new(&plan, true);
+        for _ in 0..3 {
+            // Transients hold nothing at the beginning of a replay.
+            for (index, info) in plan.buffers.iter().enumerate() {
+                if info.kind == BufferKind::Transient {
+                    declared.cells[index].fill((NOBODY, 0));
+                }
+            }
+            planned.cells[plan.buffers.len()].fill((NOBODY, 0));
+            (0..plan.passes.len()).for_each(|pass| declared.run(pass));
+            // Within a group any order will do, the opposite one too.
+            plan.groups.iter().for_each(|group| group.passes.iter().rev().for_each(|&pass| planned.run(pass)));
+            prop_assert_eq!(declared.outputs(), planned.outputs(), "{}", plan);
+        }
+    }
+}
+/// The comparison above is worth something: an order that breaks the data flow gives other outputs.
+#[test]
+fn the_machine_notices_a_wrong_order() {
+    let mut graph = Graph::new("order");
+    let out = graph.external("out", 4 * CELL);
+    graph.fill("fill", out, 1).unwrap();
+    pass(&mut graph, "change", &[(out.slice(0, 4 * CELL), Access::ReadWrite)]);
+    let plan = graph.compile(&CompileOptions { alignment: CELL, ..Default::default() }).unwrap();
+    let outputs = |order: [usize; 2]| {
+        let mut machine = Machine::new(&plan, true);
+        order.iter().for_each(|&pass| machine.run(pass));
+        machine.outputs()
+    };
+    assert_ne!(outputs([0, 1]), outputs([1, 0]));
+}
+
+/// What the properties above are worth: random graphs must have plenty of everything.
+#[test]
+fn random_graphs_are_not_trivial() {
+    use proptest::strategy::{Strategy, ValueTree};
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let count = 300;
+    let [mut running, mut dropped, mut groups, mut shared, mut wide] = [0; 5];
+    for _ in 0..count {
+        let recipe = recipes(40).new_tree(&mut runner).unwrap().current();
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        running += plan.passes.len() - plan.culled.len();
+        dropped += plan.culled.len();
+        groups += plan.groups.len();
+        wide += plan.groups.iter().filter(|group| group.passes.len() > 1).count();
+        shared += usize::from(plan.arena_bytes < plan.arena_unaliased_bytes);
+    }
+    println!("{running} running, {dropped} dropped, {groups} groups, {wide} wide, {shared} with shared memory");
+    assert!(running > 8 * count && dropped > count && groups > 4 * count && wide > count && shared > count / 20);
+}

@@ -1,0 +1,14 @@
+//! Vulkan, and nothing else: devices, memory, kernels, graphs, time. Never Gaussians.
+//!
+//! A [`Device`] is opened, a [`graph::Graph`] is built from passes that name kernels, compiled to a pure-data
+//! [`graph::Plan`], and replayed by an [`graph::exec::Executor`]. `unsafe` lives in this crate alone.
+
+pub mod device;
+mod error;
+pub mod graph;
+pub mod memory;
+pub mod shader;
+
+pub use device::{Device, DeviceInfo, DeviceOptions, Ticket, devices};
+pub use error::{Error, Result};
+pub use memory::{DeviceBuffer, Location};

@@ -1,0 +1,238 @@
+//! Buffers and the memory behind them.
+//!
+//! Promises: a buffer lives as long as its last handle and names itself in errors; usage is counted. Leaves lifetimes of
+//! transients to the plan, which places them all in one arena buffer.
+
+mod transfer;
+
+use crate::device::{Device, DeviceInfo, Shared};
+use crate::error::{Check, Error, Result};
+use ash::vk;
+use gpu_allocator::MemoryLocation;
+use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme, Allocator, AllocatorCreateDesc};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+/// Where a buffer lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Location {
+    /// Device memory, reached by kernels and transfers alone.
+    Device,
+    /// Host memory that the host writes and the device reads.
+    Upload,
+    /// Host memory that the device writes and the host reads.
+    Readback,
+}
+
+pub(crate) struct Memory {
+    state: Mutex<State>,
+}
+
+struct State {
+    allocator: Option<Allocator>,
+    used: u64,
+    peak: u64,
+}
+
+impl Memory {
+    pub fn new(
+        instance: &crate::device::Instance,
+        device: &ash::Device,
+        physical: vk::PhysicalDevice,
+        info: &DeviceInfo,
+    ) -> Result<Memory> {
+        let desc = AllocatorCreateDesc {
+            instance: instance.raw.clone(),
+            device: device.clone(),
+            physical_device: physical,
+            debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
+            buffer_device_address: false,
+            // Small blocks that grow: a small scene must not cost a quarter of a gigabyte.
+            allocation_sizes: gpu_allocator::AllocationSizes::new(8 << 20, 8 << 20),
+        };
+        let allocator = Allocator::new(&desc).map_err(|e| Error::OutOfMemory {
+            what: format!("the allocator of {}", info.name),
+            bytes: 0,
+            reason: e.to_string(),
+        })?;
+        Ok(Memory { state: Mutex::new(State { allocator: Some(allocator), used: 0, peak: 0 }) })
+    }
+
+    pub fn usage(&self) -> (u64, u64) {
+        let state = self.lock();
+        (state.used, state.peak)
+    }
+
+    /// Gives everything back; the device is about to go.
+    pub fn shut_down(&self) {
+        self.lock().allocator = None;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(|e| e.into_inner())
+    }
+}
+
+/// A buffer; clones share it.
+#[derive(Clone)]
+pub struct DeviceBuffer(pub(crate) Arc<Inner>);
+
+pub(crate) struct Inner {
+    pub raw: vk::Buffer,
+    pub bytes: u64,
+    pub name: String,
+    pub location: Location,
+    allocation: Option<Allocation>,
+    mapped: Option<std::ptr::NonNull<u8>>,
+    pub device: Device,
+}
+
+// SAFETY: the mapped pointer is plain memory that lives as long as the allocation; every access goes through `read` and
+// `write`, which copy bytes. Whether the device is done with them is the caller's contract with the timeline.
+unsafe impl Send for Inner {}
+// SAFETY: as above; concurrent host writes to the same bytes are excluded by `write` taking the allocator-wide lock.
+unsafe impl Sync for Inner {}
+
+impl std::fmt::Debug for DeviceBuffer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "DeviceBuffer({:?}, {} bytes)", self.0.name, self.0.bytes)
+    }
+}
+
+impl Device {
+    /// Makes a buffer of at least `bytes` (never of size zero).
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`] with the name and size.
+    pub fn buffer(&self, name: &str, bytes: u64, location: Location) -> Result<DeviceBuffer> {
+        let shared: &Shared = &self.0;
+        let bytes = bytes.max(4).next_multiple_of(4);
+        let info = vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
+            vk::BufferUsageFlags::STORAGE_BUFFER
+                | vk::BufferUsageFlags::UNIFORM_BUFFER
+                | vk::BufferUsageFlags::INDIRECT_BUFFER
+                | vk::BufferUsageFlags::TRANSFER_SRC
+                | vk::BufferUsageFlags::TRANSFER_DST,
+        );
+        // SAFETY: the device is alive.
+        let raw = unsafe { shared.raw.create_buffer(&info, None) }.check("vkCreateBuffer", name)?;
+        // SAFETY: the buffer was just made from this device.
+        let requirements = unsafe { shared.raw.get_buffer_memory_requirements(raw) };
+        let memory_location = match location {
+            Location::Device => MemoryLocation::GpuOnly,
+            Location::Upload => MemoryLocation::CpuToGpu,
+            Location::Readback => MemoryLocation::GpuToCpu,
+        };
+        // Buffers from a mebibyte on get memory of their own: nothing is wasted in blocks, and growing gives it back.
+        let own = bytes >= 1 << 20;
+        let desc = AllocationCreateDesc {
+            name,
+            requirements,
+            location: memory_location,
+            linear: true,
+            allocation_scheme: if own { AllocationScheme::DedicatedBuffer(raw) } else { AllocationScheme::GpuAllocatorManaged },
+        };
+        let mut state = shared.memory.lock();
+        let allocated = match state.allocator.as_mut() {
+            Some(a) => a.allocate(&desc).map_err(|e| e.to_string()),
+            None => Err("the device is closing".to_owned()),
+        };
+        let fail = |reason: String| {
+            // SAFETY: nothing uses the buffer yet.
+            unsafe { shared.raw.destroy_buffer(raw, None) };
+            Err(Error::OutOfMemory { what: name.to_owned(), bytes, reason })
+        };
+        let allocation = match allocated {
+            Ok(a) => a,
+            Err(reason) => return fail(reason),
+        };
+        // SAFETY: the allocation was made for this buffer's requirements and is used by nothing else.
+        let bound = unsafe { shared.raw.bind_buffer_memory(raw, allocation.memory(), allocation.offset()) };
+        if let Err(result) = bound {
+            if let Some(a) = state.allocator.as_mut() {
+                let _ = a.free(allocation);
+            }
+            return fail(result.to_string());
+        }
+        state.used += bytes;
+        state.peak = state.peak.max(state.used);
+        drop(state);
+        shared.name(raw, name);
+        let mapped = allocation.mapped_ptr().map(|p| p.cast());
+        Ok(DeviceBuffer(Arc::new(Inner {
+            raw,
+            bytes,
+            name: name.to_owned(),
+            location,
+            allocation: Some(allocation),
+            mapped,
+            device: self.clone(),
+        })))
+    }
+}
+
+impl DeviceBuffer {
+    /// Its size.
+    pub fn bytes(&self) -> u64 {
+        self.0.bytes
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Copies host-visible contents out. The device must be done with them.
+    ///
+    /// # Errors
+    /// If the range is outside, or the buffer is device memory.
+    pub fn read(&self, offset: u64, into: &mut [u8]) -> Result<()> {
+        let pointer = self.range(offset, into.len() as u64)?;
+        // SAFETY: the range lies inside the mapping; `into` is a distinct host slice of that length.
+        unsafe { std::ptr::copy_nonoverlapping(pointer.as_ptr(), into.as_mut_ptr(), into.len()) };
+        Ok(())
+    }
+
+    /// Copies `data` into a host-visible buffer. The device must not be using the range.
+    ///
+    /// # Errors
+    /// If the range is outside, or the buffer is device memory.
+    pub fn write(&self, offset: u64, data: &[u8]) -> Result<()> {
+        let pointer = self.range(offset, data.len() as u64)?;
+        let _one_writer = self.0.device.0.memory.lock();
+        // SAFETY: as in `read`, the other way round; host writers are serialized by the lock.
+        unsafe { std::ptr::copy_nonoverlapping(data.as_ptr(), pointer.as_ptr(), data.len()) };
+        Ok(())
+    }
+
+    fn range(&self, offset: u64, bytes: u64) -> Result<std::ptr::NonNull<u8>> {
+        self.check_range(offset, bytes)?;
+        match self.0.mapped {
+            // SAFETY: `offset` is within the mapped range, checked above.
+            Some(p) if self.0.location != Location::Device => Ok(unsafe { p.add(offset as usize) }),
+            _ => Err(Error::NotHostVisible(self.0.name.clone())),
+        }
+    }
+
+    pub(crate) fn check_range(&self, offset: u64, bytes: u64) -> Result<()> {
+        let end = offset.saturating_add(bytes);
+        if end > self.0.bytes {
+            return Err(Error::OutOfRange { buffer: self.0.name.clone(), offset, end, bytes: self.0.bytes });
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        let shared = &self.device.0;
+        let mut state = shared.memory.lock();
+        // SAFETY: executors keep the buffers of pending work alive and wait before they let go, so the device is done.
+        unsafe { shared.raw.destroy_buffer(self.raw, None) };
+        if let (Some(allocator), Some(allocation)) = (state.allocator.as_mut(), self.allocation.take()) {
+            if let Err(error) = allocator.free(allocation) {
+                tracing::error!(%error, buffer = self.name, "memory could not be given back");
+            }
+        }
+        state.used -= self.bytes;
+    }
+}

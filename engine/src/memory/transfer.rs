@@ -1,0 +1,134 @@
+//! Upload and download through staging memory, in chunks: for setting up and looking, never on a step's path.
+
+use super::{DeviceBuffer, Location};
+use crate::device::Device;
+use crate::error::{Check, Result};
+use ash::vk;
+
+/// Staging memory is reused in pieces of this size.
+const CHUNK: u64 = 16 << 20;
+
+impl Device {
+    /// Writes `data` into a device buffer and waits.
+    ///
+    /// # Errors
+    /// If the range is outside, memory runs out or the device fails.
+    pub fn upload(&self, buffer: &DeviceBuffer, offset: u64, data: &[u8]) -> Result<()> {
+        buffer.check_range(offset, data.len() as u64)?;
+        if data.is_empty() {
+            return Ok(());
+        }
+        let staging = self.buffer("staging (upload)", CHUNK.min(data.len() as u64), Location::Upload)?;
+        for (i, piece) in data.chunks(CHUNK as usize).enumerate() {
+            staging.write(0, piece)?;
+            let region = vk::BufferCopy { src_offset: 0, dst_offset: offset + i as u64 * CHUNK, size: piece.len() as u64 };
+            self.copy_now(&staging, buffer, region)?;
+        }
+        Ok(())
+    }
+
+    /// Reads `bytes` of a device buffer and waits.
+    ///
+    /// # Errors
+    /// If the range is outside, memory runs out or the device fails.
+    pub fn download(&self, buffer: &DeviceBuffer, offset: u64, bytes: u64) -> Result<Vec<u8>> {
+        buffer.check_range(offset, bytes)?;
+        let mut data = vec![0; bytes as usize];
+        if data.is_empty() {
+            return Ok(data);
+        }
+        let staging = self.buffer("staging (download)", CHUNK.min(bytes), Location::Readback)?;
+        for (i, piece) in data.chunks_mut(CHUNK as usize).enumerate() {
+            let region = vk::BufferCopy { src_offset: offset + i as u64 * CHUNK, dst_offset: 0, size: piece.len() as u64 };
+            self.copy_now(buffer, &staging, region)?;
+            staging.read(0, piece)?;
+        }
+        Ok(data)
+    }
+
+    /// Reads a device buffer as values.
+    ///
+    /// # Errors
+    /// As [`Device::download`].
+    pub fn download_as<T: bytemuck::Pod>(&self, buffer: &DeviceBuffer, count: usize) -> Result<Vec<T>> {
+        let bytes = self.download(buffer, 0, (count * size_of::<T>()) as u64)?;
+        let mut values = vec![T::zeroed(); count];
+        bytemuck::cast_slice_mut(&mut values).copy_from_slice(&bytes);
+        Ok(values)
+    }
+
+    /// Copies `bytes` from the start of one buffer to the start of another and waits.
+    ///
+    /// # Errors
+    /// If a range is outside, or the device fails.
+    pub fn copy(&self, from: &DeviceBuffer, to: &DeviceBuffer, bytes: u64) -> Result<()> {
+        from.check_range(0, bytes)?;
+        to.check_range(0, bytes)?;
+        if bytes == 0 {
+            return Ok(());
+        }
+        self.copy_now(from, to, vk::BufferCopy { src_offset: 0, dst_offset: 0, size: bytes })
+    }
+
+    /// Fills a buffer with a repeated word and waits.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn fill(&self, buffer: &DeviceBuffer, word: u32) -> Result<()> {
+        let raw = buffer.0.raw;
+        self.run_now("fill", |device, commands| {
+            // SAFETY: the command buffer is being recorded and the buffer belongs to this device.
+            unsafe { device.cmd_fill_buffer(commands, raw, 0, vk::WHOLE_SIZE, word) }
+        })
+    }
+
+    fn copy_now(&self, from: &DeviceBuffer, to: &DeviceBuffer, region: vk::BufferCopy) -> Result<()> {
+        let (from, to) = (from.0.raw, to.0.raw);
+        self.run_now("copy", |device, commands| {
+            // SAFETY: the command buffer is being recorded; both ranges were checked against their buffers.
+            unsafe { device.cmd_copy_buffer(commands, from, to, &[region]) }
+        })
+    }
+
+    /// Records, submits and waits, ordered after all work before it and before all work after it.
+    fn run_now(&self, what: &str, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
+        let shared = &self.0;
+        let raw = &shared.raw;
+        let pool = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
+        // SAFETY: the device is alive.
+        let pool = unsafe { raw.create_command_pool(&pool, None) }.check("vkCreateCommandPool", what)?;
+        let result = (|| {
+            let info = vk::CommandBufferAllocateInfo::default()
+                .command_pool(pool)
+                .level(vk::CommandBufferLevel::PRIMARY)
+                .command_buffer_count(1);
+            // SAFETY: the pool was just made.
+            let commands = unsafe { raw.allocate_command_buffers(&info) }.check("vkAllocateCommandBuffers", what)?[0];
+            let begin =
+                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            let all = vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST;
+            let access = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
+            let barrier = [vk::MemoryBarrier2::default()
+                .src_stage_mask(all)
+                .src_access_mask(access)
+                .dst_stage_mask(all)
+                .dst_access_mask(access)];
+            let dependency = vk::DependencyInfo::default().memory_barriers(&barrier);
+            // SAFETY: the command buffer is ours and recorded from begin to end here.
+            unsafe {
+                raw.begin_command_buffer(commands, &begin).check("vkBeginCommandBuffer", what)?;
+                raw.cmd_pipeline_barrier2(commands, &dependency);
+                record(raw, commands);
+                raw.cmd_pipeline_barrier2(commands, &dependency);
+                raw.end_command_buffer(commands).check("vkEndCommandBuffer", what)?;
+            }
+            let ticket = shared.submit(commands, what)?;
+            shared.wait(ticket, what)
+        })();
+        if !matches!(result, Err(crate::Error::Timeout { .. })) {
+            // SAFETY: the work was waited for or never submitted. After a timeout the pool is leaked on purpose.
+            unsafe { raw.destroy_command_pool(pool, None) };
+        }
+        result
+    }
+}

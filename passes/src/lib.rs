@@ -1,0 +1,15 @@
+//! The mathematics on the GPU: typed stages in the families of the kernels, and a CPU twin of each in double precision.
+//!
+//! Knows Gaussians, lights and images; never files or the command line.
+
+pub mod kernel;
+pub mod loss;
+pub mod optim;
+pub mod pipeline;
+pub mod prim;
+pub mod reference;
+pub mod scene;
+pub mod splat;
+mod tuning;
+
+pub use tuning::Tuning;

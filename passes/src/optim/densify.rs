@@ -1,0 +1,244 @@
+//! `densify`: Gaussians that are not needed go, those that pull hard are doubled. All on the GPU, in place.
+//!
+//! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of the method (`method.md`, 2.4). A Gaussian
+//! is pruned if it is fainter than a threshold, has gathered too little blending weight, is too large, or has a number
+//! that is not finite. Of the others, one whose screen-space gradient is large on average is refined: cloned if it is
+//! small (parent and child equal), split if it is large (both halves drawn from it, scales divided by 1.6).
+//!
+//! Promises:
+//! * the live Gaussians are `0..N'` afterwards, and at least one remains if there was one;
+//! * `N'` exceeds neither the cap nor the capacity (unless pruning alone leaves more than the cap); if not all can be
+//!   refined, the ones with the strongest gradients are (in steps of an eighth of an octave, then by index), and the
+//!   number of refused ones is reported;
+//! * whatever is neither pruned nor split keeps its numbers and moments bit for bit; moments of what is new are zero;
+//! * the result depends on nothing but the input and the seed;
+//! * no copy of the parameters is made, and nothing is read back: the new count goes into the `Work` record.
+//!
+//! How: verdicts and a histogram of gradient strengths (`densify_decide`); totals and, under the cap, the cut-off
+//! (`densify_plan`); prefix sums over three flags rank the pruned, the strong and those at the cut-off
+//! (`densify_flags`); a list of the holes (`densify_slots`) and of who is copied where (`densify_assign`); the copies,
+//! group by group (`densify_move`); the halves of splits (`densify_split`); statistics to zero.
+//!
+//! Cost a Gaussian: 68 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
+//! Then 12 bytes read and 12 to 24 written for each scalar of what is cloned, split or moved (59 with all bands of
+//! spherical harmonics). Memory: 36 bytes for each Gaussian of the capacity, for the duration.
+
+use crate::Tuning;
+use crate::kernel::stage;
+use crate::prim::{Count, Records, ScanShape, exclusive_scan};
+use crate::scene::{Group, Handles, Model};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::structs::{DensifyPlan, Move, Work};
+use sgs_shaders::{
+    densify_assign, densify_decide, densify_flags, densify_move, densify_plan, densify_slots, densify_split,
+};
+
+/// Words of the counters: four, and the histogram of gradient strengths.
+const COUNTERS: u64 = 4 + 2048;
+
+/// What densification works on.
+#[derive(Clone, Copy, Debug)]
+pub struct Densify {
+    /// Which groups there are.
+    pub model: Model,
+    /// Most Gaussians that there is room for.
+    pub capacity: u32,
+    /// Parameters, by position in [`Group::ALL`].
+    pub parameters: [Buffer; 9],
+    /// Moments, likewise.
+    pub moments: [Buffer; 9],
+    /// By Gaussian: sum of screen gradients, their number, sum of blending weights.
+    pub statistics: Buffer,
+    /// The number of Gaussians, a `Work`.
+    pub live: Buffer,
+    /// Uniform `Densify`: thresholds, cap, seed.
+    pub settings: Buffer,
+    /// What happened, a `DensifyStats`.
+    pub stats: Buffer,
+}
+
+impl Densify {
+    /// For Gaussians declared for training; none without moments and statistics.
+    pub fn of(gaussians: &Handles, settings: Buffer, stats: Buffer) -> Option<Densify> {
+        Some(Densify {
+            model: gaussians.model,
+            capacity: gaussians.capacity,
+            parameters: gaussians.parameters,
+            moments: gaussians.moments?,
+            statistics: gaussians.statistics?,
+            live: gaussians.work,
+            settings,
+            stats,
+        })
+    }
+
+    fn group(&self, group: Group) -> Buffer {
+        self.parameters[group as usize]
+    }
+}
+
+/// What the passes leave for each other.
+struct Lists {
+    verdicts: Buffer,
+    counters: Buffer,
+    /// Two `Work` records of the number before: for the kernels here and for the prefix sums.
+    before: Buffer,
+    plan: Buffer,
+    /// Flags, then ranks.
+    holes: Buffer,
+    strong: Buffer,
+    ties: Buffer,
+    hole_slots: Buffer,
+    moves: Buffer,
+    entries: Buffer,
+}
+
+impl Lists {
+    fn new(g: &mut Graph, capacity: u32) -> Lists {
+        let mut words = |name: &str, words: u64| g.transient(format!("densify.{name}"), 4 * words);
+        let (n, work) = (u64::from(capacity), size_of::<Work>() as u64 / 4);
+        Lists {
+            verdicts: words("verdicts", n),
+            counters: words("counters", COUNTERS),
+            before: words("before", 2 * work),
+            plan: words("plan", size_of::<DensifyPlan>() as u64 / 4),
+            holes: words("hole_ranks", n),
+            strong: words("strong_ranks", n),
+            ties: words("tie_ranks", n),
+            hole_slots: words("holes", n),
+            moves: words("moves", work),
+            entries: words("entries", n * size_of::<Move>() as u64 / 4),
+        }
+    }
+}
+
+/// Adds all passes.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn densify(g: &mut Graph, tuning: Tuning, a: &Densify) -> Result<(), GraphError> {
+    let lists = Lists::new(g, a.capacity);
+    decide(g, tuning, a, &lists)?;
+    rank(g, tuning, a, &lists)?;
+    assign(g, tuning, a, &lists)?;
+    copy(g, tuning, a, &lists)?;
+    g.fill("densify_reset", a.statistics, 0)
+}
+
+/// Verdicts and plan.
+fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
+    let Tuning { workgroup, .. } = tuning;
+    g.fill("densify_clear", lists.counters, 0)?;
+    let bindings = densify_decide::Bindings {
+        params: a.settings.into(),
+        live: a.live.into(),
+        means: a.group(Group::Means).into(),
+        log_scales: a.group(Group::LogScales).into(),
+        rotations: a.group(Group::Rotations).into(),
+        opacity_logits: a.group(Group::OpacityLogits).into(),
+        sh0: a.group(Group::Sh0).into(),
+        statistics: a.statistics.into(),
+        verdicts: lists.verdicts.into(),
+        counters: lists.counters.into(),
+    };
+    let specs = densify_decide::Specs { workgroup };
+    stage(g, "densify_decide", &densify_decide::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(a.live, 0)?;
+
+    let bindings = densify_plan::Bindings {
+        params: a.settings.into(),
+        counters: lists.counters.into(),
+        live: a.live.into(),
+        verdicts: lists.verdicts.into(),
+        before: lists.before.into(),
+        moves: lists.moves.into(),
+        plan: lists.plan.into(),
+        stats: a.stats.into(),
+    };
+    let scan_block = ScanShape::from(tuning).block();
+    let specs = densify_plan::Specs { workgroup, per_group: workgroup, scan_block };
+    let push = densify_plan::Push { capacity: a.capacity };
+    let (kernel, push) = (&densify_plan::KERNEL, bytemuck::bytes_of(&push));
+    stage(g, "densify_plan", kernel, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])
+}
+
+/// Ranks of the pruned, the strong and the ties.
+fn rank(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
+    let bindings = densify_flags::Bindings {
+        before: lists.before.into(),
+        plan: lists.plan.into(),
+        verdicts: lists.verdicts.into(),
+        is_hole: lists.holes.into(),
+        is_strong: lists.strong.into(),
+        is_tie: lists.ties.into(),
+    };
+    let specs = densify_flags::Specs { workgroup: tuning.workgroup };
+    stage(g, "densify_flags", &densify_flags::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(lists.before, 0)?;
+    let group_sizes = [tuning.workgroup, ScanShape::from(tuning).block(), 0, 0];
+    let count = Count::Gpu(Records { slice: lists.before.into(), group_sizes, max: a.capacity });
+    for (name, flags) in
+        [("densify_holes", lists.holes), ("densify_strong", lists.strong), ("densify_ties", lists.ties)]
+    {
+        let total = g.transient(format!("{name}.total"), 4);
+        exclusive_scan(g, tuning, name, flags, None, flags, total, count)?;
+    }
+    Ok(())
+}
+
+/// Who goes where.
+fn assign(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
+    let Tuning { workgroup, .. } = tuning;
+    let bindings = densify_slots::Bindings {
+        before: lists.before.into(),
+        verdicts: lists.verdicts.into(),
+        hole_ranks: lists.holes.into(),
+        holes: lists.hole_slots.into(),
+    };
+    let specs = densify_slots::Specs { workgroup };
+    stage(g, "densify_slots", &densify_slots::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(lists.before, 0)?;
+
+    let bindings = densify_assign::Bindings {
+        before: lists.before.into(),
+        plan: lists.plan.into(),
+        verdicts: lists.verdicts.into(),
+        holes: lists.hole_slots.into(),
+        hole_ranks: lists.holes.into(),
+        strong_ranks: lists.strong.into(),
+        tie_ranks: lists.ties.into(),
+        entries: lists.entries.into(),
+        stats: a.stats.into(),
+    };
+    let specs = densify_assign::Specs { workgroup };
+    stage(g, "densify_assign", &densify_assign::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(lists.before, 0)
+}
+
+/// The copies of every group, and what makes the halves of a split different.
+fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
+    let Tuning { workgroup, .. } = tuning;
+    for group in a.model.groups() {
+        let bindings = densify_move::Bindings {
+            moves: lists.moves.into(),
+            entries: lists.entries.into(),
+            parameters: a.group(group).into(),
+            moments: a.moments[group as usize].into(),
+        };
+        let specs = densify_move::Specs { workgroup, width: group.width() };
+        let name = format!("densify_move.{}", group.name());
+        stage(g, &name, &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
+            .dispatch_indirect(lists.moves, 0)?;
+    }
+    let bindings = densify_split::Bindings {
+        params: a.settings.into(),
+        moves: lists.moves.into(),
+        entries: lists.entries.into(),
+        rotations: a.group(Group::Rotations).into(),
+        means: a.group(Group::Means).into(),
+        log_scales: a.group(Group::LogScales).into(),
+    };
+    let specs = densify_split::Specs { workgroup };
+    stage(g, "densify_split", &densify_split::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(lists.moves, 0)
+}

@@ -1,0 +1,9 @@
+//! What follows the gradients: the optimizer, and the number of Gaussians.
+
+pub mod adam;
+pub mod densify;
+pub mod opacity_reset;
+
+pub use adam::{Adam, Rate, adam};
+pub use densify::{Densify, densify};
+pub use opacity_reset::opacity_reset;

@@ -1,0 +1,87 @@
+//! Densification and opacity reset, each a plan of its own between training steps.
+
+use crate::Tuning;
+use crate::optim::densify::{Densify, densify};
+use crate::optim::opacity_reset::opacity_reset;
+use crate::scene::{Gaussians, Group};
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
+use sgs_shaders::structs::{Densify as Settings, DensifyStats};
+use std::sync::Arc;
+
+/// Densification, ready to be replayed.
+pub struct DensifyStep {
+    exec: Executor,
+    settings: Buffer,
+    stats: DeviceBuffer,
+}
+
+impl DensifyStep {
+    /// Builds the plan for Gaussians that are trained. `arena`: memory that may be shared, since nothing of it outlives
+    /// a replay.
+    ///
+    /// # Errors
+    /// If memory runs out, or the Gaussians have no optimizer.
+    pub fn new(device: &Device, tuning: &Tuning, gaussians: &Gaussians, arena: Option<DeviceBuffer>) -> Result<Self> {
+        let mut g = Graph::new("densify");
+        let settings = g.uniform("densify_settings", size_of::<Settings>() as u64);
+        let handles = gaussians.declare(&mut g, true);
+        let out = g.external("densify_stats", size_of::<DensifyStats>() as u64);
+        let what = Densify::of(&handles, settings, out).ok_or_else(not_training)?;
+        densify(&mut g, *tuning, &what)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let options = ExecOptions { frames_in_flight: 1, arena, ..Default::default() };
+        let mut exec = Executor::new(device, plan, options)?;
+        gaussians.bind(&mut exec, &handles)?;
+        let stats = device.buffer("densify_stats", size_of::<DensifyStats>() as u64, Location::Readback)?;
+        exec.bind(out, &stats)?;
+        Ok(DensifyStep { exec, settings, stats })
+    }
+
+    /// Densifies once and waits for the outcome.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn run(&mut self, settings: &Settings) -> Result<DensifyStats> {
+        self.exec.submit(&[(self.settings, bytemuck::bytes_of(settings))])?;
+        self.exec.finish()?;
+        let mut stats = DensifyStats::default();
+        self.stats.read(0, bytemuck::bytes_of_mut(&mut stats))?;
+        Ok(stats)
+    }
+}
+
+/// Opacity reset, ready to be replayed.
+pub struct OpacityReset {
+    exec: Executor,
+}
+
+impl OpacityReset {
+    /// Builds the plan.
+    ///
+    /// # Errors
+    /// If memory runs out, or the Gaussians have no optimizer.
+    pub fn new(device: &Device, tuning: &Tuning, gaussians: &Gaussians) -> Result<Self> {
+        let mut g = Graph::new("opacity_reset");
+        let handles = gaussians.declare(&mut g, true);
+        let moments = handles.moments.ok_or_else(not_training)?[Group::OpacityLogits as usize];
+        opacity_reset(&mut g, *tuning, handles.work, handles.group(Group::OpacityLogits), moments)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        gaussians.bind(&mut exec, &handles)?;
+        Ok(OpacityReset { exec })
+    }
+
+    /// Resets once; later work on the device comes after it.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn run(&mut self) -> Result<()> {
+        self.exec.submit(&[]).map(|_| ())
+    }
+}
+
+fn not_training() -> Error {
+    Error::Unbound { buffer: "moments".into(), plan: "densify".into() }
+}

@@ -1,0 +1,163 @@
+//! One step of geometry training: render a view, compare, go back, update.
+
+use super::status::{Status, StatusHandles};
+use super::Step;
+use crate::loss::photometric::{Photometric, photometric, photometric_bwd};
+use crate::loss::sum::loss_sum;
+use crate::scene::{Gaussians, Handles};
+use crate::splat::{
+    BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, intersect, project, project_bwd_adam,
+};
+use crate::Tuning;
+use crate::kernel::stage;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError};
+use sgs_engine::{Device, DeviceBuffer, Result, Ticket};
+use sgs_shaders::report;
+use std::sync::Arc;
+
+/// What a geometry step is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GeometryOptions {
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+    /// Room for tile entries.
+    pub entry_capacity: u32,
+    /// What is blended; normals and depth only where a loss needs them.
+    pub channels: Channels,
+    /// Whether there are normal priors.
+    pub normal_prior: bool,
+    /// Whether densification statistics are gathered.
+    pub statistics: bool,
+    /// Which backward kernel.
+    pub backward: BackwardKernel,
+    /// Timestamps around every pass.
+    pub timestamps: bool,
+    /// Replays in flight.
+    pub frames_in_flight: usize,
+}
+
+/// A geometry step, ready to be replayed.
+pub struct GeometryStep {
+    exec: Executor,
+    step: Buffer,
+    tile: [u32; 2],
+    options: GeometryOptions,
+}
+
+impl GeometryStep {
+    /// Builds the graph and binds everything. `targets`: the photographs, packed; `priors`: normals, packed likewise.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(
+        device: &Device,
+        tuning: &Tuning,
+        gaussians: &Gaussians,
+        targets: &DeviceBuffer,
+        priors: Option<&DeviceBuffer>,
+        status: &Status,
+        options: GeometryOptions,
+    ) -> Result<GeometryStep> {
+        let mut g = Graph::new("geometry_step");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let handles = gaussians.declare(&mut g, true);
+        let status_handles = status.declare(&mut g);
+        let target_buffer = g.input("targets", targets.bytes());
+        let prior_buffer = priors.map(|p| g.input("normal_priors", p.bytes()));
+        build(&mut g, tuning, step, &handles, &status_handles, target_buffer, prior_buffer, &options)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let exec_options = ExecOptions {
+            frames_in_flight: options.frames_in_flight,
+            timestamps: options.timestamps,
+            ..Default::default()
+        };
+        let mut exec = Executor::new(device, plan, exec_options)?;
+        gaussians.bind(&mut exec, &handles)?;
+        status.bind(&mut exec, &status_handles)?;
+        exec.bind(target_buffer, targets)?;
+        if let (Some(handle), Some(memory)) = (prior_buffer, priors) {
+            exec.bind(handle, memory)?;
+        }
+        Ok(GeometryStep { exec, step, tile: tuning.tile, options })
+    }
+
+    /// Replays the step with these values.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn submit(&mut self, step: &Step) -> Result<Ticket> {
+        let mut step = *step;
+        let size = step.camera.size;
+        step.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
+        self.exec.submit(&[(self.step, bytemuck::bytes_of(&step))])
+    }
+
+    /// Waits for every replay in flight.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
+        self.exec.finish()
+    }
+
+    /// What it was made of.
+    pub fn options(&self) -> &GeometryOptions {
+        &self.options
+    }
+
+    /// The executor, for its plan and its times.
+    pub fn executor(&mut self) -> &mut Executor {
+        &mut self.exec
+    }
+}
+
+fn build(
+    g: &mut Graph,
+    t: &Tuning,
+    step: Buffer,
+    gaussians: &Handles,
+    status: &StatusHandles,
+    targets: Buffer,
+    priors: Option<Buffer>,
+    o: &GeometryOptions,
+) -> std::result::Result<(), GraphError> {
+    let screen = Screen { step, largest: o.largest, tile: t.tile };
+    let channels = o.channels.count();
+    let pixels = screen.pixels();
+    let visible = project(g, t, &screen, gaussians, o.channels)?;
+    let entries = intersect(g, t, &screen, &visible, o.entry_capacity, status.flags)?;
+    let blended = Blended {
+        image: g.transient("image", 4 * u64::from(channels) * pixels),
+        transmittance: g.transient("transmittance", 4 * pixels),
+    };
+    blend(g, t, &screen, &visible, &entries, &blended)?;
+    let gradient = Blended {
+        image: g.transient("grad_image", 4 * u64::from(channels) * pixels),
+        transmittance: g.transient("grad_transmittance", 4 * pixels),
+    };
+    let loss = Photometric { step, image: blended.image, targets, channels, largest: o.largest };
+    let partials = photometric(g, *t, &loss)?;
+    photometric_bwd(g, *t, &loss, &partials, gradient.image)?;
+    let geometry = None;
+    let _ = priors;
+    g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
+    let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
+    loss_sum(g, *t, step, (partials.sums, partials.count), geometry, stats)?;
+    let entry_gradients =
+        blend_bwd(g, t, &screen, &visible, &entries, &blended, &gradient, o.backward, o.statistics)?;
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics };
+    project_bwd_adam(g, t, &screen, gaussians, &visible, &entry_gradients, &adam)?;
+    let bindings = report::Bindings {
+        params: step.into(),
+        gaussians: gaussians.work.into(),
+        visible: visible.work.slice,
+        wanted: entries.wanted.into(),
+        flags: status.flags.into(),
+        skipped: status.skipped.into(),
+        losses: stats.into(),
+        reports: status.reports.into(),
+    };
+    let specs = report::Specs { ring: super::RING };
+    stage(g, "report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
+}

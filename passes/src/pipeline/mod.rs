@@ -1,0 +1,16 @@
+//! Stages joined: a geometry training step, and a render.
+//!
+//! Promises: built once and replayed; when the tile entries overflow nothing is lost: the flag stays up, every later
+//! step changes nothing, and the host grows the buffer and replays from the first step that it spoiled.
+
+mod densify;
+mod geometry;
+mod render;
+mod status;
+
+pub use densify::{DensifyStep, OpacityReset};
+pub use geometry::{GeometryOptions, GeometryStep};
+pub use render::{Picture, Renderer};
+pub use status::{RING, Status};
+
+pub use sgs_shaders::structs::{Camera, Densify as DensifySettings, DensifyStats, LossStats, Step, StepReport};

@@ -1,0 +1,157 @@
+//! From Gaussians and a camera to a picture on the host.
+
+use super::{Camera, Step};
+use crate::scene::{Gaussians, Handles};
+use crate::splat::{Blended, Channels, Screen, blend, intersect, project};
+use crate::Tuning;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use std::sync::Arc;
+
+/// A rendered view.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Floats of a pixel.
+    pub channels: u32,
+    /// `[pixels * channels]`, blended values unchanged, rgb over the background.
+    pub image: Vec<f32>,
+    /// `[pixels]`
+    pub transmittance: Vec<f32>,
+}
+
+/// Renders Gaussians again and again; grows its buffers by itself.
+pub struct Renderer {
+    device: Device,
+    tuning: Tuning,
+    largest: [u32; 2],
+    channels: Channels,
+    capacity: u32,
+    state: State,
+}
+
+struct State {
+    exec: Executor,
+    step: Buffer,
+    gaussians: Handles,
+    image: DeviceBuffer,
+    transmittance: DeviceBuffer,
+    flags: DeviceBuffer,
+    wanted: DeviceBuffer,
+}
+
+impl Renderer {
+    /// Prepares for views of at most `largest` columns and rows.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(
+        device: &Device,
+        tuning: Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+    ) -> Result<Renderer> {
+        let capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
+        let state = State::new(device, &tuning, gaussians, largest, channels, capacity)?;
+        Ok(Renderer { device: device.clone(), tuning, largest, channels, capacity, state })
+    }
+
+    /// Renders one view.
+    ///
+    /// # Errors
+    /// If memory runs out while growing, or the device fails.
+    pub fn render(
+        &mut self,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<Picture> {
+        let largest = [self.largest[0].max(camera.size[0]), self.largest[1].max(camera.size[1])];
+        if largest != self.largest || self.state.gaussians.capacity != gaussians.capacity {
+            self.largest = largest;
+            self.rebuild(gaussians)?;
+        }
+        gaussians.bind(&mut self.state.exec, &self.state.gaussians)?;
+        let tile = self.tuning.tile;
+        let mut camera = *camera;
+        camera.tiles = [camera.size[0].div_ceil(tile[0]), camera.size[1].div_ceil(tile[1])];
+        let step = Step { camera, background, step: 1, sh_degree, ..Default::default() };
+        loop {
+            self.device.fill(&self.state.flags, 0)?;
+            self.state.exec.submit(&[(self.state.step, bytemuck::bytes_of(&step))])?;
+            self.state.exec.finish()?;
+            if self.device.download_as::<u32>(&self.state.flags, 1)?[0] == 0 {
+                break;
+            }
+            let wanted = self.device.download_as::<u32>(&self.state.wanted, 1)?[0];
+            self.capacity = wanted.saturating_add(wanted / 8);
+            self.rebuild(gaussians)?;
+        }
+        let pixels = camera.size[0] as usize * camera.size[1] as usize;
+        let channels = self.channels.count();
+        Ok(Picture {
+            size: camera.size,
+            channels,
+            image: self.device.download_as(&self.state.image, pixels * channels as usize)?,
+            transmittance: self.device.download_as(&self.state.transmittance, pixels)?,
+        })
+    }
+
+    /// The executor, for its plan and its times.
+    pub fn executor(&mut self) -> &mut Executor {
+        &mut self.state.exec
+    }
+
+    fn rebuild(&mut self, gaussians: &Gaussians) -> Result<()> {
+        let (t, l, c) = (&self.tuning, self.largest, self.channels);
+        self.state = State::new(&self.device, t, gaussians, l, c, self.capacity)?;
+        gaussians.bind(&mut self.state.exec, &self.state.gaussians)
+    }
+}
+
+impl State {
+    fn new(
+        device: &Device,
+        t: &Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+        capacity: u32,
+    ) -> Result<State> {
+        let mut g = Graph::new("render");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest, tile: t.tile };
+        let handles = gaussians.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let wanted_out = g.external("wanted", 4);
+        let image = g.external("image", 4 * u64::from(channels.count()) * screen.pixels());
+        let transmittance = g.external("transmittance", 4 * screen.pixels());
+        let visible = project(&mut g, t, &screen, &handles, channels)?;
+        let entries = intersect(&mut g, t, &screen, &visible, capacity, flags)?;
+        blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
+        g.copy("copy_wanted", entries.wanted, wanted_out)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let buffer = |b: Buffer| device.buffer(&plan.buffers[b.index()].name, plan.buffers[b.index()].bytes, Location::Device);
+        let (image_memory, transmittance_memory) = (buffer(image)?, buffer(transmittance)?);
+        let (flags_memory, wanted_memory) = (buffer(flags)?, buffer(wanted_out)?);
+        let options = ExecOptions { frames_in_flight: 1, timestamps: true, ..Default::default() };
+        let mut exec = Executor::new(device, plan, options)?;
+        exec.bind(image, &image_memory)?;
+        exec.bind(transmittance, &transmittance_memory)?;
+        exec.bind(flags, &flags_memory)?;
+        exec.bind(wanted_out, &wanted_memory)?;
+        Ok(State {
+            exec,
+            step,
+            gaussians: handles,
+            image: image_memory,
+            transmittance: transmittance_memory,
+            flags: flags_memory,
+            wanted: wanted_memory,
+        })
+    }
+}

@@ -1,0 +1,78 @@
+//! What a training step tells the host, some steps late: a flag, a counter, and a ring of reports.
+
+use sgs_engine::graph::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::StepReport;
+
+/// Reports that the ring holds.
+pub const RING: u32 = 64;
+
+/// Buffers that outlive the executors of a training run.
+#[derive(Debug)]
+pub struct Status {
+    flags: DeviceBuffer,
+    skipped: DeviceBuffer,
+    reports: DeviceBuffer,
+}
+
+/// Their handles in a graph.
+#[derive(Clone, Copy, Debug)]
+pub struct StatusHandles {
+    /// One word: not zero once something overflowed.
+    pub flags: Buffer,
+    /// One word: splats whose gradients were not finite.
+    pub skipped: Buffer,
+    /// The ring.
+    pub reports: Buffer,
+}
+
+impl Status {
+    /// Makes them, all clear.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device) -> Result<Status> {
+        let flags = device.buffer("flags", 4, Location::Device)?;
+        let skipped = device.buffer("skipped", 4, Location::Device)?;
+        let bytes = u64::from(RING) * size_of::<StepReport>() as u64;
+        let reports = device.buffer("reports", bytes, Location::Readback)?;
+        for buffer in [&flags, &skipped, &reports] {
+            device.fill(buffer, 0)?;
+        }
+        Ok(Status { flags, skipped, reports })
+    }
+
+    /// Takes the flag down, after the cause was removed.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn clear_flags(&self, device: &Device) -> Result<()> {
+        device.fill(&self.flags, 0)
+    }
+
+    /// The report of a step that is done.
+    ///
+    /// # Errors
+    /// If the memory is not visible, which would be a defect.
+    pub fn report(&self, step: u32) -> Result<StepReport> {
+        let bytes = size_of::<StepReport>() as u64;
+        let mut report = StepReport::default();
+        self.reports.read(u64::from(step % RING) * bytes, bytemuck::bytes_of_mut(&mut report))?;
+        Ok(report)
+    }
+
+    pub(crate) fn declare(&self, g: &mut Graph) -> StatusHandles {
+        StatusHandles {
+            flags: g.external("flags", 4),
+            skipped: g.external("skipped", 4),
+            reports: g.external("reports", self.reports.bytes()),
+        }
+    }
+
+    pub(crate) fn bind(&self, exec: &mut Executor, handles: &StatusHandles) -> Result<()> {
+        exec.bind(handles.flags, &self.flags)?;
+        exec.bind(handles.skipped, &self.skipped)?;
+        exec.bind(handles.reports, &self.reports)
+    }
+}

@@ -1,0 +1,74 @@
+//! `blend` and the whole render: the CPU twin in double precision. No tiles: every splat is tried at every pixel of its
+//! box, nearest first.
+
+use super::project::{Camera, Gaussians, Projected, project};
+use glam::DVec2;
+
+/// What blending leaves.
+#[derive(Clone, Debug)]
+pub struct Blended {
+    /// `[pixels * channels]`, composited over the background (first three channels).
+    pub image: Vec<f64>,
+    /// `[pixels]`
+    pub transmittance: Vec<f64>,
+    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4, or two depths that single
+    /// precision may order either way): there single and double precision may rightly differ.
+    pub doubtful: Vec<bool>,
+}
+
+/// Blends projected splats, nearest first.
+pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: [f64; 3]) -> Blended {
+    let pixels = size[0] as usize * size[1] as usize;
+    let mut image = vec![0.0; pixels * channels];
+    let mut transmittance = vec![1.0; pixels];
+    let mut doubtful = vec![false; pixels];
+    let mut stopped = vec![false; pixels];
+    let mut last_depth = vec![f64::NEG_INFINITY; pixels];
+    for s in splats {
+        let reach = s.reach() + 1.0;
+        let low = (s.mean - reach).floor().max(DVec2::ZERO);
+        let high = (s.mean + reach).ceil().min(DVec2::new(f64::from(size[0]), f64::from(size[1])) - 1.0);
+        if low.x > high.x || low.y > high.y {
+            continue;
+        }
+        for y in low.y as usize..=high.y as usize {
+            for x in low.x as usize..=high.x as usize {
+                let at = y * size[0] as usize + x;
+                if stopped[at] {
+                    continue;
+                }
+                let raw = s.alpha(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+                let near = |a: f64, b: f64| (a - b).abs() < 2e-3 * b;
+                doubtful[at] |= near(raw, 1.0 / 255.0);
+                let alpha = raw.min(0.99);
+                if alpha < 1.0 / 255.0 {
+                    continue;
+                }
+                let t = transmittance[at];
+                let next = t * (1.0 - alpha);
+                doubtful[at] |= near(next, 1e-4) || s.depth - last_depth[at] < 1e-6 * s.depth;
+                last_depth[at] = s.depth;
+                if next < 1e-4 {
+                    stopped[at] = true;
+                    continue;
+                }
+                for (c, f) in s.features.iter().enumerate().take(channels) {
+                    image[at * channels + c] += alpha * t * f;
+                }
+                transmittance[at] = next;
+            }
+        }
+    }
+    for at in 0..pixels {
+        for c in 0..channels.min(3) {
+            image[at * channels + c] += transmittance[at] * background[c];
+        }
+    }
+    Blended { image, transmittance, doubtful }
+}
+
+/// Projects and blends.
+pub fn render(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, background: [f64; 3]) -> Blended {
+    let channels = 3 + if g.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
+    blend(&project(g, camera, sh_degree, depth), camera.size, channels, background)
+}

@@ -1,0 +1,199 @@
+//! Twin of `densify`: verdicts, who ends up in which slot, and the halves of a split.
+//!
+//! Slots are filled one by one, as a person would, rather than through ranks and prefix sums as in the kernels.
+
+use super::rng::{normal_from, random_bits};
+
+/// Thresholds; those of `Densify` in `densify.glsl`.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Mean screen gradient from which a Gaussian is refined.
+    pub grad_threshold: f64,
+    /// Largest axis above which it is split, else cloned.
+    pub split_size: f64,
+    /// Fainter ones are pruned.
+    pub prune_opacity: f64,
+    /// With less blending weight they are pruned.
+    pub prune_weight: f64,
+    /// With a larger axis they are pruned.
+    pub prune_size: f64,
+    /// Most Gaussians afterwards.
+    pub cap: usize,
+    /// Of the random numbers.
+    pub seed: u32,
+}
+
+/// What decides about a Gaussian.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate {
+    /// Center.
+    pub mean: [f64; 3],
+    /// Logarithms of scales.
+    pub log_scale: [f64; 3],
+    /// Quaternion w, x, y, z.
+    pub rotation: [f64; 4],
+    /// Opacity before the sigmoid.
+    pub opacity_logit: f64,
+    /// Band 0 of the spherical harmonics.
+    pub sh0: [f64; 3],
+    /// Sum of screen gradients, their number, sum of blending weights.
+    pub statistics: [f64; 3],
+}
+
+/// What happens to a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Stays.
+    Keep,
+    /// Goes; `valid` if all of its numbers are finite.
+    Prune {
+        /// Whether it could stay if nothing else does.
+        valid: bool,
+    },
+    /// Gets a twin.
+    Clone {
+        /// Order among those that want to be refined.
+        strength: u32,
+    },
+    /// Becomes two smaller ones.
+    Split {
+        /// Order among those that want to be refined.
+        strength: u32,
+    },
+}
+
+impl Verdict {
+    fn strength(self) -> Option<u32> {
+        match self {
+            Verdict::Clone { strength } | Verdict::Split { strength } => Some(strength),
+            _ => None,
+        }
+    }
+}
+
+/// Where the Gaussian in a slot comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// It was in that slot, and is unchanged.
+    Same(usize),
+    /// A copy of the one in that slot, without moments.
+    Twin(usize),
+    /// One of the two halves of the one in that slot, without moments.
+    Half(usize, u32),
+}
+
+/// Decides (Kerbl et al. 2023, section 5.2; pruning by weight: `method.md`, 2.4).
+pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
+    let numbers = [&c.mean[..], &c.log_scale, &c.rotation, &[c.opacity_logit], &c.sh0];
+    let valid = numbers.iter().all(|n| n.iter().all(|x| x.is_finite()));
+    if !valid {
+        return Verdict::Prune { valid };
+    }
+    let opacity = 1.0 / (1.0 + (-c.opacity_logit).exp());
+    let largest = c.log_scale.iter().fold(f64::MIN, |a, &b| a.max(b)).clamp(-80.0, 80.0).exp();
+    if opacity < s.prune_opacity || c.statistics[2] < s.prune_weight || largest > s.prune_size {
+        return Verdict::Prune { valid };
+    }
+    let gradient = c.statistics[0] / c.statistics[1].max(1.0);
+    if !gradient.is_finite() || gradient < s.grad_threshold {
+        return Verdict::Keep;
+    }
+    // Eight steps an octave: the leading bits of the number in 32 bits.
+    let strength = 1 + ((gradient.max(0.0) as f32).to_bits() >> 20);
+    if largest > s.split_size { Verdict::Split { strength } } else { Verdict::Clone { strength } }
+}
+
+/// Those that are refined, in the order in which their children are placed, and the number of refused ones.
+fn accepted(verdicts: &[Verdict], room: usize) -> (Vec<usize>, usize) {
+    let strength = |i: &usize| verdicts[*i].strength().unwrap_or(0);
+    let mut wanted: Vec<usize> = (0..verdicts.len()).filter(|&i| verdicts[i].strength().is_some()).collect();
+    if wanted.len() <= room {
+        return (wanted, 0);
+    }
+    wanted.sort_by_key(|i| (u32::MAX - strength(i), *i));
+    let cutoff = strength(&wanted[room]);
+    let refused = wanted.split_off(room).len();
+    wanted.sort_by_key(|i| (strength(i) <= cutoff, *i));
+    (wanted, refused)
+}
+
+/// The slots afterwards, and the number of refused refinements.
+pub fn layout(verdicts: &[Verdict], cap: usize) -> (Vec<Origin>, usize) {
+    let pruned = |v: &Verdict| matches!(v, Verdict::Prune { .. });
+    let mut slots: Vec<Option<Origin>> =
+        verdicts.iter().enumerate().map(|(i, v)| (!pruned(v)).then_some(Origin::Same(i))).collect();
+    if slots.iter().all(Option::is_none) && !slots.is_empty() {
+        let spared = verdicts.iter().position(|v| *v == Verdict::Prune { valid: true }).unwrap_or(0);
+        slots[spared] = Some(Origin::Same(spared));
+    }
+    let kept = slots.iter().flatten().count();
+    let (parents, refused) = accepted(verdicts, cap.saturating_sub(kept));
+    for parent in parents {
+        let child = if matches!(verdicts[parent], Verdict::Split { .. }) {
+            slots[parent] = Some(Origin::Half(parent, 0));
+            Origin::Half(parent, 1)
+        } else {
+            Origin::Twin(parent)
+        };
+        match slots.iter_mut().find(|s| s.is_none()) {
+            Some(slot) => *slot = Some(child),
+            None => slots.push(Some(child)),
+        }
+    }
+    let after = slots.iter().flatten().count();
+    let beyond: Vec<Origin> = slots.split_off(after).into_iter().flatten().collect();
+    let mut beyond = beyond.into_iter();
+    let filled = slots.into_iter().map(|s| s.or_else(|| beyond.next())).collect::<Option<Vec<_>>>();
+    (filled.unwrap_or_default(), refused)
+}
+
+/// Center and logarithms of scales of one half of a split.
+pub fn half(c: &Candidate, parent: usize, which: u32, seed: u32) -> ([f64; 3], [f64; 3]) {
+    let bits = |k| random_bits(seed, parent as u32, 4 * which + k);
+    let ([a, b], [d, _]) = (normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3)));
+    let scaled: Vec<f64> = [a, b, d].iter().zip(c.log_scale).map(|(n, s)| n * s.clamp(-16.0, 8.0).exp()).collect();
+    let norm = c.rotation.iter().map(|q| q * q).sum::<f64>().sqrt();
+    let [w, x, y, z] = if norm > 0.0 { c.rotation.map(|q| q / norm) } else { [1.0, 0.0, 0.0, 0.0] };
+    let rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ];
+    let offset = rows.map(|r| r.iter().zip(&scaled).map(|(r, s)| r * s).sum::<f64>());
+    let mean = [0, 1, 2].map(|k| c.mean[k] + offset[k]);
+    (mean, c.log_scale.map(|s| s - 1.6_f64.ln()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    const KEEP: Verdict = Verdict::Keep;
+    const PRUNE: Verdict = Verdict::Prune { valid: true };
+
+    #[test]
+    fn children_fill_holes_and_the_tail_fills_the_rest() {
+        let clone = Verdict::Clone { strength: 5 };
+        let (slots, refused) = layout(&[PRUNE, KEEP, PRUNE, PRUNE, clone, KEEP], 100);
+        assert_eq!((slots, refused), (vec![Origin::Twin(4), Origin::Same(1), Origin::Same(4), Origin::Same(5)], 0));
+        let split = Verdict::Split { strength: 5 };
+        let (slots, _) = layout(&[split, KEEP], 100);
+        assert_eq!(slots, [Origin::Half(0, 0), Origin::Same(1), Origin::Half(0, 1)]);
+    }
+
+    #[test]
+    fn the_strongest_come_first_under_a_cap() {
+        let of = |strength| Verdict::Clone { strength };
+        let (slots, refused) = layout(&[of(1), of(3), of(2), of(2), of(9)], 8);
+        assert_eq!(slots[5..], [Origin::Twin(1), Origin::Twin(4), Origin::Twin(2)]);
+        assert_eq!(refused, 2);
+        assert_eq!(layout(&[of(1), of(3)], 1), (vec![Origin::Same(0), Origin::Same(1)], 2));
+    }
+
+    #[test]
+    fn one_remains() {
+        let bad = Verdict::Prune { valid: false };
+        assert_eq!(layout(&[bad, bad, PRUNE, PRUNE], 100).0, [Origin::Same(2)]);
+        assert_eq!(layout(&[bad, bad], 100).0, [Origin::Same(0)]);
+        assert_eq!(layout(&[], 100).0, []);
+    }
+}

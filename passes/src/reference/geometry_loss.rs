@@ -1,0 +1,274 @@
+//! Twin of `geometry_loss`: prior normals, edge-aware smoothness, spread of depth; and their gradients.
+//!
+//! Filters are applied tap by tap, and transposed by scattering tap by tap, without the kernel's rearrangements.
+
+use crate::loss::octahedral::octahedral_decode;
+
+/// Divisors below it are replaced by it, as in the kernel.
+pub const FLOOR: f64 = 1e-3;
+/// Smallest variance under the root.
+pub const VARIANCE_MIN: f64 = 1e-6;
+
+/// What was blended, and what it is compared with.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Blended normals, if there are any.
+    pub normals: Option<Vec<[f64; 3]>>,
+    /// Blended depth and squared depth, if there are.
+    pub depths: Option<Vec<[f64; 2]>>,
+    /// Transmittance.
+    pub transmittance: Vec<f64>,
+    /// Prior normals, packed, if there are any.
+    pub priors: Option<Vec<u32>>,
+    /// The photograph, packed RGBA8.
+    pub photo: Vec<u32>,
+}
+
+/// The four losses, as means over all pixels, before their weights; or the weights of the four.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Terms {
+    /// 1 - cos of the angle to the prior; pixels without a prior count as 0.
+    pub normal: f64,
+    /// Edge-aware smoothness of the unit normals, also over the three coordinates.
+    pub normal_smooth: f64,
+    /// Edge-aware smoothness of depth, also over the photograph's three channels.
+    pub depth_smooth: f64,
+    /// Standard deviation of depth along the ray.
+    pub depth_variance: f64,
+}
+
+/// Gradients by what was blended.
+#[derive(Clone, Debug)]
+pub struct Gradient {
+    /// By normals.
+    pub normals: Vec<[f64; 3]>,
+    /// By depth and squared depth.
+    pub depths: Vec<[f64; 2]>,
+    /// By transmittance.
+    pub transmittance: Vec<f64>,
+}
+
+impl Scene {
+    fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    fn unit_normals(&self) -> Vec<[f64; 3]> {
+        self.normals.iter().flatten().map(|n| n.map(|x| x / length(*n).max(FLOOR))).collect()
+    }
+
+    fn opacity(&self, p: usize) -> f64 {
+        1.0 - self.transmittance[p]
+    }
+
+    fn depth(&self) -> Vec<f64> {
+        let depths = self.depths.iter().flatten();
+        depths.enumerate().map(|(p, d)| d[0] / self.opacity(p).max(FLOOR)).collect()
+    }
+
+    fn variance(&self, p: usize, depth: f64) -> f64 {
+        let square = self.depths.as_ref().map_or(0.0, |d| d[p][1] / self.opacity(p).max(FLOOR));
+        square - depth * depth
+    }
+
+    /// The nine taps of the Sobel filter of a direction around a pixel: pixel and weight. Borders repeat.
+    fn taps(&self, p: usize, vertical: bool) -> Vec<(usize, f64)> {
+        let (x, y) = ((p % self.width) as i64, (p / self.width) as i64);
+        let mut taps = Vec::with_capacity(9);
+        for dy in -1..=1_i64 {
+            for dx in -1..=1_i64 {
+                let (along, across) = if vertical { (dy, dx) } else { (dx, dy) };
+                let column = (x + dx).clamp(0, self.width as i64 - 1) as usize;
+                let row = (y + dy).clamp(0, self.height as i64 - 1) as usize;
+                taps.push((row * self.width + column, (along * (2 - across.abs())) as f64 / 8.0));
+            }
+        }
+        taps
+    }
+
+    /// `exp(-|gradient|)` of the photograph, by channel.
+    fn edge(&self, taps: &[(usize, f64)]) -> [f64; 3] {
+        [0, 1, 2].map(|c| {
+            let g: f64 = taps.iter().map(|&(q, w)| w * super::photometric::unpack(self.photo[q], c)).sum();
+            (-g.abs()).exp()
+        })
+    }
+}
+
+fn length(v: [f64; 3]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The losses (method.md, 2.2; smoothness: Sobel filters over 8, times exp of the photograph's, summed over the two
+/// directions).
+pub fn geometry_loss(s: &Scene) -> Terms {
+    let (units, depth) = (s.unit_normals(), s.depth());
+    let mut t = Terms { normal: 0.0, normal_smooth: 0.0, depth_smooth: 0.0, depth_variance: 0.0 };
+    for p in 0..s.pixels() {
+        for vertical in [false, true] {
+            let taps = s.taps(p, vertical);
+            let edge = s.edge(&taps);
+            if s.normals.is_some() {
+                for c in 0..3 {
+                    t.normal_smooth += edge[c] * taps.iter().map(|&(q, w)| w * units[q][c]).sum::<f64>().abs();
+                }
+            }
+            if s.depths.is_some() {
+                let g = taps.iter().map(|&(q, w)| w * depth[q]).sum::<f64>().abs();
+                t.depth_smooth += edge.iter().sum::<f64>() / 3.0 * g;
+            }
+        }
+        if let (Some(priors), true) = (&s.priors, s.normals.is_some())
+            && let Some(prior) = octahedral_decode(priors[p])
+        {
+            t.normal += 1.0 - dot(units[p], prior);
+        }
+        if s.depths.is_some() {
+            t.depth_variance += s.variance(p, depth[p]).max(VARIANCE_MIN).sqrt();
+        }
+    }
+    let n = s.pixels() as f64;
+    Terms {
+        normal: t.normal / n,
+        normal_smooth: t.normal_smooth / (3.0 * n),
+        depth_smooth: t.depth_smooth / n,
+        depth_variance: t.depth_variance / n,
+    }
+}
+
+fn sign(x: f64) -> f64 {
+    if x == 0.0 { 0.0 } else { x.signum() }
+}
+
+/// Gradient of the losses with these weights.
+pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
+    let (units, depth) = (s.unit_normals(), s.depth());
+    let n = s.pixels() as f64;
+    let mut by_unit = vec![[0.0; 3]; units.len()];
+    let mut by_depth = vec![0.0; depth.len()];
+    for p in 0..s.pixels() {
+        for vertical in [false, true] {
+            let taps = s.taps(p, vertical);
+            let edge = s.edge(&taps);
+            if s.normals.is_some() {
+                for c in 0..3 {
+                    let g: f64 = taps.iter().map(|&(q, w)| w * units[q][c]).sum();
+                    for &(q, w) in &taps {
+                        by_unit[q][c] += weights.normal_smooth / (3.0 * n) * edge[c] * sign(g) * w;
+                    }
+                }
+            }
+            if s.depths.is_some() {
+                let g: f64 = taps.iter().map(|&(q, w)| w * depth[q]).sum();
+                for &(q, w) in &taps {
+                    by_depth[q] += weights.depth_smooth / n * edge.iter().sum::<f64>() / 3.0 * sign(g) * w;
+                }
+            }
+        }
+        if let (Some(priors), true) = (&s.priors, s.normals.is_some())
+            && let Some(prior) = octahedral_decode(priors[p])
+        {
+            for c in 0..3 {
+                by_unit[p][c] -= weights.normal / n * prior[c];
+            }
+        }
+    }
+    let mut out = Gradient { normals: vec![], depths: vec![], transmittance: vec![0.0; s.pixels()] };
+    for (p, &blended) in s.normals.iter().flatten().enumerate() {
+        let (size, unit, g) = (length(blended), units[p], by_unit[p]);
+        let along = if size > FLOOR { dot(unit, g) } else { 0.0 };
+        out.normals.push([0, 1, 2].map(|c| (g[c] - unit[c] * along) / size.max(FLOOR)));
+    }
+    for (p, &[z, z2]) in s.depths.iter().flatten().enumerate() {
+        let (opacity, variance) = (s.opacity(p), s.variance(p, depth[p]));
+        let by_variance = match variance > VARIANCE_MIN {
+            true => weights.depth_variance / n * 0.5 / variance.sqrt(),
+            false => 0.0,
+        };
+        let by_depth = by_depth[p] - 2.0 * depth[p] * by_variance;
+        let divisor = opacity.max(FLOOR);
+        out.depths.push([by_depth / divisor, by_variance / divisor]);
+        if opacity > FLOOR {
+            out.transmittance[p] = (by_depth * z + by_variance * z2) / (opacity * opacity);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::loss::octahedral::octahedral_encode;
+    use crate::reference::rng::Pcg;
+
+    fn scene(width: usize, height: usize) -> Scene {
+        let mut rng = Pcg::new(width as u32);
+        let n = width * height;
+        let normal = |rng: &mut Pcg| [rng.normal(), rng.normal(), rng.normal()];
+        Scene {
+            width,
+            height,
+            normals: Some((0..n).map(|_| normal(&mut rng)).collect()),
+            depths: Some((0..n).map(|_| [rng.range(1.0, 2.0), rng.range(6.0, 9.0)]).collect()),
+            transmittance: (0..n).map(|_| rng.range(0.1, 0.9)).collect(),
+            priors: Some((0..n).map(|_| octahedral_encode(normal(&mut rng).map(|x| x as f32))).collect()),
+            photo: (0..n).map(|_| rng.next_u32()).collect(),
+        }
+    }
+
+    #[test]
+    fn gradient_is_the_finite_difference() {
+        let weights = Terms { normal: 0.3, normal_smooth: 0.7, depth_smooth: 0.5, depth_variance: 0.9 };
+        for (width, height) in [(1, 1), (1, 5), (6, 4)] {
+            let mut s = scene(width, height);
+            let gradient = geometry_loss_bwd(&s, &weights);
+            let loss = |s: &Scene| {
+                let t = geometry_loss(s);
+                0.3 * t.normal + 0.7 * t.normal_smooth + 0.5 * t.depth_smooth + 0.9 * t.depth_variance
+            };
+            let mut check = |of: &dyn Fn(&mut Scene) -> &mut f64, expected: f64| {
+                let x = *of(&mut s);
+                *of(&mut s) = x + 1e-6;
+                let up = loss(&s);
+                *of(&mut s) = x - 1e-6;
+                let fd = (up - loss(&s)) / 2e-6;
+                *of(&mut s) = x;
+                assert!((fd - expected).abs() < 1e-7 + 1e-6 * fd.abs(), "{width}x{height}: {fd} {expected}");
+            };
+            for p in 0..width * height {
+                for c in 0..3 {
+                    check(&|s| &mut s.normals.as_mut().unwrap()[p][c], gradient.normals[p][c]);
+                }
+                for c in 0..2 {
+                    check(&|s| &mut s.depths.as_mut().unwrap()[p][c], gradient.depths[p][c]);
+                }
+                check(&|s| &mut s.transmittance[p], gradient.transmittance[p]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_flat_wall_seen_as_it_is_costs_nothing() {
+        let n = 30;
+        let s = Scene {
+            width: 6,
+            height: 5,
+            normals: Some(vec![[0.0, 0.0, -0.7]; n]),
+            depths: Some(vec![[1.4, 2.8]; n]),
+            transmittance: vec![0.3; n],
+            priors: Some([vec![octahedral_encode([0.0, 0.0, -1.0]); 20], vec![0; 10]].concat()),
+            photo: (0..n as u32).collect(),
+        };
+        let t = geometry_loss(&s);
+        assert!(t.normal.abs() < 1e-8 && t.normal_smooth == 0.0 && t.depth_smooth < 1e-12, "{t:?}");
+        assert!((t.depth_variance - 1e-3).abs() < 1e-6, "{t:?}");
+    }
+}

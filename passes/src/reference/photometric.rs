@@ -1,0 +1,187 @@
+//! Twin of `photometric`: L1 and SSIM of an image against a photograph, with the gradient.
+//!
+//! Written from the definition (11 x 11 windows evaluated directly, values as they are), not from the kernel's way of
+//! computing it (separable, shifted, tiled).
+
+/// Radius of the window of SSIM.
+const RADIUS: i64 = 5;
+/// Standard deviation of the window.
+const SIGMA: f64 = 1.5;
+/// Stabilizer of the means: (0.01)^2.
+const C1: f64 = 1e-4;
+/// Stabilizer of the variances: (0.03)^2.
+const C2: f64 = 9e-4;
+
+/// An image in memory: width, height, and floats of a pixel, of which the first three are compared.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Floats of a pixel.
+    pub channels: usize,
+}
+
+impl Shape {
+    /// Number of pixels.
+    pub fn pixels(self) -> usize {
+        self.width * self.height
+    }
+}
+
+/// The two losses, as means over pixels and channels, before their weights.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Photometric {
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// Mean structural similarity (1 is equal).
+    pub ssim: f64,
+}
+
+/// A channel of a packed RGBA8 pixel as a number between 0 and 1, rounded as the kernel's.
+pub fn unpack(packed: u32, channel: usize) -> f64 {
+    f64::from(((packed >> (8 * channel)) & 255) as f32 / 255.0)
+}
+
+/// SSIM's window at a distance from its center; the sum over all 121 is 1.
+fn window(dx: i64, dy: i64) -> f64 {
+    let tap = |d: i64| (-((d * d) as f64) / (2.0 * SIGMA * SIGMA)).exp();
+    let sum: f64 = (-RADIUS..=RADIUS).map(tap).sum();
+    tap(dx) * tap(dy) / (sum * sum)
+}
+
+/// The window's 121 weights, rows of columns.
+fn windows() -> Vec<(i64, i64, f64)> {
+    (-RADIUS..=RADIUS).flat_map(|dy| (-RADIUS..=RADIUS).map(move |dx| (dx, dy, window(dx, dy)))).collect()
+}
+
+/// SSIM at one pixel and its partial derivatives by the windowed means of x, x^2 and xy.
+fn ssim(ex: f64, ey: f64, exx: f64, eyy: f64, exy: f64) -> (f64, [f64; 3]) {
+    let (a1, b1) = (2.0 * ex * ey + C1, ex * ex + ey * ey + C1);
+    let (a2, b2) = (2.0 * (exy - ex * ey) + C2, exx - ex * ex + eyy - ey * ey + C2);
+    let s = a1 * a2 / (b1 * b2);
+    // b1 and b2 are positive; a1 and a2 need not be, so no logarithms.
+    let by_a1 = a2 / (b1 * b2);
+    let by_a2 = a1 / (b1 * b2);
+    let (by_b1, by_b2) = (-s / b1, -s / b2);
+    let by_ex = 2.0 * ey * (by_a1 - by_a2) + 2.0 * ex * (by_b1 - by_b2);
+    (s, [by_ex, by_b2, 2.0 * by_a2])
+}
+
+/// For one channel: SSIM summed over pixels, and the three derivative maps.
+fn ssim_maps(x: &[f64], y: &[f64], shape: Shape) -> (f64, Vec<[f64; 3]>) {
+    let taps = windows();
+    let mut sum = 0.0;
+    let mut maps = Vec::with_capacity(shape.pixels());
+    for row in 0..shape.height as i64 {
+        for column in 0..shape.width as i64 {
+            let mut e = [0.0; 5];
+            for &(dx, dy, w) in &taps {
+                if let Some(i) = inside(shape, column + dx, row + dy) {
+                    for (e, v) in e.iter_mut().zip([x[i], y[i], x[i] * x[i], y[i] * y[i], x[i] * y[i]]) {
+                        *e += w * v;
+                    }
+                }
+            }
+            let (s, derivatives) = ssim(e[0], e[1], e[2], e[3], e[4]);
+            sum += s;
+            maps.push(derivatives);
+        }
+    }
+    (sum, maps)
+}
+
+/// Index of a pixel, if it exists.
+fn inside(shape: Shape, x: i64, y: i64) -> Option<usize> {
+    let ok = x >= 0 && y >= 0 && x < shape.width as i64 && y < shape.height as i64;
+    ok.then(|| y as usize * shape.width + x as usize)
+}
+
+/// One channel of the image and of the photograph.
+fn channel(image: &[f64], targets: &[u32], shape: Shape, c: usize) -> (Vec<f64>, Vec<f64>) {
+    (0..shape.pixels()).map(|p| (image[p * shape.channels + c], unpack(targets[p], c))).unzip()
+}
+
+/// L1 and SSIM (Wang et al. 2004; window, padding and means as in 3D Gaussian splatting).
+pub fn photometric(image: &[f64], targets: &[u32], shape: Shape) -> Photometric {
+    let (mut l1, mut sum) = (0.0, 0.0);
+    for c in 0..3 {
+        let (x, y) = channel(image, targets, shape, c);
+        l1 += x.iter().zip(&y).map(|(x, y)| (x - y).abs()).sum::<f64>();
+        sum += ssim_maps(&x, &y, shape).0;
+    }
+    let n = 3.0 * shape.pixels() as f64;
+    Photometric { l1: l1 / n, ssim: sum / n }
+}
+
+/// Gradient of `weight_l1 * L1 + weight_dssim * (1 - SSIM)` by the image; channels past the third are zero.
+pub fn photometric_bwd(image: &[f64], targets: &[u32], shape: Shape, weight_l1: f64, weight_dssim: f64) -> Vec<f64> {
+    let taps = windows();
+    let n = 3.0 * shape.pixels() as f64;
+    let mut gradient = vec![0.0; shape.pixels() * shape.channels];
+    for c in 0..3 {
+        let (x, y) = channel(image, targets, shape, c);
+        let (_, maps) = ssim_maps(&x, &y, shape);
+        for p in 0..shape.pixels() {
+            let (column, row) = ((p % shape.width) as i64, (p / shape.width) as i64);
+            let mut by_ssim = 0.0;
+            for &(dx, dy, w) in &taps {
+                if let Some(q) = inside(shape, column + dx, row + dy) {
+                    by_ssim += w * (maps[q][0] + 2.0 * x[p] * maps[q][1] + y[p] * maps[q][2]);
+                }
+            }
+            let sign = if x[p] == y[p] { 0.0 } else { (x[p] - y[p]).signum() };
+            gradient[p * shape.channels + c] = (weight_l1 * sign - weight_dssim * by_ssim) / n;
+        }
+    }
+    gradient
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference::rng::Pcg;
+
+    fn case(shape: Shape, seed: u32) -> (Vec<f64>, Vec<u32>) {
+        let mut rng = Pcg::new(seed);
+        let image = (0..shape.pixels() * shape.channels).map(|_| rng.uniform()).collect();
+        (image, (0..shape.pixels()).map(|_| rng.next_u32()).collect())
+    }
+
+    #[test]
+    fn the_window_sums_to_one() {
+        assert!((windows().iter().map(|t| t.2).sum::<f64>() - 1.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn equal_images_have_no_loss() {
+        let shape = Shape { width: 9, height: 4, channels: 3 };
+        let (_, targets) = case(shape, 1);
+        let image: Vec<f64> = targets.iter().flat_map(|&t| [0, 1, 2].map(|c| unpack(t, c))).collect();
+        let r = photometric(&image, &targets, shape);
+        assert!(r.l1 == 0.0 && (r.ssim - 1.0).abs() < 1e-12, "{r:?}");
+        assert!(photometric_bwd(&image, &targets, shape, 0.8, 0.2).iter().all(|g| g.abs() < 1e-12));
+    }
+
+    #[test]
+    fn gradient_is_the_finite_difference() {
+        for (width, height, channels) in [(1, 1, 3), (7, 13, 3), (17, 3, 5)] {
+            let shape = Shape { width, height, channels };
+            let (mut image, targets) = case(shape, 7);
+            let gradient = photometric_bwd(&image, &targets, shape, 0.8, 0.2);
+            let h = 1e-5;
+            for i in 0..image.len() {
+                let x = image[i];
+                let mut loss = |x: f64| {
+                    image[i] = x;
+                    let r = photometric(&image, &targets, shape);
+                    0.8 * r.l1 + 0.2 * (1.0 - r.ssim)
+                };
+                let fd = (loss(x + h) - loss(x - h)) / (2.0 * h);
+                loss(x);
+                assert!((fd - gradient[i]).abs() < 1e-7 + 1e-5 * fd.abs(), "{shape:?} {i}: {fd} {}", gradient[i]);
+            }
+        }
+    }
+}

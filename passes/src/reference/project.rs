@@ -1,0 +1,228 @@
+//! `project`: the CPU twin in double precision.
+//!
+//! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the plain quadratic form, not
+//! from the kernel, so that an error in one is not repeated in the other.
+
+use glam::{DMat3, DVec2, DVec3};
+
+/// A pinhole camera in OpenCV axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Rotation from world to camera.
+    pub rotation: DMat3,
+    /// Translation from world to camera.
+    pub translation: DVec3,
+    /// Focal lengths in pixels.
+    pub focal: DVec2,
+    /// Principal point in pixels.
+    pub center: DVec2,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Nothing nearer than this along z is seen.
+    pub near: f64,
+}
+
+/// Parameters of some Gaussians, before activation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gaussians {
+    /// Centers, 3 a Gaussian.
+    pub means: Vec<f64>,
+    /// Logarithms of scales, 3.
+    pub log_scales: Vec<f64>,
+    /// Quaternions w, x, y, z, 4; any length.
+    pub rotations: Vec<f64>,
+    /// Opacities before the sigmoid, 1.
+    pub opacity_logits: Vec<f64>,
+    /// Spherical harmonics by band: 3, 9, 15 and 21, coefficient-major; empty above the degree.
+    pub sh: [Vec<f64>; 4],
+    /// Normals, 3; empty if there are none.
+    pub normals: Vec<f64>,
+}
+
+impl Gaussians {
+    /// How many.
+    pub fn len(&self) -> usize {
+        self.opacity_logits.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// A Gaussian as one camera sees it.
+#[derive(Clone, Debug)]
+pub struct Projected {
+    /// Which Gaussian.
+    pub id: usize,
+    /// Depth along z.
+    pub depth: f64,
+    /// Center in pixels.
+    pub mean: DVec2,
+    /// Covariance in px², dilated: xx, xy, yy.
+    pub covariance: [f64; 3],
+    /// After the sigmoid.
+    pub opacity: f64,
+    /// rgb, then the normal if there is one, then z and z² if asked for.
+    pub features: Vec<f64>,
+}
+
+impl Projected {
+    /// Opacity times the Gaussian at a pixel position, before it is cut off at 0.99.
+    pub fn alpha(&self, at: DVec2) -> f64 {
+        let d = at - self.mean;
+        let [a, b, c] = self.covariance;
+        let det = a * c - b * b;
+        // For needles the plain determinant loses digits even in double precision; the dilation bounds the loss.
+        let power = 0.5 * (c * d.x * d.x - 2.0 * b * d.x * d.y + a * d.y * d.y) / det;
+        self.opacity * (-power).exp()
+    }
+
+    /// Half the width and height of the box around the region where alpha reaches 1/255.
+    pub fn reach(&self) -> DVec2 {
+        let k = 2.0 * (255.0 * self.opacity).ln().max(0.0);
+        DVec2::new((k * self.covariance[0]).sqrt(), (k * self.covariance[2]).sqrt())
+    }
+}
+
+/// Projects every Gaussian that the camera can see, nearest first (ties in the order of the input).
+pub fn project(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool) -> Vec<Projected> {
+    let mut seen: Vec<Projected> = (0..g.len()).filter_map(|i| project_one(g, i, camera, sh_degree, depth)).collect();
+    seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    seen
+}
+
+fn project_one(g: &Gaussians, i: usize, camera: &Camera, sh_degree: usize, with_depth: bool) -> Option<Projected> {
+    let mean = DVec3::from_slice(&g.means[3 * i..]);
+    let p = camera.rotation * mean + camera.translation;
+    let opacity = 1.0 / (1.0 + (-g.opacity_logits[i]).exp());
+    if !(p.z >= camera.near && p.z.is_finite() && opacity >= 1.0 / 255.0) {
+        return None;
+    }
+    let scale = DVec3::from_slice(&g.log_scales[3 * i..])
+        .clamp(DVec3::splat(-16.0), DVec3::splat(8.0))
+        .map(f64::exp);
+    let m = rotation(&g.rotations[4 * i..4 * i + 4]) * DMat3::from_diagonal(scale);
+    let q = camera.rotation * m;
+    let half = DVec2::new(f64::from(camera.size[0]), f64::from(camera.size[1])) / (2.0 * camera.focal);
+    let middle = half - camera.center / camera.focal;
+    let slope = DVec2::new(p.x, p.y) / p.z;
+    let held = slope.clamp(middle - 1.3 * half, middle + 1.3 * half);
+    let (rx, ry, rz) = (q.row(0), q.row(1), q.row(2));
+    let t0 = camera.focal.x / p.z * (rx - held.x * rz);
+    let t1 = camera.focal.y / p.z * (ry - held.y * rz);
+    let covariance = [t0.dot(t0) + 0.3, t0.dot(t1), t1.dot(t1) + 0.3];
+    let center = camera.focal * slope + camera.center;
+    if !(covariance.iter().all(|v| v.is_finite()) && center.is_finite()) {
+        return None;
+    }
+    let mut features = color(g, i, camera, mean, sh_degree).to_array().to_vec();
+    if !g.normals.is_empty() {
+        let n = DVec3::from_slice(&g.normals[3 * i..]);
+        features.extend((n / n.length().max(1e-3)).to_array());
+    }
+    if with_depth {
+        features.extend([p.z, p.z * p.z]);
+    }
+    let projected = Projected { id: i, depth: p.z, mean: center, covariance, opacity, features };
+    // A box without a pixel center is not seen.
+    let reach = projected.reach();
+    let low = (center - reach - 0.5).ceil().max(DVec2::ZERO);
+    let size = DVec2::new(f64::from(camera.size[0]), f64::from(camera.size[1]));
+    let high = (center + reach - 0.5).floor().min(size - 1.0);
+    (low.x <= high.x && low.y <= high.y).then_some(projected)
+}
+
+/// Rotation matrix of a quaternion of any length; the identity for zero or one that is not finite.
+pub fn rotation(q: &[f64]) -> DMat3 {
+    let largest = q.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if !(largest > 0.0 && largest.is_finite() && q.iter().all(|v| v.is_finite())) {
+        return DMat3::IDENTITY;
+    }
+    let scaled: Vec<f64> = q.iter().map(|v| v / largest).collect();
+    DMat3::from_quat(glam::DQuat::from_xyzw(scaled[1], scaled[2], scaled[3], scaled[0]).normalize())
+}
+
+/// Color of a Gaussian seen from the camera: harmonics plus one half, cut off at black.
+fn color(g: &Gaussians, i: usize, camera: &Camera, mean: DVec3, degree: usize) -> DVec3 {
+    let position = -(camera.rotation.transpose() * camera.translation);
+    let away = mean - position;
+    let d = away / away.length().max(1e-15);
+    let mut sum = DVec3::splat(0.5);
+    for (band, coefficients) in g.sh.iter().enumerate().take(degree + 1) {
+        if coefficients.is_empty() {
+            continue;
+        }
+        for (k, y) in harmonics(band, d).into_iter().enumerate() {
+            sum += y * DVec3::from_slice(&coefficients[3 * ((2 * band + 1) * i + k)..]);
+        }
+    }
+    sum.map(|v| if v > 0.0 { v.min(1e6) } else { 0.0 })
+}
+
+/// The real harmonics of one band from associated Legendre functions, with the signs of 3DGS (those of the
+/// Condon–Shortley phase, axes x, y, z).
+fn harmonics(band: usize, d: DVec3) -> Vec<f64> {
+    let l = band as i32;
+    let radius = d.x.hypot(d.y);
+    let (cos, sin) = if radius > 0.0 { (d.x / radius, d.y / radius) } else { (1.0, 0.0) };
+    (-l..=l)
+        .map(|m| {
+            let order = m.unsigned_abs();
+            let factorial = |n: u32| (1..=n).map(f64::from).product::<f64>();
+            let norm = ((2.0 * f64::from(l) + 1.0) / (4.0 * std::f64::consts::PI) * factorial(l as u32 - order)
+                / factorial(l as u32 + order))
+            .sqrt();
+            // cos(m phi) and sin(m phi) by complex powers of the azimuth.
+            let (mut c, mut s) = (1.0, 0.0);
+            for _ in 0..order {
+                (c, s) = (c * cos - s * sin, c * sin + s * cos);
+            }
+            let legendre = legendre(l as u32, order, d.z, radius);
+            match m {
+                0 => norm * legendre,
+                m if m > 0 => std::f64::consts::SQRT_2 * norm * c * legendre,
+                _ => std::f64::consts::SQRT_2 * norm * s * legendre,
+            }
+        })
+        .collect()
+}
+
+/// Associated Legendre function with the Condon–Shortley phase; `s` is the sine of the polar angle.
+fn legendre(l: u32, m: u32, x: f64, s: f64) -> f64 {
+    let mut pmm = 1.0;
+    for k in 1..=m {
+        pmm *= -(2.0 * f64::from(k) - 1.0) * s;
+    }
+    if l == m {
+        return pmm;
+    }
+    let mut next = x * (2.0 * f64::from(m) + 1.0) * pmm;
+    let mut last = pmm;
+    for k in m + 2..=l {
+        let value = (x * (2.0 * f64::from(k) - 1.0) * next - f64::from(k + m - 1) * last) / f64::from(k - m);
+        (last, next) = (next, value);
+    }
+    next
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_have_the_signs_of_3dgs() {
+        let d = DVec3::new(0.3, -0.5, 0.8).normalize();
+        let y1 = harmonics(1, d);
+        let c1 = 0.4886025119029199;
+        for (a, b) in y1.iter().zip([-c1 * d.y, c1 * d.z, -c1 * d.x]) {
+            assert!((a - b).abs() < 1e-12);
+        }
+        let y2 = harmonics(2, d);
+        assert!((y2[0] - 1.0925484305920792 * d.x * d.y).abs() < 1e-12);
+        assert!((y2[1] + 1.0925484305920792 * d.y * d.z).abs() < 1e-12);
+        let y3 = harmonics(3, d);
+        assert!((y3[6] + 0.5900435899266435 * d.x * (d.x * d.x - 3.0 * d.y * d.y)).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,248 @@
+//! The Gaussians' buffers, and their handles in a graph.
+
+use super::{Group, Model};
+use bytemuck::Zeroable;
+use sgs_engine::graph::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::Work;
+
+/// Scalars of the densification statistics: sum of screen gradients, count, sum of blending weights.
+pub const STATISTICS: u32 = 3;
+
+/// Parameters of some Gaussians on the host, one flat array a group (empty for groups that the model lacks).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GaussianData {
+    /// By position in [`Group::ALL`].
+    pub groups: [Vec<f32>; 9],
+}
+
+impl GaussianData {
+    /// How many Gaussians.
+    pub fn len(&self) -> usize {
+        self.groups[Group::OpacityLogits as usize].len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// One group.
+    pub fn group(&self, group: Group) -> &[f32] {
+        &self.groups[group as usize]
+    }
+}
+
+/// Gaussians in device memory, with room to grow.
+#[derive(Debug)]
+pub struct Gaussians {
+    /// What they carry.
+    pub model: Model,
+    /// Most there can be.
+    pub capacity: u32,
+    parameters: [DeviceBuffer; 9],
+    /// First and second moments, pairs; only when training.
+    moments: Option<[DeviceBuffer; 9]>,
+    statistics: Option<DeviceBuffer>,
+    work: DeviceBuffer,
+}
+
+impl Gaussians {
+    /// Makes the buffers; `training` adds moments and statistics.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, model: Model, capacity: u32, training: bool) -> Result<Gaussians> {
+        let capacity = capacity.max(1);
+        // A group that is absent is bound to a word that specialized kernels never touch.
+        let scalars = |g: Group| if model.has(g) { u64::from(capacity) * u64::from(g.width()) } else { 4 };
+        let make = |suffix: &str, bytes: u64| -> Result<[DeviceBuffer; 9]> {
+            let mut made = Vec::with_capacity(9);
+            for g in Group::ALL {
+                made.push(device.buffer(&format!("{}{suffix}", g.name()), scalars(g) * bytes, Location::Device)?);
+            }
+            Ok(made.try_into().unwrap_or_else(|_| unreachable!("nine were made")))
+        };
+        let parameters = make("", 4)?;
+        let moments = if training { Some(make("_moments", 8)?) } else { None };
+        let statistics = if training {
+            let bytes = u64::from(capacity) * u64::from(STATISTICS) * 4;
+            Some(device.buffer("statistics", bytes, Location::Device)?)
+        } else {
+            None
+        };
+        let work = device.buffer("gaussians", size_of::<Work>() as u64, Location::Device)?;
+        let gaussians = Gaussians { model, capacity, parameters, moments, statistics, work };
+        gaussians.reset_optimizer(device)?;
+        device.upload(&gaussians.work, 0, bytemuck::bytes_of(&work_of(0)))?;
+        Ok(gaussians)
+    }
+
+    /// Replaces the parameters, and starts the optimizer afresh.
+    ///
+    /// # Errors
+    /// If the device fails or there are more than the capacity.
+    pub fn upload(&self, device: &Device, data: &GaussianData) -> Result<()> {
+        for g in self.model.groups() {
+            device.upload(&self.parameters[g as usize], 0, bytemuck::cast_slice(data.group(g)))?;
+        }
+        self.reset_optimizer(device)?;
+        device.upload(&self.work, 0, bytemuck::bytes_of(&work_of(data.len() as u32)))
+    }
+
+    /// The parameters as they are.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn download(&self, device: &Device) -> Result<GaussianData> {
+        let count = self.count(device)? as usize;
+        let mut data = GaussianData::default();
+        for g in self.model.groups() {
+            data.groups[g as usize] = device.download_as(&self.parameters[g as usize], count * g.width() as usize)?;
+        }
+        Ok(data)
+    }
+
+    /// Adam's moments (pairs, by group) and the densification statistics, for checkpoints.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn download_optimizer(&self, device: &Device) -> Result<(GaussianData, Vec<f32>)> {
+        let count = self.count(device)? as usize;
+        let mut data = GaussianData::default();
+        let mut statistics = Vec::new();
+        if let (Some(moments), Some(buffer)) = (&self.moments, &self.statistics) {
+            for g in self.model.groups() {
+                data.groups[g as usize] = device.download_as(&moments[g as usize], 2 * count * g.width() as usize)?;
+            }
+            statistics = device.download_as(buffer, count * STATISTICS as usize)?;
+        }
+        Ok((data, statistics))
+    }
+
+    /// Puts back what [`Gaussians::download_optimizer`] gave.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn upload_optimizer(&self, device: &Device, moments: &GaussianData, statistics: &[f32]) -> Result<()> {
+        if let (Some(buffers), Some(buffer)) = (&self.moments, &self.statistics) {
+            for g in self.model.groups() {
+                device.upload(&buffers[g as usize], 0, bytemuck::cast_slice(moments.group(g)))?;
+            }
+            device.upload(buffer, 0, bytemuck::cast_slice(statistics))?;
+        }
+        Ok(())
+    }
+
+    /// The same Gaussians, optimizer included, with room for `capacity`.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn grown(&self, device: &Device, capacity: u32) -> Result<Gaussians> {
+        let larger = Gaussians::new(device, self.model, capacity.max(self.capacity), self.moments.is_some())?;
+        let pairs = |a: &Gaussians| {
+            let mut all: Vec<DeviceBuffer> = a.parameters.to_vec();
+            all.extend(a.moments.iter().flatten().cloned());
+            all.extend(a.statistics.clone());
+            all.push(a.work.clone());
+            all
+        };
+        for (from, to) in pairs(self).iter().zip(pairs(&larger)) {
+            device.copy(from, &to, from.bytes())?;
+        }
+        Ok(larger)
+    }
+
+    /// How many there are now (waits for the device).
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn count(&self, device: &Device) -> Result<u32> {
+        Ok(device.download_as::<Work>(&self.work, 1)?[0].count)
+    }
+
+    /// Bytes of device memory.
+    pub fn bytes(&self) -> u64 {
+        let sum = |b: &[DeviceBuffer; 9]| b.iter().map(DeviceBuffer::bytes).sum::<u64>();
+        sum(&self.parameters)
+            + self.moments.as_ref().map_or(0, sum)
+            + self.statistics.as_ref().map_or(0, DeviceBuffer::bytes)
+    }
+
+    fn reset_optimizer(&self, device: &Device) -> Result<()> {
+        for buffer in self.moments.iter().flatten().chain(&self.statistics) {
+            device.fill(buffer, 0)?;
+        }
+        Ok(())
+    }
+
+    /// Declares the buffers in a graph; kernels may write them if `training`.
+    pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
+        let mut add = |name: &str, buffer: &DeviceBuffer| {
+            if training { g.external(name, buffer.bytes()) } else { g.input(name, buffer.bytes()) }
+        };
+        let parameters = Group::ALL.map(|group| add(group.name(), &self.parameters[group as usize]));
+        let moments = match (&self.moments, training) {
+            (Some(m), true) => {
+                Some(Group::ALL.map(|group| add(&format!("{}_moments", group.name()), &m[group as usize])))
+            }
+            _ => None,
+        };
+        let statistics = match (&self.statistics, training) {
+            (Some(s), true) => Some(add("statistics", s)),
+            _ => None,
+        };
+        let work = add("gaussians", &self.work);
+        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
+    }
+
+    /// Puts the buffers behind their handles.
+    ///
+    /// # Errors
+    /// If the plan was made for larger ones.
+    pub fn bind(&self, exec: &mut Executor, handles: &Handles) -> Result<()> {
+        for (handle, buffer) in handles.parameters.iter().zip(&self.parameters) {
+            exec.bind(*handle, buffer)?;
+        }
+        if let (Some(handles), Some(buffers)) = (&handles.moments, &self.moments) {
+            for (handle, buffer) in handles.iter().zip(buffers) {
+                exec.bind(*handle, buffer)?;
+            }
+        }
+        if let (Some(handle), Some(buffer)) = (handles.statistics, &self.statistics) {
+            exec.bind(handle, buffer)?;
+        }
+        exec.bind(handles.work, &self.work)
+    }
+}
+
+fn work_of(count: u32) -> Work {
+    let groups = count.div_ceil(256).max(1);
+    let x = groups.min(65535);
+    Work { x, y: groups.div_ceil(x), z: 1, count, ..Work::zeroed() }
+}
+
+/// The Gaussians' buffers in one graph.
+#[derive(Clone, Copy, Debug)]
+pub struct Handles {
+    /// What they carry.
+    pub model: Model,
+    /// Most there can be.
+    pub capacity: u32,
+    /// By position in [`Group::ALL`].
+    pub parameters: [Buffer; 9],
+    /// Likewise, pairs.
+    pub moments: Option<[Buffer; 9]>,
+    /// Densification statistics.
+    pub statistics: Option<Buffer>,
+    /// Count and dispatch size.
+    pub work: Buffer,
+}
+
+impl Handles {
+    /// One group's parameters.
+    pub fn group(&self, group: Group) -> Buffer {
+        self.parameters[group as usize]
+    }
+}

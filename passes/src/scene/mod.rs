@@ -1,0 +1,9 @@
+//! What is learned, as buffers on the GPU: one for each parameter group, with Adam's moments beside it.
+//!
+//! Promises: groups that the model lacks cost nothing. Leaves files to the tools.
+
+mod gaussians;
+mod model;
+
+pub use gaussians::{GaussianData, Gaussians, Handles};
+pub use model::{Group, Model};

@@ -1,0 +1,54 @@
+//! Splatting: project, sort into tiles, blend, and the way back.
+//!
+//! Promises: nothing is read back; whatever depends on the scene's content is counted on the GPU and drives indirect
+//! dispatches; an overflow of the tile entries raises a flag and empties the rest of the step. No float atomics: results
+//! are bit-identical from run to run.
+
+mod blend;
+mod intersect;
+mod project;
+
+pub use blend::{BackwardKernel, Blended, blend, blend_bwd};
+pub use intersect::{Entries, intersect};
+pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
+
+use sgs_engine::graph::Buffer;
+
+/// The image side of a view: where its `Step` uniform is, how large it can be, how it is cut into tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Screen {
+    /// Uniform `Step`.
+    pub step: Buffer,
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+    /// Pixels of a tile.
+    pub tile: [u32; 2],
+}
+
+impl Screen {
+    /// Tiles that no view exceeds.
+    pub fn tiles(&self) -> u32 {
+        self.largest[0].div_ceil(self.tile[0]) * self.largest[1].div_ceil(self.tile[1])
+    }
+
+    /// Pixels that no view exceeds.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.largest[0]) * u64::from(self.largest[1])
+    }
+}
+
+/// What is blended: always rgb, then the normal (3) and depth (z, z²) if wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Channels {
+    /// World-space unit normals.
+    pub normals: bool,
+    /// z and z².
+    pub depth: bool,
+}
+
+impl Channels {
+    /// Floats of a pixel.
+    pub fn count(&self) -> u32 {
+        3 + if self.normals { 3 } else { 0 } + if self.depth { 2 } else { 0 }
+    }
+}

@@ -1,0 +1,297 @@
+//! `project`, `project_bwd` and its form fused with Adam.
+//!
+//! Cost a Gaussian of N: 44 bytes read twice (the first time only to count). Cost a visible one: 4 (d+1)² · 3 bytes of
+//! harmonics read, 36 + 4 C written. Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each),
+//! 12 bytes read and 12 written for each of its scalars.
+
+use super::{Channels, Screen};
+use crate::kernel::{groups, stage};
+use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
+use crate::scene::{Group, Handles};
+use crate::Tuning;
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{pose_sum, project as kernel, project_bwd as bwd, project_bwd_adam as fused, project_count};
+
+/// The splats that the camera sees, compacted.
+#[derive(Clone, Copy, Debug)]
+pub struct Visible {
+    /// Count and dispatch size, for the group sizes of what follows.
+    pub work: Records,
+    /// Gaussian of each.
+    pub ids: Buffer,
+    /// Depth as sortable bits.
+    pub depth_keys: Buffer,
+    /// Footprints.
+    pub splats: Buffer,
+    /// `[V * channels]`
+    pub features: Buffer,
+    /// Tiles of each.
+    pub tile_counts: Buffer,
+    /// Most there can be.
+    pub capacity: u32,
+    /// What the features are.
+    pub channels: Channels,
+}
+
+/// Projects the Gaussians of a step.
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn project(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    channels: Channels,
+) -> Result<Visible, GraphError> {
+    let n = u64::from(gaussians.capacity);
+    let blocks = n.div_ceil(u64::from(t.workgroup));
+    let block_counts = g.transient("block_counts", 4 * blocks);
+    let block_offsets = g.transient("block_offsets", 4 * blocks);
+    let total = g.transient("visible_total", 4);
+    let bindings = project_count::Bindings {
+        params: screen.step.into(),
+        gaussians: gaussians.work.into(),
+        means: gaussians.group(Group::Means).into(),
+        log_scales: gaussians.group(Group::LogScales).into(),
+        rotations: gaussians.group(Group::Rotations).into(),
+        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        block_counts: block_counts.into(),
+    };
+    let specs = project_count::Specs { workgroup: t.workgroup, subgroups: t.subgroups() };
+    stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(n, t.workgroup))?;
+    exclusive_scan(
+        g,
+        *t,
+        "project_scan",
+        block_counts,
+        None,
+        block_offsets,
+        total,
+        Count::Host(blocks as u32),
+    )?;
+    // There is always room: the flag of this count can never rise.
+    let works = g.transient("visible", 64);
+    let flag = g.transient("visible_flag", 4);
+    let wanted = g.transient("visible_wanted", 4);
+    g.fill("clear_visible_flag", flag, 0)?;
+    let overflow = Overflow { capacity: gaussians.capacity, flags: flag.into(), flag: 1, wanted: wanted.into() };
+    let visible_work = work(g, "visible", total, overflow, works, group_sizes(t))?;
+    let c = channels.count();
+    let visible = Visible {
+        work: visible_work,
+        ids: g.transient("splat_ids", 4 * n),
+        depth_keys: g.transient("depth_keys", 4 * n),
+        splats: g.transient("splats", size_of::<sgs_shaders::structs::Splat>() as u64 * n),
+        features: g.transient("features", 4 * u64::from(c) * n),
+        tile_counts: g.transient("tile_counts", 4 * n),
+        capacity: gaussians.capacity,
+        channels,
+    };
+    let bindings = kernel::Bindings {
+        params: screen.step.into(),
+        gaussians: gaussians.work.into(),
+        means: gaussians.group(Group::Means).into(),
+        log_scales: gaussians.group(Group::LogScales).into(),
+        rotations: gaussians.group(Group::Rotations).into(),
+        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        sh0: gaussians.group(Group::Sh0).into(),
+        sh1: gaussians.group(Group::Sh1).into(),
+        sh2: gaussians.group(Group::Sh2).into(),
+        sh3: gaussians.group(Group::Sh3).into(),
+        normals: gaussians.group(Group::Normals).into(),
+        block_offsets: block_offsets.into(),
+        splat_ids: visible.ids.into(),
+        depth_keys: visible.depth_keys.into(),
+        splats: visible.splats.into(),
+        features: visible.features.into(),
+        tile_counts: visible.tile_counts.into(),
+    };
+    let specs = kernel::Specs {
+        workgroup: t.workgroup,
+        subgroups: t.subgroups(),
+        sh_degree: gaussians.model.sh_degree,
+        channels: c,
+        has_normals: channels.normals,
+        has_depth: channels.depth,
+        tile_width: screen.tile[0],
+        tile_height: screen.tile[1],
+    };
+    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
+    Ok(visible)
+}
+
+/// What backward needs of the entries: where each splat's are, and the gradients that blending left there.
+#[derive(Clone, Copy, Debug)]
+pub struct EntryGradients {
+    /// First entry of each visible splat.
+    pub starts: Buffer,
+    /// `[entries * (6 + channels + weights)]`
+    pub gradients: Buffer,
+    /// Whether the sum of weights is among them.
+    pub weights: bool,
+}
+
+/// Every gradient of a step, by Gaussian: written for visible ones alone, so the caller clears them first.
+#[derive(Clone, Copy, Debug)]
+pub struct Gradients {
+    /// By position in [`Group::ALL`].
+    pub groups: [Buffer; 9],
+    /// Screen gradient of each visible splat, pixels.
+    pub means2d: Buffer,
+    /// Gradient of world-to-camera: nine of the rotation by rows, three of the translation; if asked for.
+    pub pose: Option<Buffer>,
+}
+
+/// Backward of [`project`] with every gradient written out.
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn project_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &EntryGradients,
+    into: &Gradients,
+) -> Result<(), GraphError> {
+    let parts = u64::from(visible.capacity).div_ceil(u64::from(t.workgroup));
+    let partials = g.transient("pose_partials", 48 * if into.pose.is_some() { parts } else { 1 });
+    let grad = |group: Group| into.groups[group as usize].into();
+    let bindings = bwd::Bindings {
+        params: screen.step.into(),
+        visible: visible.work.slice,
+        splat_ids: visible.ids.into(),
+        entry_starts: entries.starts.into(),
+        tile_counts: visible.tile_counts.into(),
+        features: visible.features.into(),
+        entry_gradients: entries.gradients.into(),
+        means: gaussians.group(Group::Means).into(),
+        log_scales: gaussians.group(Group::LogScales).into(),
+        rotations: gaussians.group(Group::Rotations).into(),
+        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        sh1: gaussians.group(Group::Sh1).into(),
+        sh2: gaussians.group(Group::Sh2).into(),
+        sh3: gaussians.group(Group::Sh3).into(),
+        normals: gaussians.group(Group::Normals).into(),
+        grad_means: grad(Group::Means),
+        grad_log_scales: grad(Group::LogScales),
+        grad_rotations: grad(Group::Rotations),
+        grad_opacity_logits: grad(Group::OpacityLogits),
+        grad_sh0: grad(Group::Sh0),
+        grad_sh1: grad(Group::Sh1),
+        grad_sh2: grad(Group::Sh2),
+        grad_sh3: grad(Group::Sh3),
+        grad_normals: grad(Group::Normals),
+        grad_means2d: into.means2d.into(),
+        pose_partials: partials.into(),
+    };
+    let specs = bwd::Specs {
+        workgroup: t.workgroup,
+        subgroups: t.subgroups(),
+        sh_degree: gaussians.model.sh_degree,
+        channels: visible.channels.count(),
+        has_normals: visible.channels.normals,
+        has_depth: visible.channels.depth,
+        weights: u32::from(entries.weights),
+        pose: into.pose.is_some(),
+    };
+    stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
+    if let Some(pose) = into.pose {
+        let bindings = pose_sum::Bindings {
+            visible: visible.work.slice,
+            pose_partials: partials.into(),
+            pose_gradient: pose.into(),
+        };
+        let push = pose_sum::Push { per_group: t.workgroup };
+        let specs = pose_sum::Specs::default();
+        let push = bytemuck::bytes_of(&push);
+        stage(g, "pose_sum", &pose_sum::KERNEL, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])?;
+    }
+    Ok(())
+}
+
+/// What the fused form needs beside the gradients.
+#[derive(Clone, Copy, Debug)]
+pub struct FusedAdam {
+    /// A word that is not zero when the step must change nothing.
+    pub flags: Buffer,
+    /// Counts splats whose gradients were not finite.
+    pub skipped: Buffer,
+    /// Whether densification statistics are gathered.
+    pub statistics: bool,
+}
+
+/// Backward of [`project`] and Adam in one pass.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn project_bwd_adam(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &EntryGradients,
+    adam: &FusedAdam,
+) -> Result<(), GraphError> {
+    let (Some(moments), Some(statistics)) = (gaussians.moments, gaussians.statistics) else {
+        unreachable!("invariant: training declares moments and statistics");
+    };
+    let m = |group: Group| moments[group as usize].into();
+    let bindings = fused::Bindings {
+        params: screen.step.into(),
+        visible: visible.work.slice,
+        flags: adam.flags.into(),
+        splat_ids: visible.ids.into(),
+        entry_starts: entries.starts.into(),
+        tile_counts: visible.tile_counts.into(),
+        features: visible.features.into(),
+        entry_gradients: entries.gradients.into(),
+        means: gaussians.group(Group::Means).into(),
+        log_scales: gaussians.group(Group::LogScales).into(),
+        rotations: gaussians.group(Group::Rotations).into(),
+        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        sh0: gaussians.group(Group::Sh0).into(),
+        sh1: gaussians.group(Group::Sh1).into(),
+        sh2: gaussians.group(Group::Sh2).into(),
+        sh3: gaussians.group(Group::Sh3).into(),
+        normals: gaussians.group(Group::Normals).into(),
+        means_moments: m(Group::Means),
+        log_scales_moments: m(Group::LogScales),
+        rotations_moments: m(Group::Rotations),
+        opacity_logits_moments: m(Group::OpacityLogits),
+        sh0_moments: m(Group::Sh0),
+        sh1_moments: m(Group::Sh1),
+        sh2_moments: m(Group::Sh2),
+        sh3_moments: m(Group::Sh3),
+        normals_moments: m(Group::Normals),
+        statistics: statistics.into(),
+        skipped: adam.skipped.into(),
+    };
+    let specs = fused::Specs {
+        workgroup: t.workgroup,
+        sh_degree: gaussians.model.sh_degree,
+        channels: visible.channels.count(),
+        has_normals: visible.channels.normals,
+        has_depth: visible.channels.depth,
+        weights: u32::from(entries.weights),
+        statistics: adam.statistics,
+    };
+    stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
+}
+
+/// The group sizes that later passes dispatch a count at; the ordinary one first.
+pub(super) fn group_sizes(t: &Tuning) -> [u32; 4] {
+    let mut sizes = [t.workgroup, ScanShape::from(*t).block(), SortShape::from(*t).block(), 0];
+    for i in 1..3 {
+        if sizes[..i].contains(&sizes[i]) {
+            sizes[i] = 0;
+        }
+    }
+    sizes
+}

@@ -1,0 +1,30 @@
+//! Links the static glslang and SPIRV-Tools that a system shaderc was built against.
+//!
+//! Debian's `libshaderc_combined.a` leaves glslang undefined (docs/adr/0001-shader-compiler.md). Where the distribution's
+//! static libraries are present, they are linked behind it; elsewhere shaderc-sys has built everything from source
+//! into one archive and nothing is left to do.
+
+use std::path::Path;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    let dirs = ["/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib"];
+    let libraries = [
+        "MachineIndependent",
+        "GenericCodeGen",
+        "OSDependent",
+        "OGLCompiler",
+        "SPIRV",
+        "SPIRV-Tools-opt",
+        "SPIRV-Tools",
+    ];
+    let Some(dir) = dirs.iter().find(|d| Path::new(d).join("libshaderc_combined.a").exists()) else {
+        return;
+    };
+    if libraries.iter().all(|l| Path::new(dir).join(format!("lib{l}.a")).exists()) {
+        println!("cargo:rustc-link-search=native={dir}");
+        for library in libraries {
+            println!("cargo:rustc-link-lib=static:-bundle={library}");
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! What the code behind each binding really does: a walk over loads, stores and atomics.
+//!
+//! Decorations (`readonly`, `writeonly`) say what a kernel may do; hazards depend on what it does.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How the code touches a binding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Only loads (or nothing at all).
+    Read,
+    /// Only stores.
+    Write,
+    /// Both, or atomics whose result is used.
+    ReadWrite,
+    /// Only atomics that commute and whose result is unused.
+    Accumulate,
+}
+
+#[derive(Default, Clone, Copy)]
+struct Seen {
+    read: bool,
+    write: bool,
+    accumulate: bool,
+}
+
+mod op {
+    pub const FUNCTION_CALL: u32 = 57;
+    pub const VARIABLE: u32 = 59;
+    pub const LOAD: u32 = 61;
+    pub const STORE: u32 = 62;
+    pub const COPY_MEMORY: u32 = 63;
+    pub const ACCESS_CHAIN: u32 = 65;
+    pub const IN_BOUNDS_ACCESS_CHAIN: u32 = 66;
+    pub const DECORATE: u32 = 71;
+    pub const COPY_OBJECT: u32 = 83;
+    pub const ATOMIC_LOAD: u32 = 227;
+    pub const ATOMIC_STORE: u32 = 228;
+    pub const ATOMIC_EXCHANGE: u32 = 229;
+    pub const ATOMIC_COMPARE_EXCHANGE: u32 = 230;
+    pub const ATOMIC_XOR: u32 = 242;
+    pub const ATOMIC_FADD: u32 = 6035;
+    /// Increment, decrement, add, subtract, minima, maxima, and, or, xor.
+    pub const ATOMIC_COMMUTING: std::ops::RangeInclusive<u32> = 232..=ATOMIC_XOR;
+}
+
+const DECORATION_BINDING: u32 = 33;
+
+/// Binding number to access, for descriptor set 0 of a module.
+pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
+    let instructions = || Instructions { words: spirv.get(5..).unwrap_or(&[]) };
+    // Which result ids are consumed: operand words of every instruction, minus names and decorations. A literal may
+    // happen to equal an id and be counted as a use; that only makes the answer more conservative.
+    let mut used = BTreeSet::new();
+    let mut binding_of = BTreeMap::new();
+    for i in instructions() {
+        match i[0] & 0xffff {
+            op::DECORATE if i.len() > 3 && i[2] == DECORATION_BINDING => {
+                binding_of.insert(i[1], i[3]);
+            }
+            o if is_atomic(o) => used.extend(i[3..].iter().copied()),
+            o if o > 54 && i.len() > 1 => used.extend(i[1..].iter().copied()),
+            _ => {}
+        }
+    }
+    // In unoptimized code the result of an atomic is an operand only of instructions that use it; its own definition
+    // was skipped above (word 2).
+    let mut seen: BTreeMap<u32, Seen> = BTreeMap::new();
+    let mut root: BTreeMap<u32, u32> = BTreeMap::new();
+    for i in instructions() {
+        let opcode = i[0] & 0xffff;
+        match opcode {
+            op::VARIABLE => {
+                if let Some(&b) = binding_of.get(&i[2]) {
+                    root.insert(i[2], b);
+                    seen.entry(b).or_default();
+                }
+            }
+            op::ACCESS_CHAIN | op::IN_BOUNDS_ACCESS_CHAIN | op::COPY_OBJECT => {
+                if let Some(&b) = root.get(&i[3]) {
+                    root.insert(i[2], b);
+                }
+            }
+            op::LOAD | op::ATOMIC_LOAD => mark(&root, &mut seen, i[3], |s| s.read = true),
+            op::STORE | op::ATOMIC_STORE => mark(&root, &mut seen, i[1], |s| s.write = true),
+            op::COPY_MEMORY => {
+                mark(&root, &mut seen, i[1], |s| s.write = true);
+                mark(&root, &mut seen, i[2], |s| s.read = true);
+            }
+            op::FUNCTION_CALL => {
+                for &argument in &i[4..] {
+                    mark(&root, &mut seen, argument, |s| (s.read, s.write) = (true, true));
+                }
+            }
+            o if is_atomic(o) => {
+                let commutes = op::ATOMIC_COMMUTING.contains(&o) || o == op::ATOMIC_FADD;
+                if commutes && !used.contains(&i[2]) {
+                    mark(&root, &mut seen, i[3], |s| s.accumulate = true);
+                } else {
+                    mark(&root, &mut seen, i[3], |s| (s.read, s.write) = (true, true));
+                }
+            }
+            _ => {}
+        }
+    }
+    seen.into_iter().map(|(b, s)| (b, s.access())).collect()
+}
+
+impl Seen {
+    fn access(self) -> Access {
+        match (self.read, self.write, self.accumulate) {
+            (_, false, false) => Access::Read,
+            (false, true, false) => Access::Write,
+            (false, false, true) => Access::Accumulate,
+            _ => Access::ReadWrite,
+        }
+    }
+}
+
+fn is_atomic(opcode: u32) -> bool {
+    (op::ATOMIC_EXCHANGE..=op::ATOMIC_XOR).contains(&opcode)
+        || opcode == op::ATOMIC_COMPARE_EXCHANGE
+        || opcode == op::ATOMIC_FADD
+}
+
+fn mark(root: &BTreeMap<u32, u32>, seen: &mut BTreeMap<u32, Seen>, pointer: u32, f: impl Fn(&mut Seen)) {
+    if let Some(b) = root.get(&pointer) {
+        f(seen.entry(*b).or_default());
+    }
+}
+
+struct Instructions<'a> {
+    words: &'a [u32],
+}
+
+impl<'a> Iterator for Instructions<'a> {
+    type Item = &'a [u32];
+
+    fn next(&mut self) -> Option<&'a [u32]> {
+        let length = (*self.words.first()? >> 16) as usize;
+        if length == 0 || length > self.words.len() {
+            return None;
+        }
+        let (head, tail) = self.words.split_at(length);
+        self.words = tail;
+        Some(head)
+    }
+}

@@ -1,0 +1,174 @@
+// One Gaussian seen by one camera: the projected record, its footprint, and the tiles that it touches.
+//
+// The footprint is kept as a triangular factor of the inverse covariance, scaled so that
+//   alpha = opacity * exp2(-(p*p + q*q)),  p = factor.x*dx + factor.y*dy,  q = factor.z*dy.
+// The factored form has no cancellation for needles, where the usual quadratic form loses several digits.
+
+const float ALPHA_MIN = 1.0 / 255.0;
+const float ALPHA_MAX = 0.99;
+const float TRANSMITTANCE_MIN = 1e-4;
+const float DILATION = 0.3;         // px² added to the projected covariance
+const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image center
+const float LOG_SCALE_MIN = -16.0;
+const float LOG_SCALE_MAX = 8.0;    // beyond it a splat is flat over any image, and squares would overflow
+const float FACTOR_SCALE = 0.84932180028801904; // sqrt(log2(e)/2): exp(-x/2) = exp2(-FACTOR_SCALE² x)
+
+struct Splat {
+    vec2 mean;     // pixels
+    vec3 factor;   // u11, u12, u22
+    float opacity;
+};
+
+// Quaternion (w,x,y,z) to unit length; zero or not finite becomes the identity. Scaled first so that huge and tiny
+// ones neither overflow nor vanish.
+vec4 unit_quaternion(vec4 q, out float inverse_norm) {
+    float m = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
+    inverse_norm = 0.0;
+    if (!(m > 0.0) || isinf(m)) return vec4(1.0, 0.0, 0.0, 0.0);
+    q /= m;
+    float n = inversesqrt(dot(q, q));
+    inverse_norm = n / m;
+    return q * n;
+}
+
+mat3 quaternion_matrix(vec4 q) {
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    return mat3(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+mat3 camera_rotation(Camera c) {
+    return transpose(mat3(c.world_to_camera[0].xyz, c.world_to_camera[1].xyz, c.world_to_camera[2].xyz));
+}
+
+vec3 to_camera(Camera c, vec3 p) {
+    return vec3(dot(c.world_to_camera[0], vec4(p, 1.0)), dot(c.world_to_camera[1], vec4(p, 1.0)),
+                dot(c.world_to_camera[2], vec4(p, 1.0)));
+}
+
+// x/z and y/z held within 1.3 half fields of view of the image center, where the linearization is still good.
+vec2 clamped_slope(Camera c, vec2 slope, out bvec2 held) {
+    vec2 half_view = 0.5 * vec2(c.size) / c.focal;
+    vec2 middle = (0.5 * vec2(c.size) - c.center) / c.focal;
+    vec2 low = middle - JACOBIAN_LIMIT * half_view;
+    vec2 high = middle + JACOBIAN_LIMIT * half_view;
+    held = bvec2(slope.x < low.x || slope.x > high.x, slope.y < low.y || slope.y > high.y);
+    return clamp(slope, low, high);
+}
+
+// What projection computes on the way, for the backward pass.
+struct Projection {
+    vec3 point;      // camera space
+    vec2 slope;      // clamped x/z, y/z
+    bvec2 held;      // which of them is at its limit
+    vec3 t0;         // rows of J W R S
+    vec3 t1;
+    vec3 scale;
+    vec4 rotation;   // unit
+    float inverse_norm;
+    vec3 covariance; // a, b, c with dilation
+    float determinant;
+    Splat splat;
+};
+
+// False if the splat cannot be seen: behind the near plane, too faint, or not finite.
+bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, float opacity_logit, out Projection o) {
+    o.point = to_camera(camera, mean);
+    o.splat.opacity = 1.0 / (1.0 + exp(-opacity_logit));
+    float z = o.point.z;
+    // Written so that NaN anywhere fails.
+    if (!(z >= camera.near) || !(o.splat.opacity >= ALPHA_MIN) || isinf(z)) return false;
+    o.scale = exp(clamp(log_scale, LOG_SCALE_MIN, LOG_SCALE_MAX));
+    o.rotation = unit_quaternion(quaternion, o.inverse_norm);
+    mat3 m = quaternion_matrix(o.rotation);
+    m[0] *= o.scale.x;
+    m[1] *= o.scale.y;
+    m[2] *= o.scale.z;
+    mat3 q = camera_rotation(camera) * m; // columns are the scaled axes in camera space
+    float inverse_z = 1.0 / z;
+    vec2 slope = o.point.xy * inverse_z;
+    o.slope = clamped_slope(camera, slope, o.held);
+    vec2 f = camera.focal * inverse_z;
+    vec3 r0 = vec3(q[0].x, q[1].x, q[2].x);
+    vec3 r1 = vec3(q[0].y, q[1].y, q[2].y);
+    vec3 r2 = vec3(q[0].z, q[1].z, q[2].z);
+    o.t0 = f.x * (r0 - o.slope.x * r2);
+    o.t1 = f.y * (r1 - o.slope.y * r2);
+    float a = dot(o.t0, o.t0), b = dot(o.t0, o.t1), c = dot(o.t1, o.t1);
+    // Sum of squared minors instead of a*c - b*b: nothing cancels.
+    vec3 minors = cross(o.t0, o.t1);
+    o.determinant = dot(minors, minors) + DILATION * (a + c) + DILATION * DILATION;
+    o.covariance = vec3(a + DILATION, b, c + DILATION);
+    o.splat.mean = camera.focal * slope + camera.center;
+    float root = inversesqrt(o.covariance.z);
+    float root_det = inversesqrt(o.determinant);
+    o.splat.factor =
+        FACTOR_SCALE * vec3(o.covariance.z * root * root_det, -b * root * root_det, root);
+    bool finite = !(isnan(o.determinant) || isinf(o.determinant) || isnan(o.splat.mean.x) || isnan(o.splat.mean.y) ||
+                    isinf(o.splat.mean.x) || isinf(o.splat.mean.y)) && o.splat.factor.x > 0.0 && o.splat.factor.z > 0.0;
+    return finite;
+}
+
+// Inclusive range of pixels, empty if low > high.
+struct PixelBox {
+    ivec2 low;
+    ivec2 high;
+};
+
+// log2(255 opacity): the largest exponent at which alpha still reaches 1/255, widened by a rounding error so that
+// blending never finds a pixel that no tile holds.
+float exponent_limit(Splat s) {
+    precise float limit = log2(255.0 * s.opacity) * 1.00001 + 1e-5;
+    return limit;
+}
+
+// Pixels whose centers lie in the box around the footprint, within the image.
+PixelBox splat_box(Splat s, float limit, uvec2 size) {
+    precise float reach = sqrt(max(limit, 0.0));
+    precise float skew = s.factor.y / (s.factor.x * s.factor.z);
+    precise vec2 half_size = reach * vec2(sqrt(skew * skew + 1.0 / (s.factor.x * s.factor.x)), 1.0 / s.factor.z);
+    precise vec2 low = clamp(ceil(s.mean - half_size - 0.5), vec2(0.0), vec2(size));
+    precise vec2 high = clamp(floor(s.mean + half_size - 0.5), vec2(-1.0), vec2(size) - 1.0);
+    return PixelBox(ivec2(low), ivec2(high));
+}
+
+bool box_is_empty(PixelBox b) { return b.low.x > b.high.x || b.low.y > b.high.y; }
+
+// Pixels of row y whose centers lie in the footprint, unclipped; empty if x > y.
+ivec2 splat_row(Splat s, float limit, int y) {
+    precise float dy = float(y) + 0.5 - s.mean.y;
+    precise float q = s.factor.z * dy;
+    precise float rest = limit - q * q;
+    if (rest < 0.0) return ivec2(1, 0);
+    precise float middle = s.mean.x - 0.5 - s.factor.y * dy / s.factor.x;
+    precise float half_width = sqrt(rest) / s.factor.x;
+    // Held to the range of pixels that exist, so that the conversion is defined.
+    return ivec2(clamp(ceil(middle - half_width), -1.0, 1e6), clamp(floor(middle + half_width), -2.0, 1e6));
+}
+
+// Whether a pixel center of columns [x0, x1] and rows [y0, y1] lies in the footprint, trying the row nearest to the
+// center first: interior tiles of a large splat answer at once.
+bool splat_touches(Splat s, float limit, int x0, int x1, int y0, int y1) {
+    int first = clamp(int(floor(clamp(s.mean.y, -1e6, 1e6))), y0, y1);
+    ivec2 row = splat_row(s, limit, first);
+    bool touched = max(row.x, x0) <= min(row.y, x1);
+    for (int y = y0; y <= y1 && !touched; ++y) {
+        row = splat_row(s, limit, y);
+        touched = max(row.x, x0) <= min(row.y, x1);
+    }
+    return touched;
+}
+
+// Tiles [x, y] that one row of tiles can have, from the union of its pixel rows; empty if x > y. The ends are touched;
+// tiles between them are for `splat_touches` (a thin slanted needle can step over one).
+ivec2 splat_tile_span(Splat s, float limit, PixelBox box, int y0, int y1, int tile_width) {
+    ivec2 span = ivec2(0x7fffffff, -1);
+    for (int y = max(y0, box.low.y); y <= min(y1, box.high.y); ++y) {
+        ivec2 row = splat_row(s, limit, y);
+        row = ivec2(max(row.x, box.low.x), min(row.y, box.high.x));
+        if (row.x <= row.y) span = ivec2(min(span.x, row.x), max(span.y, row.y));
+    }
+    return span.x > span.y ? ivec2(1, 0) : span / tile_width;
+}

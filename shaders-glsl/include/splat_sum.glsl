@@ -1,0 +1,70 @@
+// The part that both forms of project_bwd share: one visible splat's gradients, summed over its entries in their order
+// and taken back through projection. Included after the buffers and constants that it names are declared.
+
+struct Visible {
+    uint gaussian;
+    vec3 mean;
+    vec3 log_scale;
+    vec4 rotation;
+    vec3 color;          // d/d(color), zero where the color was cut off at black
+    vec3 direction;      // unit, camera to mean
+    float inverse_range; // 1 / distance
+    vec3 normal;         // d/d(raw normal)
+    float weight;        // sum of blending weights, if asked for
+    SplatGradient gradient;
+    bool touched;        // anything but zeros
+};
+
+Visible visible_splat(uint v) {
+    Camera camera = params.step.camera;
+    Visible s;
+    s.gaussian = splat_ids[v];
+    float moments[6];
+    float colors[CHANNELS];
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] = 0.0;
+    s.weight = 0.0;
+    uint first = entry_starts[v], last = first + tile_counts[v];
+    for (uint e = first; e < last; ++e) {
+        uint at = e * (6u + CHANNELS + WEIGHTS);
+        [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_gradients[at + j];
+        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] += entry_gradients[at + 6u + c];
+        if (WEIGHTS > 0u) s.weight += entry_gradients[at + 6u + CHANNELS];
+    }
+    float any_gradient = 0.0;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient = max(any_gradient, abs(moments[j]));
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient = max(any_gradient, abs(colors[c]));
+    s.touched = any_gradient > 0.0;
+    s.mean = means[s.gaussian];
+    s.log_scale = log_scales[s.gaussian];
+    s.rotation = rotations[s.gaussian];
+    Projection p;
+    project_splat(camera, s.mean, s.log_scale, s.rotation, opacity_logits[s.gaussian], p);
+    uint at = v * CHANNELS;
+    s.color = vec3(features[at] > 0.0 ? colors[0] : 0.0, features[at + 1u] > 0.0 ? colors[1u % CHANNELS] : 0.0,
+                   features[at + 2u] > 0.0 ? colors[2u % CHANNELS] : 0.0);
+    float depth = 0.0;
+    if (HAS_DEPTH) {
+        // The last two channels: z and z².
+        depth = colors[(CHANNELS - 2u) % CHANNELS] + 2.0 * p.point.z * colors[(CHANNELS - 1u) % CHANNELS];
+    }
+    s.normal = vec3(0.0);
+    if (HAS_NORMALS) {
+        vec3 d = vec3(colors[3u % CHANNELS], colors[4u % CHANNELS], colors[5u % CHANNELS]);
+        vec3 raw = normals[s.gaussian];
+        float n = length(raw);
+        // n / max(|n|, 1e-3): below the floor the map is linear.
+        s.normal = n > 1e-3 ? (d - raw * (dot(raw, d) / (n * n))) / n : d * 1e3;
+    }
+    vec3 away = s.mean - camera.position;
+    s.inverse_range = inversesqrt(max(dot(away, away), 1e-30));
+    s.direction = away * s.inverse_range;
+    s.gradient = project_gradient(camera, p, s.mean, s.log_scale, moments, depth);
+    return s;
+}
+
+// Adds what the color's dependence on the viewing direction does to the mean; `s_dot[k]` = coefficient k . d/d(color).
+vec3 direction_to_mean(Visible s, uint degree, float s_dot[16]) {
+    vec3 d = sh_direction_gradient(s.direction, degree, s_dot);
+    return (d - s.direction * dot(d, s.direction)) * s.inverse_range;
+}

@@ -1,0 +1,216 @@
+// The losses of blended normals and depths, with their gradients: agreement with prior normals, edge-aware smoothness
+// of unit normals and of depth, spread of depth along the ray.
+//
+// A workgroup does one tile: unit normals, depths and the photograph with two pixels of margin; Sobel filters with one,
+// marching down columns so that each value is loaded once for three rows; the transposed filters of the weighted signs,
+// in the same way, and the chain rule back to what was blended. Borders repeat the last pixel, as in the published
+// code; in the transposed filters that changes the middle tap at the border.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "octahedral.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 96;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint TILE_X = 28;   // with both margins 32 columns
+layout(constant_id = 3) const uint TILE_Y = 16;
+layout(constant_id = 4) const uint RUN = 6;       // rows of one invocation
+layout(constant_id = 5) const uint CHANNELS = 8;  // floats of a pixel of the image
+layout(constant_id = 6) const uint NORMALS = 1;   // 1 if normals were blended,
+layout(constant_id = 7) const uint NORMAL_AT = 3; // to this channel and the two after it
+layout(constant_id = 8) const uint DEPTH = 1;     // 1 if depth was blended,
+layout(constant_id = 9) const uint DEPTH_AT = 6;  // to this channel, and its square to the next
+layout(constant_id = 10) const bool PRIOR = true; // whether there are prior normals
+
+#define SUM_T vec4
+#include "group_sum.glsl"
+
+layout(scalar) uniform StepBlock { Step step; } params;
+
+IN(float, image);
+IN(float, transmittance);
+IN(uint, targets);
+IN(uint, priors);                // world space, octahedral
+OUT(float, grad_image);          // the channels of normals and depth are written
+OUT(float, grad_transmittance);  // always written
+OUT(vec4, sums);                 // by workgroup: normal, normal smoothness, depth smoothness, depth variance
+
+// Blended normals shorter than this, and opacities below it, are divided by it instead: gradients stay below 1000 times
+// what they would be in the middle of a surface.
+const float FLOOR = 1e-3;
+const float VARIANCE_MIN = 1e-6;
+
+const uint DATA_X = TILE_X + 4u, DATA_Y = TILE_Y + 4u;
+const uint SIGN_X = TILE_X + 2u, SIGN_Y = TILE_Y + 2u;
+const uint SIGNS = SIGN_X * SIGN_Y;
+
+shared vec4 data[DATA_X * DATA_Y]; // unit normal, depth
+shared uint photo[DATA_X * DATA_Y];
+shared vec3 normal_x[NORMALS * SIGNS + 1u]; // derivative of the loss by the filtered value, before its mean and weight
+shared vec3 normal_y[NORMALS * SIGNS + 1u];
+shared vec2 depth_xy[DEPTH * SIGNS + 1u];
+
+vec3 blended_normal(uint pixel) {
+    uint i = pixel * CHANNELS + NORMAL_AT;
+    return vec3(image[i], image[i + 1u], image[i + 2u]);
+}
+
+// What one row contributes to a Sobel filter: differences and weighted sums of three neighbors, eight times too large.
+struct Row {
+    vec4 data_d, data_s;
+    vec3 photo_d, photo_s;
+};
+
+Row filter_row(uint at) {
+    vec4 a = data[at], b = data[at + 1u], c = data[at + 2u];
+    vec3 p = unpackUnorm4x8(photo[at]).rgb, q = unpackUnorm4x8(photo[at + 1u]).rgb;
+    vec3 r = unpackUnorm4x8(photo[at + 2u]).rgb;
+    return Row(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r);
+}
+
+// The same for the transposed filters; `low` and `high` are 1 at the first and last column.
+struct Signs {
+    vec4 d, s;
+};
+
+Signs transposed_row(uint at, float low, float high) {
+    Signs r = Signs(vec4(0.0), vec4(0.0));
+    float middle_d = high - low, middle_s = 2.0 + low + high;
+    if (NORMALS != 0u) {
+        r.d.xyz = normal_x[at] + middle_d * normal_x[at + 1u] - normal_x[at + 2u];
+        r.s.xyz = normal_y[at] + middle_s * normal_y[at + 1u] + normal_y[at + 2u];
+    }
+    if (DEPTH != 0u) {
+        vec2 a = depth_xy[at], b = depth_xy[at + 1u], c = depth_xy[at + 2u];
+        r.d.w = a.x + middle_d * b.x - c.x;
+        r.s.w = a.y + middle_s * b.y + c.y;
+    }
+    return r;
+}
+
+// Chain rule at one pixel: `smoothness` is the derivative by its unit normal and depth.
+void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
+    Step s = params.step;
+    if (NORMALS != 0u) {
+        vec3 blended = blended_normal(pixel);
+        float size = length(blended);
+        vec3 unit = blended / max(size, FLOOR);
+        vec3 g = smoothness.xyz;
+        if (PRIOR) {
+            uint packed = priors[s.target_offset + pixel];
+            if (octahedral_present(packed)) {
+                vec3 prior = octahedral_decode(packed);
+                sum.x += 1.0 - dot(unit, prior);
+                g -= s.weight_normal * mean * prior;
+            }
+        }
+        g = (size > FLOOR ? g - unit * dot(unit, g) : g) / max(size, FLOOR);
+        uint i = pixel * CHANNELS + NORMAL_AT;
+        grad_image[i] = g.x;
+        grad_image[i + 1u] = g.y;
+        grad_image[i + 2u] = g.z;
+    }
+    float by_transmittance = 0.0;
+    if (DEPTH != 0u) {
+        float alpha = 1.0 - transmittance[pixel];
+        float inverse = 1.0 / max(alpha, FLOOR);
+        uint i = pixel * CHANNELS + DEPTH_AT;
+        float depth = image[i] * inverse, square = image[i + 1u] * inverse;
+        float variance = square - depth * depth;
+        float deviation = sqrt(max(variance, VARIANCE_MIN));
+        sum.w += deviation;
+        float by_variance = variance > VARIANCE_MIN ? 0.5 * s.weight_depth_variance * mean / deviation : 0.0;
+        float by_depth = smoothness.w - 2.0 * depth * by_variance;
+        grad_image[i] = by_depth * inverse;
+        grad_image[i + 1u] = by_variance * inverse;
+        // By opacity it is -(by_depth depth + by_variance square) / opacity, and opacity is 1 - transmittance.
+        if (alpha > FLOOR) by_transmittance = (by_depth * depth + by_variance * square) * inverse;
+    }
+    grad_transmittance[pixel] = by_transmittance;
+}
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
+    uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
+    uint tile = folded_workgroup();
+    if (tile >= tiles_x * tiles_y) {
+        // Of a smaller view than the largest, or only there because the grid is folded.
+        if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec4(0.0);
+        return;
+    }
+    ivec2 origin = ivec2(uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y));
+    ivec2 last = ivec2(size) - 1;
+    vec4 sum = vec4(0.0);
+
+    for (uint item = gl_LocalInvocationID.x; item < DATA_X * DATA_Y; item += WORKGROUP) {
+        ivec2 p = clamp(origin - 2 + ivec2(item % DATA_X, item / DATA_X), ivec2(0), last);
+        uint pixel = uint(p.y) * size.x + uint(p.x);
+        vec4 v = vec4(0.0);
+        if (NORMALS != 0u) {
+            v.xyz = blended_normal(pixel);
+            v.xyz /= max(length(v.xyz), FLOOR);
+        }
+        if (DEPTH != 0u) v.w = image[pixel * CHANNELS + DEPTH_AT] / max(1.0 - transmittance[pixel], FLOOR);
+        data[item] = v;
+        photo[item] = targets[params.step.target_offset + pixel];
+    }
+    barrier();
+
+    for (uint item = gl_LocalInvocationID.x; item < SIGN_X * ((SIGN_Y + RUN - 1u) / RUN); item += WORKGROUP) {
+        uint column = item % SIGN_X, first = item / SIGN_X * RUN, end = min(first + RUN, SIGN_Y);
+        int x = origin.x + int(column) - 1;
+        Row above = filter_row(first * DATA_X + column);
+        Row here = filter_row((first + 1u) * DATA_X + column);
+        for (uint row = first; row < end; row++) {
+            Row below = filter_row((row + 2u) * DATA_X + column);
+            int y = origin.y + int(row) - 1;
+            vec4 dx = 0.125 * (above.data_d + 2.0 * here.data_d + below.data_d);
+            vec4 dy = 0.125 * (below.data_s - above.data_s);
+            vec3 edge_x = exp(-0.125 * abs(above.photo_d + 2.0 * here.photo_d + below.photo_d));
+            vec3 edge_y = exp(-0.125 * abs(below.photo_s - above.photo_s));
+            vec2 edge = vec2(edge_x.r + edge_x.g + edge_x.b, edge_y.r + edge_y.g + edge_y.b) / 3.0;
+            if (x < 0 || y < 0 || x > last.x || y > last.y) {
+                dx = vec4(0.0);
+                dy = vec4(0.0);
+            }
+            uint at = row * SIGN_X + column;
+            if (NORMALS != 0u) {
+                normal_x[at] = edge_x * sign(dx.xyz);
+                normal_y[at] = edge_y * sign(dy.xyz);
+            }
+            if (DEPTH != 0u) depth_xy[at] = edge * sign(vec2(dx.w, dy.w));
+            if (column - 1u < TILE_X && row - 1u < TILE_Y) {
+                sum.y += dot(edge_x, abs(dx.xyz)) + dot(edge_y, abs(dy.xyz));
+                sum.z += dot(edge, abs(vec2(dx.w, dy.w)));
+            }
+            above = here;
+            here = below;
+        }
+    }
+    barrier();
+
+    float mean = 1.0 / (float(size.x) * float(size.y));
+    vec4 weight = 0.125 * mean * vec4(vec3(params.step.weight_normal_smooth / 3.0), params.step.weight_depth_smooth);
+    for (uint item = gl_LocalInvocationID.x; item < TILE_X * ((TILE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
+        uint column = item % TILE_X, first = item / TILE_X * RUN, end = min(first + RUN, TILE_Y);
+        int x = origin.x + int(column);
+        if (x > last.x) continue;
+        float low = float(x == 0), high = float(x == last.x);
+        Signs above = transposed_row(first * SIGN_X + column, low, high);
+        Signs here = transposed_row((first + 1u) * SIGN_X + column, low, high);
+        for (uint row = first; row < end; row++) {
+            int y = origin.y + int(row);
+            if (y > last.y) break;
+            Signs below = transposed_row((row + 2u) * SIGN_X + column, low, high);
+            float top = float(y == 0), bottom = float(y == last.y);
+            vec4 d = above.d + (2.0 + top + bottom) * here.d + below.d;
+            vec4 s = above.s + (bottom - top) * here.s - below.s;
+            finish(uint(y) * size.x + uint(x), weight * (d + s), mean, sum);
+            above = here;
+            here = below;
+        }
+    }
+    vec4 total = group_sum(sum);
+    if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
+}

@@ -1,0 +1,108 @@
+// Photometric loss, first half: SSIM of every pixel and channel, its three partial derivatives, and the sums.
+//
+// A workgroup does one tile. Columns first, straight from the image (neighbors read neighbors), each sample once:
+// the windowed means of (x, y, x^2 + y^2, xy) go to shared memory. Rows second, from there, again each sample once for
+// all outputs of a run. One barrier. Values are shifted by one half so that variances cancel less; what lies outside
+// the image is zero before the shift, as in the published definition.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#define WINDOW_T vec4
+#include "window.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 96;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint TILE_X = 22;   // columns of a tile; with both margins a multiple of the subgroup
+layout(constant_id = 3) const uint TILE_Y = 16;
+layout(constant_id = 4) const uint RUN = 11;      // outputs of one invocation along a row; divides TILE_X
+layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the image
+
+#define SUM_T vec2
+#include "group_sum.glsl"
+
+layout(scalar) uniform StepBlock { Step step; } params;
+
+IN(float, image);    // P x CHANNELS, the first three are red, green, blue
+IN(uint, targets);   // packed RGBA8
+OUT(vec3, partials); // 3 x P: derivatives of SSIM by mean, by variance, by covariance, for each channel
+OUT(vec2, sums);     // by workgroup: of |x - y|, of SSIM
+
+const float C1 = 1e-4;
+const float C2 = 9e-4;
+const uint COLUMNS = TILE_X + 2u * WINDOW_RADIUS;
+const uint PITCH = COLUMNS | 1u; // odd: runs of neighboring rows start in different banks
+
+shared vec4 means[3u * TILE_Y * PITCH];
+
+vec2 fetch(uint pixel, uint channel) {
+    float y = float(bitfieldExtract(targets[params.step.target_offset + pixel], int(8u * channel), 8)) / 255.0;
+    return vec2(image[pixel * CHANNELS + channel], y);
+}
+
+// SSIM from the windowed means of shifted values, and its derivatives by the means of x, x^2 and xy.
+float ssim(vec4 m, out vec3 derivatives) {
+    vec2 mu = m.xy + 0.5;
+    float a1 = 2.0 * mu.x * mu.y + C1;
+    float b1 = dot(mu, mu) + C1;
+    float a2 = 2.0 * (m.w - m.x * m.y) + C2;
+    float b2 = max(m.z - dot(m.xy, m.xy), 0.0) + C2;
+    float r = 1.0 / (b1 * b2);
+    float s = a1 * a2 * r;
+    float by_variance = -s / b2;
+    float by_covariance = 2.0 * a1 * r;
+    float by_mean = 2.0 * (mu.y * a2 * r - mu.x * s / b1);
+    derivatives = vec3(by_mean - 2.0 * m.x * by_variance - m.y * by_covariance, by_variance, by_covariance);
+    return s;
+}
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
+    uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
+    uint tile = folded_workgroup();
+    if (tile >= tiles_x * tiles_y) {
+        // Of a smaller view than the largest, or only there because the grid is folded.
+        if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec2(0.0);
+        return;
+    }
+    uvec2 origin = uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y);
+    uint rows = min(TILE_Y, size.y - origin.y);
+    vec2 sum = vec2(0.0);
+
+    for (uint item = gl_LocalInvocationID.x; item < 3u * COLUMNS; item += WORKGROUP) {
+        uint channel = item / COLUMNS, column = item % COLUMNS;
+        uint x = origin.x + column - WINDOW_RADIUS; // wraps left of the image and so fails the comparison
+        bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
+        Window window = window_start();
+        for (uint k = 0u; k < rows + WINDOW_DELAY; k++) {
+            uint y = origin.y + k - WINDOW_RADIUS;
+            vec2 v = vec2(0.0);
+            if (x < size.x && y < size.y) v = fetch(y * size.x + x, channel);
+            if (inside && k - WINDOW_RADIUS < rows) sum.x += abs(v.x - v.y);
+            v -= 0.5;
+            vec4 mean = window_next(window, vec4(v, dot(v, v), v.x * v.y));
+            if (k >= WINDOW_DELAY) means[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = mean;
+        }
+    }
+    barrier();
+
+    const uint runs = TILE_X / RUN;
+    for (uint item = gl_LocalInvocationID.x; item < 3u * runs * TILE_Y; item += WORKGROUP) {
+        uint run = item % runs, row = item / runs % TILE_Y, channel = item / (runs * TILE_Y);
+        uint first = origin.x + run * RUN;
+        if (row >= rows || first >= size.x) continue;
+        uint count = min(RUN, size.x - first);
+        uint from = (channel * TILE_Y + row) * PITCH + run * RUN;
+        uint to = (channel * size.y + origin.y + row) * size.x + first;
+        Window window = window_start();
+        for (uint k = 0u; k < count + WINDOW_DELAY; k++) {
+            vec4 mean = window_next(window, means[from + k]);
+            if (k < WINDOW_DELAY) continue;
+            vec3 derivatives;
+            sum.y += ssim(mean, derivatives);
+            partials[to + k - WINDOW_DELAY] = derivatives;
+        }
+    }
+    vec2 total = group_sum(sum);
+    if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
+}

@@ -1,0 +1,54 @@
+// Densification, fifth: who goes where.
+//
+// Children take the holes from the lowest up, then the slots past the end. The k-th hole has at most k holes and all
+// kept Gaussians before it, so with k below the number of births it lies below the new end. Holes that are left below
+// the new end are as many as Gaussians that are kept beyond it, and these move in, lowest into lowest. Nobody moves out
+// of a slot that another moves into, so all copies can be made at once.
+#version 460
+#include "common.glsl"
+#include "work.glsl"
+#include "densify.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+
+IN(Work, before);
+IN(DensifyPlan, plan);
+IN(uint, verdicts);
+IN(uint, holes);
+IN(uint, hole_ranks);
+IN(uint, strong_ranks);
+IN(uint, tie_ranks);
+OUT(Move, entries); // the births, then one for each slot beyond the new end
+INOUT(DensifyStats, stats);
+
+void main() {
+    uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (i >= before[0].count) return;
+    DensifyPlan p = plan[0];
+    uint verdict = verdicts[i];
+    uint kind = verdict_kind(verdict);
+    bool beyond = i >= p.after;
+    if (kind == PRUNE) {
+        if (beyond) entries[p.births + i - p.after] = Move(i, i, NOWHERE, PRUNE);
+        return;
+    }
+    uint home = i;
+    if (beyond) {
+        uint rank = (i - hole_ranks[i]) - (p.after - hole_ranks[p.after]); // among the kept beyond the new end
+        home = holes[p.births + rank];
+    }
+    uint birth = NOWHERE;
+    if (refined(verdict)) {
+        uint strength = verdict_strength(verdict);
+        if (strength > p.cutoff) birth = strong_ranks[i];
+        else if (strength == p.cutoff && tie_ranks[i] < p.ties) birth = p.strong + tie_ranks[i];
+    }
+    if (birth != NOWHERE) {
+        uint child = birth < p.pruned ? holes[birth] : p.before + (birth - p.pruned);
+        entries[birth] = Move(i, home, child, kind);
+        if (kind == SPLIT) atomicAdd(stats[0].split, 1u);
+        else atomicAdd(stats[0].cloned, 1u);
+    }
+    if (beyond) entries[p.births + i - p.after] = Move(i, home, NOWHERE, birth == NOWHERE ? KEEP : PRUNE);
+}

@@ -1,0 +1,56 @@
+// Densification, first: a verdict on every Gaussian, and how many of each kind there are.
+#version 460
+#include "common.glsl"
+#include "work.glsl"
+#include "adam.glsl"
+#include "densify.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform DensifyBlock { Densify densify; } params;
+
+IN(Work, live);
+IN(vec3, means);
+IN(vec3, log_scales);
+IN(vec4, rotations);
+IN(float, opacity_logits);
+IN(vec3, sh0);
+IN(float, statistics);  // by Gaussian: sum of gradients, their number, sum of blending weights
+OUT(uint, verdicts);
+INOUT(uint, counters);
+
+bool finite(vec3 v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
+
+void main() {
+    uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (i >= live[0].count) return;
+    vec3 log_scale = log_scales[i];
+    vec4 rotation = rotations[i];
+    float logit = opacity_logits[i];
+    bool valid = finite(means[i]) && finite(log_scale) && finite(rotation.xyz) && is_finite(rotation.w)
+              && is_finite(logit) && finite(sh0[i]);
+    // Both clamped where the exponential of a 32-bit number still is one.
+    float opacity = 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
+    float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));
+    Densify d = params.densify;
+    bool prune =
+        !valid || opacity < d.prune_opacity || statistics[3u * i + 2u] < d.prune_weight || largest > d.prune_size;
+    float gradient = statistics[3u * i] / max(statistics[3u * i + 1u], 1.0);
+    bool refine = !prune && is_finite(gradient) && gradient >= d.grad_threshold;
+    uint verdict = prune ? PRUNE : KEEP;
+    if (refine) {
+        uint strength = strength_of(gradient);
+        verdict = (largest > d.split_size ? SPLIT : CLONE) | strength << VERDICT_BITS;
+        atomicAdd(counters[COUNT_STRENGTHS + strength - 1u], 1u);
+    }
+    verdicts[i] = verdict;
+    if (prune && valid) atomicMax(counters[COUNT_SPARED], ~i);
+    // One addition by subgroup: all of them go to the same words.
+    uint pruned = subgroupAdd(uint(prune)), invalid = subgroupAdd(uint(!valid)), refined = subgroupAdd(uint(refine));
+    if (subgroupElect()) {
+        atomicAdd(counters[COUNT_PRUNED], pruned);
+        atomicAdd(counters[COUNT_INVALID], invalid);
+        atomicAdd(counters[COUNT_REFINED], refined);
+    }
+}

@@ -1,0 +1,21 @@
+// Opacities are cut to 0.01 and their moments forgotten (Kerbl et al. 2023, section 5.2: floaters near the cameras
+// fade, and what is needed comes back).
+#version 460
+#include "common.glsl"
+#include "work.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+
+IN(Work, live);
+INOUT(float, opacity_logits);
+OUT(vec2, opacity_logits_moments);
+
+const float LOGIT = -4.5951198501345898; // of 0.01
+
+void main() {
+    uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (i >= live[0].count) return;
+    if (!(opacity_logits[i] <= LOGIT)) opacity_logits[i] = LOGIT; // NaN as well
+    opacity_logits_moments[i] = vec2(0.0);
+}

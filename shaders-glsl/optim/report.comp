@@ -1,0 +1,33 @@
+// One record of a step into a ring that the host reads some steps later: counts, flags, losses.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "work.glsl"
+#include "loss_stats.glsl"
+
+layout(constant_id = 0) const uint RING = 64;
+layout(local_size_x = 1) in;
+
+struct StepReport {
+    uint step;
+    uint gaussians;
+    uint visible;
+    uint entries;  // wanted; more than the capacity if `flags` is set
+    uint flags;
+    uint skipped;  // splats whose gradients were not finite, so far
+    LossStats losses;
+};
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(Work, gaussians);
+IN(Work, visible);
+IN(uint, wanted);
+IN(uint, flags);
+IN(uint, skipped);
+IN(LossStats, losses);
+OUT(StepReport, reports);
+
+void main() {
+    reports[params.step.step % RING] = StepReport(params.step.step, gaussians[0].count, visible[0].count, wanted[0],
+                                                  flags[0], skipped[0], losses[0]);
+}

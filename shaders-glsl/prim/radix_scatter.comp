@@ -1,0 +1,130 @@
+// Moves each element of a block to its place among all with its digit: the last third of a pass of the radix sort.
+//
+// Each subgroup has a run of SUBGROUP * ITEMS elements and counts digits in its own counters, so the order within a
+// run, between runs and between blocks is kept. Elements are put in order in shared memory first: what leaves is
+// contiguous for each digit.
+#version 460
+#include "common.glsl"
+#include "work.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const uint SUBGROUP = 32;
+layout(constant_id = 2) const uint ITEMS = 16;
+layout(constant_id = 3) const uint BITS = 8;
+layout(constant_id = 4) const bool IOTA = false;      // the values are the positions
+layout(constant_id = 5) const bool WRITE_KEYS = true; // somebody reads them
+layout(local_size_x_id = 0) in;
+
+layout(push_constant, scalar) uniform Push { uint limit; uint shift; uint stride; } push;
+
+#include "../prim/count.glsl"
+#include "../prim/group_scan.glsl"
+#include "../prim/radix.glsl"
+IN(uint, totals); // by digit
+IN(uint, counts); // by digit, `stride` words each, then by block: in all blocks before it
+IN(uint, keys);
+IN(uint, values); // not read for IOTA
+OUT(uint, keys_sorted);
+OUT(uint, values_sorted);
+
+// Two counters a word: 16 bits are enough for what a block holds.
+const uint PAIRS = (BINS + 1u) / 2u;
+const uint BLOCK = WORKGROUP * ITEMS;
+const uint COUNTERS = SUBGROUPS * PAIRS;
+const uint POOL = COUNTERS > BLOCK ? COUNTERS : BLOCK;
+
+shared uint pool[POOL];   // counters by subgroup and digit, then the elements in their new order
+shared uint pairs[PAIRS]; // of the block by digit, two a word
+shared uint starts[BINS]; // first position of a digit in the block
+shared uint shifts[BINS]; // from a position in the block to one in the output
+
+uint half_of(uint word, uint digit) { return word >> (digit % 2u * 16u) & 0xFFFFu; }
+
+void main() {
+    uint count = element_count();
+    uint block = folded_workgroup();
+    if (block * BLOCK >= count) return;
+    uint held = min(count - block * BLOCK, BLOCK);
+    uint first = block * BLOCK + gl_SubgroupID * SUBGROUP * ITEMS + gl_SubgroupInvocationID;
+    for (uint i = gl_LocalInvocationID.x; i < COUNTERS; i += WORKGROUP) pool[i] = 0u;
+
+    uint own[ITEMS];
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        uint i = first + k * SUBGROUP;
+        own[k] = i < count ? keys[i] : 0u;
+    }
+    barrier();
+
+    // Position among the elements of its digit in the subgroup's run.
+    uint places[ITEMS];
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        bool valid = first + k * SUBGROUP < count;
+        uint digit = digit_of(own[k]);
+        Peers peers = find_peers(digit, valid);
+        uint word = gl_SubgroupID * PAIRS + digit / 2u;
+        places[k] = half_of(pool[word], digit) + peers.before;
+        subgroupBarrier();
+        // Atomic because the lane with the other digit of the word adds to it, too.
+        if (valid && peers.last == gl_SubgroupInvocationID) {
+            atomicAdd(pool[word], (peers.before + 1u) << (digit % 2u * 16u));
+        }
+        subgroupBarrier();
+    }
+    barrier();
+
+    // Counters become sums over the subgroups before, and the block's own.
+    for (uint pair = gl_LocalInvocationID.x; pair < PAIRS; pair += WORKGROUP) {
+        uint sum = 0u;
+        for (uint s = 0u; s < SUBGROUPS; ++s) {
+            uint added = pool[s * PAIRS + pair];
+            pool[s * PAIRS + pair] = sum;
+            sum += added;
+        }
+        pairs[pair] = sum;
+    }
+    barrier();
+    uvec2 carry = uvec2(0u);
+    for (uint start = 0u; start < BINS; start += WORKGROUP) {
+        uint digit = start + group_rank();
+        uvec2 here = uvec2(0u); // everywhere, in this block
+        if (digit < BINS) here = uvec2(totals[digit], half_of(pairs[digit / 2u], digit));
+        uvec2 all;
+        uvec2 before = carry + group_exclusive_sum(here, all);
+        carry += all;
+        if (digit < BINS) {
+            starts[digit] = before.y;
+            shifts[digit] = before.x + counts[digit * push.stride + block] - before.y;
+        }
+    }
+    barrier();
+
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        uint digit = digit_of(own[k]);
+        places[k] += half_of(pool[gl_SubgroupID * PAIRS + digit / 2u], digit) + starts[digit];
+    }
+    barrier();
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        if (first + k * SUBGROUP < count) pool[places[k]] = own[k];
+    }
+    barrier();
+    uint targets[ITEMS];
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        uint i = k * WORKGROUP + gl_LocalInvocationID.x;
+        targets[k] = 0u;
+        if (i < held) {
+            uint key = pool[i];
+            targets[k] = shifts[digit_of(key)] + i;
+            if (WRITE_KEYS) keys_sorted[targets[k]] = key;
+        }
+    }
+    barrier();
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        uint i = first + k * SUBGROUP;
+        if (i < count) pool[places[k]] = IOTA ? i : values[i];
+    }
+    barrier();
+    [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
+        uint i = k * WORKGROUP + gl_LocalInvocationID.x;
+        if (i < held) values_sorted[targets[k]] = pool[i];
+    }
+}

@@ -1,0 +1,118 @@
+// Projects the Gaussians that can be seen into a compact list: footprint, depth, channels, number of tiles.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "work.glsl"
+#include "splat.glsl"
+#include "sh.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const uint SUBGROUPS = 32;
+layout(constant_id = 2) const uint SH_DEGREE = 3;    // stored bands
+layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, then normal if any, then z and z² if any
+layout(constant_id = 4) const bool HAS_NORMALS = false;
+layout(constant_id = 5) const bool HAS_DEPTH = false;
+layout(constant_id = 6) const uint TILE_WIDTH = 16;
+layout(constant_id = 7) const uint TILE_HEIGHT = 16;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(Work, gaussians);
+IN(vec3, means);
+IN(vec3, log_scales);
+IN(vec4, rotations);
+IN(float, opacity_logits);
+IN(vec3, sh0);
+IN(vec3, sh1);
+IN(vec3, sh2);
+IN(vec3, sh3);
+IN(vec3, normals);
+IN(uint, block_offsets);
+OUT(uint, splat_ids);
+OUT(uint, depth_keys);
+OUT(Splat, splats);
+OUT(float, features);
+OUT(uint, tile_counts);
+
+shared uint sums[SUBGROUPS];
+
+vec3 color_of(uint i, vec3 mean) {
+    Camera camera = params.step.camera;
+    uint degree = min(SH_DEGREE, params.step.sh_degree);
+    vec3 color = SH0 * sh0[i];
+    if (SH_DEGREE > 0u) {
+        vec3 away = mean - camera.position;
+        vec3 d = away * inversesqrt(max(dot(away, away), 1e-30));
+        float b[16];
+        sh_basis(d, degree, b);
+        if (SH_DEGREE >= 1u) [[unroll]] for (uint k = 0u; k < 3u; ++k) color += b[1u + k] * sh1[3u * i + k];
+        if (SH_DEGREE >= 2u) [[unroll]] for (uint k = 0u; k < 5u; ++k) color += b[4u + k] * sh2[5u * i + k];
+        if (SH_DEGREE >= 3u) [[unroll]] for (uint k = 0u; k < 7u; ++k) color += b[9u + k] * sh3[7u * i + k];
+    }
+    color += 0.5;
+    // A splat with colors that are not finite shows black rather than poisoning every pixel it touches.
+    return vec3(color.x > 0.0 ? min(color.x, 1e6) : 0.0, color.y > 0.0 ? min(color.y, 1e6) : 0.0,
+                color.z > 0.0 ? min(color.z, 1e6) : 0.0);
+}
+
+uint count_tiles(Splat s, float limit, PixelBox box) {
+    int width = int(TILE_WIDTH), height = int(TILE_HEIGHT);
+    uint count = 0u;
+    for (int ty = box.low.y / height; ty <= box.high.y / height; ++ty) {
+        ivec2 span = splat_tile_span(s, limit, box, ty * height, ty * height + height - 1, width);
+        if (span.x > span.y) continue;
+        count += span.x == span.y ? 1u : 2u;
+        for (int tx = span.x + 1; tx < span.y; ++tx) {
+            count += uint(splat_touches(s, limit, tx * width, tx * width + width - 1, max(ty * height, box.low.y),
+                                        min(ty * height + height - 1, box.high.y)));
+        }
+    }
+    return min(count, (1u << 19) - 1u);
+}
+
+void main() {
+    uint block = folded_workgroup();
+    uint i = block * WORKGROUP + gl_LocalInvocationID.x;
+    Camera camera = params.step.camera;
+    Projection p;
+    PixelBox box = PixelBox(ivec2(0), ivec2(-1));
+    float limit = 0.0;
+    bool visible = false;
+    vec3 mean = vec3(0.0);
+    if (i < gaussians[0].count) {
+        mean = means[i];
+        if (project_splat(camera, mean, log_scales[i], rotations[i], opacity_logits[i], p)) {
+            limit = exponent_limit(p.splat);
+            box = splat_box(p.splat, limit, camera.size);
+            visible = !box_is_empty(box);
+        }
+    }
+    uvec4 votes = subgroupBallot(visible);
+    if (subgroupElect()) sums[gl_SubgroupID] = subgroupBallotBitCount(votes);
+    barrier();
+    if (!visible) return;
+    uint v = block_offsets[block] + subgroupBallotExclusiveBitCount(votes);
+    for (uint s = 0u; s < gl_SubgroupID; ++s) v += sums[s];
+    splat_ids[v] = i;
+    depth_keys[v] = floatBitsToUint(p.point.z);
+    splats[v] = p.splat;
+    tile_counts[v] = count_tiles(p.splat, limit, box);
+    vec3 color = color_of(i, mean);
+    uint at = v * CHANNELS;
+    features[at] = color.x;
+    features[at + 1u] = color.y;
+    features[at + 2u] = color.z;
+    at += 3u;
+    if (HAS_NORMALS) {
+        vec3 n = normals[i];
+        n /= max(length(n), 1e-3);
+        features[at] = n.x;
+        features[at + 1u] = n.y;
+        features[at + 2u] = n.z;
+        at += 3u;
+    }
+    if (HAS_DEPTH) {
+        features[at] = p.point.z;
+        features[at + 1u] = p.point.z * p.point.z;
+    }
+}

@@ -1,0 +1,135 @@
+// Backward of projection fused with Adam: gradients never reach memory. Only splats that were seen and touched move; a
+// raised flag (an overflow earlier in the step) leaves everything as it was.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "work.glsl"
+#include "adam.glsl"
+#include "splat.glsl"
+#include "sh.glsl"
+#include "project_bwd.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 2) const uint SH_DEGREE = 3;
+layout(constant_id = 3) const uint CHANNELS = 3;
+layout(constant_id = 4) const bool HAS_NORMALS = false;
+layout(constant_id = 5) const bool HAS_DEPTH = false;
+layout(constant_id = 6) const uint WEIGHTS = 0;
+layout(constant_id = 7) const bool STATISTICS = false;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(Work, visible);
+IN(uint, flags);
+IN(uint, splat_ids);
+IN(uint, entry_starts);
+IN(uint, tile_counts);
+IN(float, features);
+IN(float, entry_gradients);
+INOUT(vec3, means);
+INOUT(vec3, log_scales);
+INOUT(vec4, rotations);
+INOUT(float, opacity_logits);
+INOUT(vec3, sh0);
+INOUT(vec3, sh1);
+INOUT(vec3, sh2);
+INOUT(vec3, sh3);
+INOUT(vec3, normals);
+INOUT(vec2, means_moments);
+INOUT(vec2, log_scales_moments);
+INOUT(vec2, rotations_moments);
+INOUT(vec2, opacity_logits_moments);
+INOUT(vec2, sh0_moments);
+INOUT(vec2, sh1_moments);
+INOUT(vec2, sh2_moments);
+INOUT(vec2, sh3_moments);
+INOUT(vec2, normals_moments);
+INOUT(float, statistics); // grad_sum, grad_count, weight_sum of each Gaussian
+INOUT(uint, skipped);     // splats whose gradients were not finite
+
+#include "splat_sum.glsl"
+
+// One vector of a group: N scalars from `at`.
+#define UPDATE(group, N, value, gradient, at, rate)                                                        \
+    [[unroll]] for (uint j_ = 0u; j_ < N; ++j_) {                                                          \
+        float p_ = value[j_];                                                                              \
+        vec2 m_ = group##_moments[(at) + j_];                                                              \
+        adam(p_, m_, gradient[j_], rate, params.step.correction1, params.step.correction2);                \
+        value[j_] = p_;                                                                                    \
+        group##_moments[(at) + j_] = m_;                                                                   \
+    }
+
+void main() {
+    uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (v >= visible[0].count || flags[0] != 0u) return;
+    Visible s = visible_splat(v);
+    uint i = s.gaussian;
+    if (STATISTICS && params.step.gather_statistics != 0u) {
+        vec2 ndc = s.gradient.mean2d * 0.5 * vec2(params.step.camera.size);
+        float size = length(ndc);
+        statistics[3u * i] += is_finite(size) ? size : 0.0;
+        statistics[3u * i + 1u] += 1.0;
+        statistics[3u * i + 2u] += is_finite(s.weight) ? s.weight : 0.0;
+    }
+    if (!s.touched) return;
+    vec3 gm = s.gradient.mean, gs = s.gradient.log_scale;
+    vec4 gr = s.gradient.rotation;
+    float check = dot(gm, vec3(1.0)) + dot(gs, vec3(1.0)) + dot(gr, vec4(1.0)) + s.gradient.opacity_logit +
+                  dot(s.color, vec3(1.0)) + dot(s.normal, vec3(1.0));
+    if (!is_finite(check)) {
+        atomicAdd(skipped[0], 1u);
+        return;
+    }
+    uint degree = min(SH_DEGREE, params.step.sh_degree);
+    float basis[16];
+    sh_basis(s.direction, degree, basis);
+    float s_dot[16];
+    [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
+    vec3 c0 = sh0[i];
+    vec3 g0 = SH0 * s.color;
+    UPDATE(sh0, 3u, c0, g0, 3u * i, params.step.lr_sh0)
+    sh0[i] = c0;
+    // Bands above the active degree have no gradient yet and stay as they are.
+    if (SH_DEGREE >= 1u && degree >= 1u) [[unroll]] for (uint k = 0u; k < 3u; ++k) {
+        vec3 c = sh1[3u * i + k];
+        s_dot[1u + k] = dot(c, s.color);
+        vec3 g = basis[1u + k] * s.color;
+        UPDATE(sh1, 3u, c, g, 9u * i + 3u * k, params.step.lr_sh_rest)
+        sh1[3u * i + k] = c;
+    }
+    if (SH_DEGREE >= 2u && degree >= 2u) [[unroll]] for (uint k = 0u; k < 5u; ++k) {
+        vec3 c = sh2[5u * i + k];
+        s_dot[4u + k] = dot(c, s.color);
+        vec3 g = basis[4u + k] * s.color;
+        UPDATE(sh2, 3u, c, g, 15u * i + 3u * k, params.step.lr_sh_rest)
+        sh2[5u * i + k] = c;
+    }
+    if (SH_DEGREE >= 3u && degree >= 3u) [[unroll]] for (uint k = 0u; k < 7u; ++k) {
+        vec3 c = sh3[7u * i + k];
+        s_dot[9u + k] = dot(c, s.color);
+        vec3 g = basis[9u + k] * s.color;
+        UPDATE(sh3, 3u, c, g, 21u * i + 3u * k, params.step.lr_sh_rest)
+        sh3[7u * i + k] = c;
+    }
+    gm += direction_to_mean(s, degree, s_dot);
+    vec3 mean = s.mean;
+    UPDATE(means, 3u, mean, gm, 3u * i, params.step.lr_means)
+    means[i] = mean;
+    vec3 log_scale = s.log_scale;
+    UPDATE(log_scales, 3u, log_scale, gs, 3u * i, params.step.lr_scales)
+    log_scales[i] = log_scale;
+    vec4 rotation = s.rotation;
+    UPDATE(rotations, 4u, rotation, gr, 4u * i, params.step.lr_rotations)
+    rotations[i] = rotation;
+    float logit = opacity_logits[i];
+    vec2 m = opacity_logits_moments[i];
+    adam(logit, m, s.gradient.opacity_logit, params.step.lr_opacities, params.step.correction1,
+         params.step.correction2);
+    opacity_logits[i] = logit;
+    opacity_logits_moments[i] = m;
+    if (HAS_NORMALS) {
+        vec3 n = normals[i];
+        UPDATE(normals, 3u, n, s.normal, 3u * i, params.step.lr_normals)
+        normals[i] = n;
+    }
+}

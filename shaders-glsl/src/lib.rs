@@ -1,0 +1,90 @@
+//! The kernels: GLSL in, SPIR-V and typed metadata out.
+//!
+//! Everything below is generated from the GLSL files of this folder: a kernel's push constants and shared structs field
+//! by field with checked offsets, its bindings by name with what the code does to each, its specialization constants.
+//! A leaf: it knows no Vulkan and no Gaussians' meaning.
+
+/// How the code behind a binding touches it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Only loads.
+    Read,
+    /// Only stores.
+    Write,
+    /// Loads and stores, or atomics whose result is used.
+    ReadWrite,
+    /// Only commuting atomics whose result is unused.
+    Accumulate,
+}
+
+/// One binding of descriptor set 0.
+#[derive(Clone, Copy, Debug)]
+pub struct Binding {
+    /// GLSL name.
+    pub name: &'static str,
+    /// Number.
+    pub number: u32,
+    /// A uniform rather than a storage buffer.
+    pub uniform: bool,
+    /// What the code does.
+    pub access: Access,
+}
+
+/// One specialization constant.
+#[derive(Clone, Copy, Debug)]
+pub struct Spec {
+    /// GLSL name.
+    pub name: &'static str,
+    /// `constant_id`.
+    pub id: u32,
+    /// Default as raw bits.
+    pub default: u32,
+}
+
+/// A kernel: its module and what was reflected from it.
+#[derive(Clone, Copy, Debug)]
+pub struct Kernel {
+    /// The stage's name.
+    pub name: &'static str,
+    /// The family (folder) it belongs to.
+    pub family: &'static str,
+    /// The module.
+    pub spirv: Spirv,
+    /// Bytes of push constants.
+    pub push_bytes: u32,
+    /// Bindings by number.
+    pub bindings: &'static [Binding],
+    /// Specialization constants by id.
+    pub specs: &'static [Spec],
+}
+
+/// An embedded SPIR-V module, aligned for reading as words.
+#[derive(Clone, Copy)]
+pub struct Spirv {
+    bytes: &'static [u8],
+}
+
+impl Spirv {
+    /// The module's words.
+    pub fn words(&self) -> &'static [u32] {
+        bytemuck::cast_slice(self.bytes)
+    }
+}
+
+impl std::fmt::Debug for Spirv {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Spirv({} bytes)", self.bytes.len())
+    }
+}
+
+/// Bytes at the alignment of a word.
+#[repr(C, align(4))]
+struct Aligned<const N: usize>([u8; N]);
+
+impl<const N: usize> Aligned<N> {
+    const fn as_slice(&'static self) -> &'static [u8] {
+        &self.0
+    }
+}
+
+include!(concat!(env!("OUT_DIR"), "/kernels.rs"));

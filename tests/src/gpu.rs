@@ -1,0 +1,116 @@
+//! A device for tests: validation on, every output poisoned, any message fails the test.
+
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
+use sgs_passes::Tuning;
+use std::sync::Arc;
+
+/// A device whose drop fails the test if validation said anything.
+pub struct Gpu {
+    device: Device,
+}
+
+/// What a graph left in its external buffers.
+pub struct Outputs {
+    contents: Vec<Vec<u8>>,
+}
+
+impl Outputs {
+    /// The contents of an external buffer as values.
+    pub fn get<T: bytemuck::Pod>(&self, buffer: Buffer) -> Vec<T> {
+        let bytes = &self.contents[buffer.index()];
+        let count = bytes.len() / size_of::<T>();
+        let mut values = vec![T::zeroed(); count];
+        bytemuck::cast_slice_mut(&mut values).copy_from_slice(&bytes[..count * size_of::<T>()]);
+        values
+    }
+}
+
+impl Default for Gpu {
+    fn default() -> Self {
+        Gpu::new()
+    }
+}
+
+impl Gpu {
+    /// Opens the device that `SGS_TEST_DEVICE` names, or the best one, with validation.
+    pub fn new() -> Gpu {
+        let options =
+            DeviceOptions { select: std::env::var("SGS_TEST_DEVICE").ok(), validation: true, ..Default::default() };
+        Gpu { device: Device::open(&options).unwrap_or_else(|e| panic!("{e}")) }
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Kernel sizes for it.
+    pub fn tuning(&self) -> Tuning {
+        Tuning::for_device(self.device.info())
+    }
+
+    /// Its subgroup size.
+    pub fn subgroup_size(&self) -> u32 {
+        self.device.info().subgroup_size
+    }
+
+    /// Runs a graph once. External buffers and uniforms in `inputs` start with that content, the other externals and
+    /// every transient with ones in every bit (NaN as a float).
+    pub fn run(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)]) -> Outputs {
+        self.run_times(graph, inputs, 1)
+    }
+
+    /// As [`Gpu::run`], several replays one after the other.
+    pub fn run_times(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)], replays: usize) -> Outputs {
+        let plan = Arc::new(graph.compile(&CompileOptions::default()).unwrap_or_else(|e| panic!("{e}")));
+        let options = ExecOptions { poison: true, ..Default::default() };
+        let mut exec = Executor::new(&self.device, plan.clone(), options).unwrap_or_else(|e| panic!("{e}"));
+        let given = |i: usize| inputs.iter().find(|(b, _)| b.index() == i).map(|(_, d)| d.as_slice());
+        let mut memory: Vec<Option<DeviceBuffer>> = Vec::new();
+        for (i, info) in plan.buffers.iter().enumerate() {
+            if info.kind != BufferKind::External {
+                memory.push(None);
+                continue;
+            }
+            let buffer = self.device.buffer(&info.name, info.bytes, Location::Device).unwrap();
+            self.device.fill(&buffer, u32::MAX).unwrap();
+            if let Some(data) = given(i) {
+                assert!(data.len() as u64 <= info.bytes, "\"{}\" is given more than it holds", info.name);
+                self.device.upload(&buffer, 0, data).unwrap();
+            }
+            memory.push(Some(buffer));
+        }
+        // Handles are made by the graph alone; the ones in `inputs` are all that is needed for uniforms, and externals
+        // are bound through the plan's own numbering.
+        for (i, buffer) in memory.iter().enumerate() {
+            if let Some(buffer) = buffer {
+                exec.bind(plan.buffer(i), buffer).unwrap();
+            }
+        }
+        let uniforms: Vec<(Buffer, &[u8])> = inputs
+            .iter()
+            .filter(|(b, _)| plan.buffers[b.index()].kind == BufferKind::Uniform)
+            .map(|(b, d)| (*b, d.as_slice()))
+            .collect();
+        for _ in 0..replays {
+            exec.submit(&uniforms).unwrap_or_else(|e| panic!("{e}"));
+        }
+        exec.finish().unwrap_or_else(|e| panic!("{e}"));
+        let contents = memory
+            .iter()
+            .map(|m| m.as_ref().map_or_else(Vec::new, |b| self.device.download(b, 0, b.bytes()).unwrap()))
+            .collect();
+        Outputs { contents }
+    }
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        let messages = self.device.messages().take();
+        if !messages.is_empty() && !std::thread::panicking() {
+            panic!("validation reported {} messages:\n{}", messages.len(), messages.join("\n"));
+        }
+    }
+}

@@ -1,0 +1,341 @@
+//! The losses of normals and depths on a device against their reference and its finite differences.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::Tuning;
+use sgs_passes::loss::{GeometryLoss, Photometric, geometry_loss, loss_sum, octahedral_encode, photometric};
+use sgs_passes::reference::geometry_loss as twin;
+use sgs_passes::reference::geometry_loss::{Gradient, Scene, Terms};
+use sgs_passes::reference::rng::Pcg;
+use sgs_shaders::structs::{LossStats, Step};
+use sgs_tests::{Gpu, Tolerance, assert_close, worst};
+
+const OFFSET: usize = 3;
+const SPARE: usize = 41;
+/// Weights that are exact in 32 bits.
+const WEIGHTS: Terms = Terms { normal: 0.25, normal_smooth: 0.75, depth_smooth: 0.5, depth_variance: 0.875 };
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// What the device made of a scene; gradients in the reference's arrangement.
+struct Found {
+    normals: Vec<f32>,
+    depths: Vec<f32>,
+    transmittance: Vec<f32>,
+    stats: LossStats,
+}
+
+/// Numbers that 32 bits hold, as the reference must see them.
+fn narrow(x: f64) -> f64 {
+    f64::from(x as f32)
+}
+
+fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2]) -> Found {
+    let pixels = s.width * s.height;
+    let normal_at = s.normals.as_ref().map(|_| 3_usize);
+    let depth_at = s.depths.as_ref().map(|_| 3 + 3 * s.normals.iter().len());
+    let channels = depth_at.map_or(6, |d| d + 2);
+    let mut image = vec![f32::NAN; (pixels + SPARE) * channels];
+    for p in 0..pixels {
+        let at = p * channels;
+        image[at..at + 3].fill(0.5);
+        if let (Some(n), Some(k)) = (&s.normals, normal_at) {
+            image[at + k..at + k + 3].copy_from_slice(&n[p].map(|x| x as f32));
+        }
+        if let (Some(d), Some(k)) = (&s.depths, depth_at) {
+            image[at + k..at + k + 2].copy_from_slice(&d[p].map(|x| x as f32));
+        }
+    }
+    let padded = |data: Vec<u32>| [vec![0x7777_7777; OFFSET], data, vec![0x7777_7777; SPARE]].concat();
+    let mut transmittance: Vec<f32> = s.transmittance.iter().map(|&t| t as f32).collect();
+    transmittance.resize(pixels + SPARE, f32::NAN);
+
+    let mut g = Graph::new("geometry_loss");
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let image_buffer = g.input("image", 4 * image.len() as u64);
+    let transmittance_buffer = g.input("transmittance", 4 * transmittance.len() as u64);
+    let words = 4 * (OFFSET + pixels + SPARE) as u64;
+    let (targets, priors) = (g.input("targets", words), g.input("priors", words));
+    let grad_image = g.external("grad_image", 4 * image.len() as u64);
+    let grad_transmittance = g.external("grad_transmittance", 4 * transmittance.len() as u64);
+    let stats = g.external("stats", size_of::<LossStats>() as u64);
+    let a = GeometryLoss {
+        step,
+        image: image_buffer,
+        channels: channels as u32,
+        normals: normal_at.map(|k| k as u32),
+        depth: depth_at.map(|k| k as u32),
+        transmittance: transmittance_buffer,
+        targets,
+        priors: s.priors.as_ref().map(|_| priors),
+        largest,
+    };
+    let geometry = geometry_loss(&mut g, tuning, &a, grad_image, grad_transmittance).unwrap();
+    // Only for its sums, so that the record has everything.
+    let color = Photometric { step, image: image_buffer, targets, channels: channels as u32, largest };
+    let partials = photometric(&mut g, tuning, &color).unwrap();
+    let (photometric, geometry) = ((partials.sums, partials.count), (geometry.sums, geometry.count));
+    loss_sum(&mut g, tuning, step, photometric, Some(geometry), stats).unwrap();
+
+    let mut values = Step { target_offset: OFFSET as u32, ..Default::default() };
+    values.camera.size = [s.width as u32, s.height as u32];
+    values.weight_normal = WEIGHTS.normal as f32;
+    values.weight_normal_smooth = WEIGHTS.normal_smooth as f32;
+    values.weight_depth_smooth = WEIGHTS.depth_smooth as f32;
+    values.weight_depth_variance = WEIGHTS.depth_variance as f32;
+    let inputs = [
+        (step, bytes(&[values])),
+        (image_buffer, bytes(&image)),
+        (transmittance_buffer, bytes(&transmittance)),
+        (targets, bytes(&padded(s.photo.clone()))),
+        (priors, bytes(&padded(s.priors.clone().unwrap_or(vec![0; pixels])))),
+    ];
+    let out = gpu.run(g, &inputs);
+    let (by_image, by_transmittance) = (out.get::<f32>(grad_image), out.get::<f32>(grad_transmittance));
+    let mut found = Found {
+        normals: vec![],
+        depths: vec![],
+        transmittance: by_transmittance[..pixels].to_vec(),
+        stats: out.get::<LossStats>(stats)[0],
+    };
+    for (p, pixel) in by_image.chunks(channels).enumerate() {
+        let written = if p < pixels { 3..channels.min(depth_at.map_or(6, |d| d + 2)) } else { 0..0 };
+        for (c, x) in pixel.iter().enumerate() {
+            assert!(written.contains(&c) || x.to_bits() == u32::MAX, "channel {c} of pixel {p} was written");
+        }
+        if p < pixels {
+            found.normals.extend(normal_at.iter().flat_map(|&k| &pixel[k..k + 3]));
+            found.depths.extend(depth_at.iter().flat_map(|&k| &pixel[k..k + 2]));
+        }
+    }
+    assert!(by_transmittance[pixels..].iter().all(|x| x.to_bits() == u32::MAX));
+    found
+}
+
+/// A scene as a half-trained model shows it: opacities from almost none to almost all, normals that mostly agree.
+fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
+    let mut rng = Pcg::new(seed);
+    let mut s = Scene {
+        width,
+        height,
+        normals: Some(vec![]),
+        depths: Some(vec![]),
+        transmittance: vec![],
+        priors: Some(vec![]),
+        photo: vec![],
+    };
+    for p in 0..width * height {
+        let (x, y) = ((p % width) as f64, (p / width) as f64);
+        let transmittance = narrow(rng.range(0.02, 0.98));
+        let opacity = 1.0 - transmittance;
+        let length = opacity * rng.range(0.5, 1.0);
+        let direction = [(0.2 * x).sin() + 0.2 * rng.normal(), (0.15 * y).cos(), -0.7 + 0.2 * rng.normal()];
+        let norm = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
+        let z = 2.0 + 0.5 * (0.1 * x + 0.07 * y).sin() + 0.05 * rng.normal();
+        // Rounding can make variances negative; well away from where it decides about the gradient.
+        let variance = if rng.uniform() < 0.2 { -1e-3 } else { rng.range(0.05, 0.2).powi(2) };
+        if let (Some(normals), Some(depths), Some(priors)) = (&mut s.normals, &mut s.depths, &mut s.priors) {
+            normals.push(direction.map(|d| narrow(length * d / norm)));
+            depths.push([narrow(opacity * z), narrow(opacity * (z * z + variance))]);
+            let prior = direction.map(|d| (d + 0.3 * rng.normal()) as f32);
+            priors.push(if rng.uniform() < 0.1 { 0 } else { octahedral_encode(prior) });
+        }
+        s.transmittance.push(transmittance);
+        s.photo.push(rng.next_u32());
+    }
+    s
+}
+
+fn flat<const N: usize>(v: &[[f64; N]]) -> Vec<f64> {
+    v.as_flattened().to_vec()
+}
+
+/// Absolute part: a share of what is asked of a pixel, or a smaller one of the largest gradient.
+fn tolerance(expected: &[f64], absolute: f64, relative: f64) -> Tolerance {
+    let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    Tolerance::new(absolute.max(1e-5 * largest), relative)
+}
+
+/// Compares everything, at the device's own sizes and at those of a GPU; returns the last.
+fn check(gpu: &Gpu, s: &Scene, largest: [u32; 2]) -> Found {
+    let wide = Tuning { subgroup_size: 64, ..gpu.tuning() };
+    let [own, found] = [gpu.tuning(), wide].map(|tuning| run(gpu, tuning, s, largest));
+    let terms = twin::geometry_loss(s);
+    let expected = twin::geometry_loss_bwd(s, &WEIGHTS);
+    let (normals, depths, by_t) = (flat(&expected.normals), flat(&expected.depths), expected.transmittance);
+    let n = (s.width * s.height) as f64;
+    let what = |name| format!("{name} at {}x{}", s.width, s.height);
+    for found in [&own, &found] {
+        assert_close(&what("normals"), &normals, &found.normals, tolerance(&normals, 1e-5 / n, 1e-4));
+        // The variance is a difference of squares: 1e-6 of its 2.5e-3 and more may be missing.
+        assert_close(&what("depths"), &depths, &found.depths, tolerance(&depths, 2e-3 / n, 1e-3));
+        assert_close(&what("transmittance"), &by_t, &found.transmittance, tolerance(&by_t, 5e-3 / n, 1e-3));
+        check_terms(&terms, &found.stats);
+    }
+    found
+}
+
+fn check_terms(t: &Terms, stats: &LossStats) {
+    let tolerance = Tolerance::new(2e-6, 2e-5);
+    assert_close("normal", &[t.normal], &[stats.normal], tolerance);
+    assert_close("normal smoothness", &[t.normal_smooth], &[stats.normal_smooth], tolerance);
+    assert_close("depth smoothness", &[t.depth_smooth], &[stats.depth_smooth], tolerance);
+    assert_close("depth variance", &[t.depth_variance], &[stats.depth_variance], Tolerance::new(2e-5, 2e-4));
+    let total = WEIGHTS.normal * t.normal
+        + WEIGHTS.normal_smooth * t.normal_smooth
+        + WEIGHTS.depth_smooth * t.depth_smooth
+        + WEIGHTS.depth_variance * t.depth_variance;
+    assert_close("total", &[total], &[stats.total], Tolerance::new(2e-5, 2e-4));
+}
+
+#[test]
+fn geometry_loss_at_odd_sizes() {
+    let gpu = Gpu::new();
+    let sizes = [(1, 1), (17, 3), (11, 11), (1, 40), (40, 1), (2, 2), (28, 16), (29, 17), (57, 33), (160, 120)];
+    for (i, (width, height)) in sizes.into_iter().enumerate() {
+        let s = random_scene(width, height, i as u32);
+        check(&gpu, &s, [width as u32, height as u32]);
+    }
+    check(&gpu, &random_scene(31, 9, 99), [64, 70]);
+}
+
+#[test]
+fn geometry_loss_of_a_model_that_lacks_something() {
+    let gpu = Gpu::new();
+    let s = random_scene(33, 19, 5);
+    check(&gpu, &Scene { normals: None, priors: None, ..s.clone() }, [33, 19]);
+    check(&gpu, &Scene { depths: None, ..s.clone() }, [33, 19]);
+    let found = check(&gpu, &Scene { depths: None, priors: None, ..s }, [33, 19]);
+    assert!(found.transmittance.iter().all(|&t| t == 0.0));
+}
+
+#[test]
+fn geometry_loss_at_extremes() {
+    let gpu = Gpu::new();
+    let (width, height) = (20, 13);
+    let mut rng = Pcg::new(8);
+    let n = width * height;
+    for opacity in [0.0, 1.0 / 65536.0, 1.0 / 2048.0, 0.5, 1.0] {
+        let mut s = random_scene(width, height, 2);
+        for p in 0..n {
+            let z = rng.range(1.0, 3.0);
+            s.transmittance[p] = 1.0 - opacity;
+            s.normals.as_mut().unwrap()[p] = s.normals.as_ref().unwrap()[p].map(|x| narrow(opacity * x));
+            s.depths.as_mut().unwrap()[p] = [narrow(opacity * z), narrow(opacity * (z * z + 0.01))];
+        }
+        let found = check(&gpu, &s, [width as u32, height as u32]);
+        let all = found.normals.iter().chain(&found.depths).chain(&found.transmittance);
+        // At most a thousand times what is asked of a pixel, times the depth and its square.
+        let bound = 1e3 * 10.0 * 30.0 / n as f32;
+        assert!(all.into_iter().all(|g| g.abs() < bound), "opacity {opacity}");
+    }
+    // Zero normals, and priors that are not there: no loss but the variance's floor, no gradient.
+    let s = Scene {
+        normals: Some(vec![[0.0; 3]; n]),
+        depths: Some(vec![[0.0; 2]; n]),
+        transmittance: vec![1.0; n],
+        priors: Some(vec![octahedral_encode([f32::NAN, 1.0, 0.0]); n]),
+        ..random_scene(width, height, 3)
+    };
+    let found = check(&gpu, &s, [width as u32, height as u32]);
+    assert!(found.normals.iter().chain(&found.depths).chain(&found.transmittance).all(|&g| g == 0.0));
+}
+
+#[test]
+fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
+    let gpu = Gpu::new();
+    let s = random_scene(24, 18, 17);
+    let found = run(&gpu, gpu.tuning(), &s, [24, 18]);
+    let loss = |s: &Scene| {
+        let t = twin::geometry_loss(s);
+        WEIGHTS.normal * t.normal
+            + WEIGHTS.normal_smooth * t.normal_smooth
+            + WEIGHTS.depth_smooth * t.depth_smooth
+            + WEIGHTS.depth_variance * t.depth_variance
+    };
+    let n = (s.width * s.height) as f64;
+    let moved = |p: usize, c: usize, h: f64| {
+        let mut s = s.clone();
+        match c {
+            0..3 => s.normals.as_mut().unwrap()[p][c] += h,
+            3..5 => s.depths.as_mut().unwrap()[p][c - 3] += h,
+            _ => s.transmittance[p] += h,
+        }
+        loss(&s)
+    };
+    for p in (0..432).step_by(17) {
+        for c in 0..6 {
+            let fd = (moved(p, c, 1e-7) - moved(p, c, -1e-7)) / 2e-7;
+            let gradient = match c {
+                0..3 => found.normals[3 * p + c],
+                3..5 => found.depths[2 * p + c - 3],
+                _ => found.transmittance[p],
+            };
+            assert_close(&format!("{c} of {p}"), &[fd], &[gradient], Tolerance::new(5e-3 / n, 3e-3));
+        }
+    }
+    let mut rng = Pcg::new(5);
+    for _ in 0..5 {
+        let direction: Vec<f64> = (0..6 * 432).map(|_| rng.normal()).collect();
+        let along = |t: f64| {
+            let mut s = s.clone();
+            for p in 0..432 {
+                let d = &direction[6 * p..];
+                (0..3).for_each(|c| s.normals.as_mut().unwrap()[p][c] += t * d[c]);
+                (0..2).for_each(|c| s.depths.as_mut().unwrap()[p][c] += t * d[3 + c]);
+                s.transmittance[p] += t * d[5];
+            }
+            loss(&s)
+        };
+        let fd = (along(1e-8) - along(-1e-8)) / 2e-8;
+        let dot: f64 = (0..432)
+            .flat_map(|p| {
+                found.normals[3 * p..][..3].iter().chain(&found.depths[2 * p..][..2]).chain(&found.transmittance[p..=p])
+            })
+            .zip(&direction)
+            .map(|(&g, d)| f64::from(g) * d)
+            .sum();
+        assert_close("direction", &[fd], &[dot as f32], Tolerance::new(1e-3, 2e-3));
+    }
+}
+
+#[test]
+fn geometry_loss_is_the_same_every_time() {
+    let gpu = Gpu::new();
+    let s = random_scene(97, 61, 13);
+    let once = || {
+        let f = run(&gpu, gpu.tuning(), &s, [97, 61]);
+        [bytes(&f.normals), bytes(&f.depths), bytes(&f.transmittance), bytes(&[f.stats])]
+    };
+    let first = once();
+    assert!((0..3).all(|_| once() == first));
+}
+
+/// The comparison would notice a lost border, a lost prior, or a weight that is off by a percent.
+#[test]
+fn geometry_loss_checks_can_fail() {
+    let s = random_scene(24, 18, 17);
+    let n = 432.0;
+    let exact = twin::geometry_loss_bwd(&s, &WEIGHTS);
+    let differs = |other: &Gradient| {
+        let narrow = |v: &[f64]| v.iter().map(|&x| x as f32).collect::<Vec<f32>>();
+        let far = |e: &[f64], f: &[f64], t| worst(e, &narrow(f), t).is_some_and(|w| w.3 > 1.0);
+        far(&flat(&exact.normals), &flat(&other.normals), tolerance(&flat(&exact.normals), 1e-5 / n, 1e-4))
+            || far(&flat(&exact.depths), &flat(&other.depths), tolerance(&flat(&exact.depths), 2e-3 / n, 1e-3))
+            || far(&exact.transmittance, &other.transmittance, tolerance(&exact.transmittance, 5e-3 / n, 1e-3))
+    };
+    assert!(!differs(&exact));
+    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { depth_variance: 0.88, ..WEIGHTS })));
+    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { depth_smooth: 0.51, ..WEIGHTS })));
+    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { normal_smooth: 0.751, ..WEIGHTS })));
+    let mut other = s.clone();
+    other.priors.as_mut().unwrap()[100] ^= 0x8000_0000;
+    assert!(differs(&twin::geometry_loss_bwd(&other, &WEIGHTS)));
+    let mut other = exact.clone();
+    other.depths[0] = other.depths[1];
+    assert!(differs(&other));
+    let mut other = exact.clone();
+    other.transmittance[431] *= 1.1;
+    assert!(differs(&other));
+}

@@ -1,0 +1,244 @@
+//! The losses on a device against their references and against finite differences of these.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::Tuning;
+use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd};
+use sgs_passes::reference::photometric as twin;
+use sgs_passes::reference::photometric::Shape;
+use sgs_passes::reference::rng::Pcg;
+use sgs_shaders::structs::{LossStats, Step};
+use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
+
+/// First pixel of the view in the buffer of photographs.
+const OFFSET: usize = 5;
+/// Pixels that the buffers have beyond the view's.
+const SPARE: usize = 37;
+const WEIGHTS: [f32; 2] = [0.8, 0.2];
+
+fn step(shape: Shape) -> Step {
+    let mut step = Step { target_offset: OFFSET as u32, ..Default::default() };
+    step.camera.size = [shape.width as u32, shape.height as u32];
+    [step.weight_l1, step.weight_dssim] = WEIGHTS;
+    step
+}
+
+/// Behind what a kernel may read and before it, where it matters, lies a pattern that would be noticed.
+fn padded<T: Copy>(before: usize, data: &[T], spare: usize, pattern: T) -> Vec<T> {
+    let mut all = vec![pattern; before];
+    all.extend_from_slice(data);
+    all.resize(all.len() + spare, pattern);
+    all
+}
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// The device's own sizes, and those of a GPU, with which any device gets the same.
+fn tunings(gpu: &Gpu) -> [Tuning; 2] {
+    [gpu.tuning(), Tuning { subgroup_size: 64, ..gpu.tuning() }]
+}
+
+/// Gradient of all of `grad_image`, spare pixels included, and the statistics.
+fn run_photometric(
+    gpu: &Gpu,
+    tuning: Tuning,
+    shape: Shape,
+    largest: [u32; 2],
+    image: &[f32],
+    targets: &[u32],
+) -> (Vec<f32>, LossStats) {
+    let mut g = Graph::new("photometric");
+    let floats = (shape.pixels() + SPARE) * shape.channels;
+    let uniform = g.uniform("step", size_of::<Step>() as u64);
+    let image_buffer = g.input("image", 4 * floats as u64);
+    let target_buffer = g.input("targets", 4 * (OFFSET + targets.len() + SPARE) as u64);
+    let grad_image = g.external("grad_image", 4 * floats as u64);
+    let stats = g.external("stats", size_of::<LossStats>() as u64);
+    let args = Photometric {
+        step: uniform,
+        image: image_buffer,
+        targets: target_buffer,
+        channels: shape.channels as u32,
+        largest,
+    };
+    let partials = photometric(&mut g, tuning, &args).unwrap();
+    photometric_bwd(&mut g, tuning, &args, &partials, grad_image).unwrap();
+    loss_sum(&mut g, tuning, uniform, (partials.sums, partials.count), None, stats).unwrap();
+    let inputs = [
+        (uniform, bytes(&[step(shape)])),
+        (image_buffer, bytes(&padded(0, image, SPARE * shape.channels, f32::NAN))),
+        (target_buffer, bytes(&padded(OFFSET, targets, SPARE, 0x0012_3456))),
+    ];
+    let out = gpu.run(g, &inputs);
+    (out.get(grad_image), out.get::<LossStats>(stats)[0])
+}
+
+fn random_case(shape: Shape, seed: u32) -> (Vec<f32>, Vec<u32>) {
+    let mut rng = Pcg::new(seed);
+    // A photograph with large and small structure, and a render that is near it in places.
+    let targets: Vec<u32> = (0..shape.pixels())
+        .map(|p| {
+            let (x, y) = ((p % shape.width) as f64, (p / shape.width) as f64);
+            let wave = 0.5 + 0.3 * (0.31 * x).sin() + 0.2 * (0.17 * y + 0.1 * x).cos();
+            (0..4).map(|c| ((255.0 * (wave + 0.1 * rng.normal()).clamp(0.0, 1.0)) as u32) << (8 * c)).sum()
+        })
+        .collect();
+    let image = (0..shape.pixels() * shape.channels)
+        .map(|i| {
+            let c = i % shape.channels;
+            let near = twin::unpack(targets[i / shape.channels], c.min(3));
+            (if rng.uniform() < 0.3 { rng.uniform() } else { near + 0.05 * rng.normal() }) as f32
+        })
+        .collect();
+    (image, targets)
+}
+
+fn check_photometric(gpu: &Gpu, shape: Shape, largest: [u32; 2], image: &[f32], targets: &[u32]) {
+    let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
+    let expected = twin::photometric_bwd(&wide, targets, shape, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
+    let loss = twin::photometric(&wide, targets, shape);
+    let n = 3.0 * shape.pixels() as f64;
+    let what = format!("gradient of {shape:?}");
+    let rgb = |p: &usize| p % shape.channels < 3;
+    let first: Vec<usize> = (0..expected.len()).filter(rgb).collect();
+    let expected: Vec<f64> = first.iter().map(|&i| expected[i]).collect();
+    for tuning in tunings(gpu) {
+        let (gradient, stats) = run_photometric(gpu, tuning, shape, largest, image, targets);
+        let found: Vec<f32> = first.iter().map(|&i| gradient[i]).collect();
+        // Relative to the gradient of L1, which is WEIGHTS[0] / n.
+        assert_close(&what, &expected, &found, Tolerance::new(2e-4 / n, 2e-4));
+        assert_close("L1", &[loss.l1], &[stats.l1], Tolerance::new(1e-7, 2e-6));
+        // A variance is a difference of squares: what is left of it relative to C2 falls with the square of the values.
+        let square = image.iter().map(|&x| f64::from(x * x)).fold(1.0, f64::max);
+        let tolerance = Tolerance::new(3e-6 * square, 1e-5);
+        assert_close("SSIM", &[loss.ssim], &[stats.ssim], tolerance);
+        let total = f64::from(WEIGHTS[0]) * loss.l1 + f64::from(WEIGHTS[1]) * (1.0 - loss.ssim);
+        assert_close("total", &[total], &[stats.total], tolerance);
+        for (i, x) in gradient.iter().enumerate() {
+            let written = i < shape.pixels() * shape.channels && i % shape.channels < 3;
+            assert!(written || x.to_bits() == u32::MAX, "{shape:?}: float {i} was written");
+        }
+    }
+}
+
+#[test]
+fn photometric_at_odd_sizes() {
+    let gpu = Gpu::new();
+    let sizes = [(1, 1), (17, 3), (11, 11), (1, 40), (40, 1), (22, 16), (23, 17), (44, 32), (45, 33), (160, 120)];
+    for (i, (width, height)) in sizes.into_iter().enumerate() {
+        for channels in [3, 8] {
+            let shape = Shape { width, height, channels };
+            let (image, targets) = random_case(shape, i as u32);
+            check_photometric(&gpu, shape, [width as u32, height as u32], &image, &targets);
+        }
+    }
+}
+
+#[test]
+fn photometric_of_a_view_smaller_than_the_largest() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 31, height: 9, channels: 5 };
+    let (image, targets) = random_case(shape, 3);
+    check_photometric(&gpu, shape, [64, 70], &image, &targets);
+}
+
+/// More tiles than a grid has workgroups along x, one row of them.
+#[test]
+fn photometric_of_a_folded_grid() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 22 * 65_540 + 1, height: 1, channels: 3 };
+    let n = shape.pixels();
+    let target = |p: usize| if p.is_multiple_of(1000) { u32::MAX } else { 0 };
+    let targets: Vec<u32> = (0..n).map(target).collect();
+    let largest = [shape.width as u32, 1];
+    let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, largest, &vec![0.25; 3 * n], &targets);
+    let l1 = (0..n).map(|p| if target(p) == 0 { 0.25 } else { 0.75 }).sum::<f64>() / n as f64;
+    assert_close("L1", &[l1], &[stats.l1], Tolerance::new(0.0, 1e-5));
+    // The picture repeats itself, so the gradient does.
+    for p in 1010..n - 1010 {
+        let (a, b) = (gradient[3 * p], gradient[3 * (p - 1000)]);
+        assert!((a - b).abs() <= 1e-4 * a.abs() && a != 0.0, "{p}: {a} {b}");
+    }
+}
+
+#[test]
+fn photometric_at_extremes() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 30, height: 21, channels: 3 };
+    let n = shape.pixels();
+    let cases: [(f32, u32); 6] =
+        [(0.0, 0), (1.0, u32::MAX), (0.0, u32::MAX), (1.0, 0), (10.0, 0x0080_4020), (-3.0, 0x00ff_00ff)];
+    for (value, target) in cases {
+        check_photometric(&gpu, shape, [30, 21], &vec![value; 3 * n], &vec![target; n]);
+    }
+    // Equal where it is not exact in 32 bits: the sign of L1 there may be anything, SSIM's part must vanish.
+    let target = 0x0080_4020_u32;
+    let image: Vec<f32> = (0..3 * n).map(|i| twin::unpack(target, i % 3) as f32).collect();
+    let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [30, 21], &image, &vec![target; n]);
+    assert!((stats.ssim - 1.0).abs() < 1e-5 && stats.l1 < 1e-7, "{stats:?}");
+    let l1 = WEIGHTS[0] / (3 * n) as f32;
+    for g in &gradient[..3 * n] {
+        let rest = [g.abs(), (g - l1).abs(), (g + l1).abs()].into_iter().fold(f32::MAX, f32::min);
+        assert!(rest < 1e-4 * l1, "{g}");
+    }
+}
+
+#[test]
+fn photometric_gradient_is_the_finite_difference_of_the_reference() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 26, height: 19, channels: 3 };
+    let (image, targets) = random_case(shape, 11);
+    let (gradient, _) = run_photometric(&gpu, gpu.tuning(), shape, [26, 19], &image, &targets);
+    let mut wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
+    let loss = |x: &[f64]| {
+        let r = twin::photometric(x, &targets, shape);
+        f64::from(WEIGHTS[0]) * r.l1 + f64::from(WEIGHTS[1]) * (1.0 - r.ssim)
+    };
+    let n = 3.0 * shape.pixels() as f64;
+    for i in (0..wide.len()).step_by(97) {
+        let fd = finite_difference(&mut wide, i, 1e-5, loss);
+        assert_close("element", &[fd], &[gradient[i]], Tolerance::new(2e-4 / n, 3e-4));
+    }
+    let mut rng = Pcg::new(5);
+    for _ in 0..5 {
+        let direction: Vec<f64> = wide.iter().map(|_| rng.normal()).collect();
+        let along = |t: f64| loss(&wide.iter().zip(&direction).map(|(x, d)| x + t * d).collect::<Vec<_>>());
+        let fd = (along(1e-6) - along(-1e-6)) / 2e-6;
+        let dot: f64 = direction.iter().zip(&gradient).map(|(d, &g)| d * f64::from(g)).sum();
+        assert_close("direction", &[fd], &[dot as f32], Tolerance::new(2e-5, 1e-4));
+    }
+}
+
+#[test]
+fn photometric_is_the_same_every_time() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 97, height: 61, channels: 3 };
+    let (image, targets) = random_case(shape, 13);
+    let run = || {
+        let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [97, 61], &image, &targets);
+        (bytes(&gradient), bytes(&[stats]))
+    };
+    let first = run();
+    assert!((0..3).all(|_| run() == first));
+}
+
+/// The checks above would notice a gradient that is wrong by a thousandth, or in one pixel.
+#[test]
+fn photometric_checks_can_fail() {
+    let shape = Shape { width: 26, height: 19, channels: 3 };
+    let (image, targets) = random_case(shape, 11);
+    let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
+    let expected = twin::photometric_bwd(&wide, &targets, shape, 0.8, 0.2);
+    let tolerance = Tolerance::new(2e-4 / (3.0 * shape.pixels() as f64), 2e-4);
+    let exact: Vec<f32> = expected.iter().map(|&g| g as f32).collect();
+    assert!(sgs_tests::worst(&expected, &exact, tolerance).unwrap().3 < 1.0);
+    let scaled: Vec<f32> = exact.iter().map(|g| 1.001 * g).collect();
+    assert!(sgs_tests::worst(&expected, &scaled, tolerance).unwrap().3 > 1.0);
+    let mut one = exact.clone();
+    one[100] = one[103];
+    assert!(sgs_tests::worst(&expected, &one, tolerance).unwrap().3 > 1.0);
+    let reweighted = twin::photometric_bwd(&wide, &targets, shape, 0.8, 0.21);
+    let reweighted: Vec<f32> = reweighted.iter().map(|&g| g as f32).collect();
+    assert!(sgs_tests::worst(&expected, &reweighted, tolerance).unwrap().3 > 1.0);
+}

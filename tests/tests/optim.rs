@@ -1,0 +1,182 @@
+//! The optimizer on a device against its reference.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::optim::{Adam, Rate, adam};
+use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::rng::Pcg;
+use sgs_shaders::structs::{Step, Work};
+use sgs_tests::{Gpu, Tolerance, assert_close};
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// A parameter group of `width` scalars an element with more capacity than live elements.
+struct Group {
+    width: usize,
+    live: usize,
+    capacity: usize,
+    parameters: Vec<f32>,
+    moments: Vec<[f32; 2]>,
+    gradients: Vec<f32>,
+}
+
+impl Group {
+    fn random(width: usize, live: usize, capacity: usize, seed: u32) -> Group {
+        let mut rng = Pcg::new(seed);
+        let n = width * capacity;
+        let mut normal = |scale: f64| (0..n).map(|_| (scale * rng.normal()) as f32).collect::<Vec<f32>>();
+        let (parameters, gradients, m, v) = (normal(1.0), normal(1e-3), normal(1e-3), normal(1e-3));
+        // A mean of squares is at least the square of the mean.
+        let moments = m.into_iter().zip(v).map(|(m, v)| [m, m * m + v * v]).collect();
+        Group { width, live, capacity, parameters, moments, gradients }
+    }
+
+    /// Parameters, moments and number of skipped gradients after one pass.
+    fn run(&self, gpu: &Gpu, t: u32, skip_zero: bool, flags: &[u32]) -> (Vec<f32>, Vec<[f32; 2]>, u32) {
+        let mut g = Graph::new("adam");
+        let words = 4 * (self.width * self.capacity) as u64;
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let live = g.input("live", size_of::<Work>() as u64);
+        let flag_buffer = g.input("flags", 4 * flags.len() as u64);
+        let gradients = g.input("gradients", words);
+        let parameters = g.external("parameters", words);
+        let moments = g.external("moments", 2 * words);
+        let skipped = g.external("skipped", 4);
+        let a = Adam {
+            step,
+            live,
+            flags: flag_buffer,
+            flag_words: flags.len() as u32,
+            width: self.width as u32,
+            capacity: self.capacity as u64,
+            rate: Rate::Rotations,
+            skip_zero,
+            gradients,
+            parameters,
+            moments,
+            skipped,
+        };
+        adam(&mut g, gpu.tuning(), "adam", &a).unwrap();
+        let rates = rates(t);
+        let values = Step {
+            lr_rotations: rates.lr as f32,
+            correction1: rates.correction1 as f32,
+            correction2: rates.correction2 as f32,
+            lr_means: f32::NAN,
+            ..Default::default()
+        };
+        let inputs = [
+            (step, bytes(&[values])),
+            (live, bytes(&[Work { x: 1, y: 1, z: 1, count: self.live as u32 }])),
+            (flag_buffer, bytes(flags)),
+            (gradients, bytes(&self.gradients)),
+            (parameters, bytes(&self.parameters)),
+            (moments, bytes(&self.moments)),
+            (skipped, bytes(&[0_u32])),
+        ];
+        let out = gpu.run(g, &inputs);
+        (out.get(parameters), out.get(moments), out.get::<u32>(skipped)[0])
+    }
+
+    /// Compares with the reference; what must not change has to be the same bit for bit.
+    fn check(&self, gpu: &Gpu, t: u32, skip_zero: bool) -> u32 {
+        let (parameters, moments, skipped) = self.run(gpu, t, skip_zero, &[0, 0]);
+        let rates = rates(t);
+        let (mut expected, mut expected_m, mut expected_v) = (vec![], vec![], vec![]);
+        for i in 0..self.width * self.capacity {
+            let (p, [m, v], g) = (self.parameters[i], self.moments[i], self.gradients[i]);
+            let untouched = i >= self.width * self.live || skip_zero && g == 0.0 || !g.is_finite();
+            if untouched {
+                assert_eq!((p.to_bits(), bytes(&[m, v])), (parameters[i].to_bits(), bytes(&moments[i])), "scalar {i}");
+            }
+            let (p, [m, v]) = match untouched {
+                true => (f64::from(p), [f64::from(m), f64::from(v)]),
+                false => twin::adam(f64::from(p), [f64::from(m), f64::from(v)], f64::from(g), rates),
+            };
+            expected.push(p);
+            expected_m.push(m);
+            expected_v.push(v);
+        }
+        // A step is at most a few learning rates; its relative error is that of a square root and a division.
+        assert_close("parameters", &expected, &parameters, Tolerance::new(1e-5 * rates.lr, 2e-7));
+        let (m, v): (Vec<f32>, Vec<f32>) = moments.iter().map(|m| (m[0], m[1])).unzip();
+        // First moments cancel; numbers below the normal range may be flushed.
+        assert_close("first moments", &expected_m, &m, Tolerance::new(1e-9, 1e-5));
+        assert_close("second moments", &expected_v, &v, Tolerance::new(1e-37, 1e-5));
+        skipped
+    }
+}
+
+fn rates(t: u32) -> twin::Rates {
+    twin::Rates::at(1e-3, t)
+}
+
+#[test]
+fn adam_is_its_reference() {
+    let gpu = Gpu::new();
+    for (i, width) in [1, 3, 4, 21].into_iter().enumerate() {
+        for (live, capacity) in [(0, 3), (1, 1), (300, 300), (777, 1000)] {
+            for t in [1, 1000] {
+                let mut group = Group::random(width, live, capacity, i as u32);
+                group.gradients.iter_mut().step_by(5).for_each(|g| *g = 0.0);
+                assert_eq!(group.check(&gpu, t, true), 0);
+                assert_eq!(group.check(&gpu, t, false), 0);
+            }
+        }
+    }
+}
+
+#[test]
+fn adam_survives_extreme_gradients() {
+    let gpu = Gpu::new();
+    for moments in [[0.0, 0.0], [1e-3, 1e-6], [0.0, 1e-30]] {
+        let mut group = Group::random(1, 12, 12, 1);
+        group.moments.fill(moments);
+        group.gradients = vec![
+            0.0,
+            1e-38,
+            -1e-30,
+            1e-15,
+            1e12,
+            1e30,
+            -f32::MAX,
+            f32::NAN,
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            -0.0,
+            f32::from_bits(0x7fff_ffff),
+        ];
+        assert_eq!(group.check(&gpu, 1, true), 4);
+        assert_eq!(group.check(&gpu, 1, false), 4);
+        let (parameters, moments, _) = group.run(&gpu, 1, false, &[0]);
+        assert!(parameters.iter().chain(moments.as_flattened()).all(|x| x.is_finite()));
+    }
+}
+
+#[test]
+fn adam_does_nothing_under_a_flag() {
+    let gpu = Gpu::new();
+    let group = Group::random(3, 100, 100, 4);
+    for flags in [&[1_u32][..], &[0, 0, 0x8000_0000]] {
+        let (parameters, moments, skipped) = group.run(&gpu, 3, false, flags);
+        assert!(bytes(&parameters) == bytes(&group.parameters) && bytes(&moments) == bytes(&group.moments));
+        assert_eq!(skipped, 0);
+    }
+}
+
+/// The comparison with the reference would notice a missing bias correction and a step with the wrong sign.
+#[test]
+#[should_panic(expected = "parameters: element")]
+fn adam_check_can_fail() {
+    let gpu = Gpu::new();
+    let group = Group::random(3, 100, 100, 4);
+    let (parameters, _, _) = group.run(&gpu, 2, false, &[0]);
+    let expected: Vec<f64> = (0..300)
+        .map(|i| {
+            let [m, v] = group.moments[i].map(f64::from);
+            twin::adam(f64::from(group.parameters[i]), [m, v], f64::from(group.gradients[i]), rates(3)).0
+        })
+        .collect();
+    assert_close("parameters", &expected, &parameters, Tolerance::new(1e-8, 2e-7));
+}

@@ -1,0 +1,230 @@
+//! Gradients of the whole render (projection, harmonics, blending) against central differences of the twin.
+
+use glam::{DMat3, DVec3};
+use sgs_engine::graph::Graph;
+use sgs_passes::pipeline::Step;
+use sgs_passes::reference::blend::render;
+use sgs_passes::reference::project::{Camera, Gaussians};
+use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model};
+use sgs_passes::splat::{
+    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, intersect, project, project_bwd,
+};
+use sgs_tests::scenes::{self, Rng};
+use sgs_tests::{Gpu, finite_difference};
+
+struct Case {
+    gaussians: Gaussians,
+    camera: Camera,
+    depth: bool,
+    /// Weights of every output: the loss is their dot product with the outputs.
+    image: Vec<f64>,
+    transmittance: Vec<f64>,
+}
+
+const BACKGROUND: [f64; 3] = [0.3, 0.1, 0.6];
+
+impl Case {
+    fn new(gaussians: Gaussians, size: [u32; 2], depth: bool) -> Case {
+        let camera = scenes::camera(size);
+        let channels = 3 + if gaussians.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
+        let pixels = (size[0] * size[1]) as usize;
+        let mut r = Rng::new(99);
+        let single = |v: f64| f64::from(v as f32);
+        let image = (0..pixels * channels).map(|_| single(r.between(-1.0, 1.0))).collect();
+        let transmittance = (0..pixels).map(|_| single(r.between(-1.0, 1.0))).collect();
+        Case { gaussians, camera, depth, image, transmittance }
+    }
+
+    fn degree(&self) -> usize {
+        (0..4).rev().find(|b| !self.gaussians.sh[*b].is_empty()).unwrap_or(0)
+    }
+
+    fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
+        let r = render(g, camera, self.degree(), self.depth, BACKGROUND);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        dot(&r.image, &self.image) + dot(&r.transmittance, &self.transmittance)
+    }
+
+    /// Gradients by the GPU: every group, then the twelve numbers of the pose.
+    fn gpu_gradients(&self, gpu: &Gpu, which: BackwardKernel) -> (Vec<Vec<f32>>, Vec<f32>) {
+        let n = self.gaussians.len() as u32;
+        let model = Model { sh_degree: self.degree() as u32, normals: !self.gaussians.normals.is_empty() };
+        let channels = Channels { normals: model.normals, depth: self.depth };
+        let t = gpu.tuning();
+        let data = scenes::data(&self.gaussians);
+        // Declared by hand, since the harness owns the memory of a single run.
+        let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();
+        let mut g = Graph::new("gradients");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest: self.camera.size, tile: t.tile };
+        let handles = gaussians.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let visible = project(&mut g, &t, &screen, &handles, channels).unwrap();
+        let entries = intersect(&mut g, &t, &screen, &visible, 1 << 14, flags).unwrap();
+        let c = u64::from(channels.count());
+        let blended = Blended {
+            image: g.external("image", 4 * c * screen.pixels()),
+            transmittance: g.external("transmittance", 4 * screen.pixels()),
+        };
+        blend(&mut g, &t, &screen, &visible, &entries, &blended).unwrap();
+        let gradient = Blended {
+            image: g.input("grad_image", 4 * c * screen.pixels()),
+            transmittance: g.input("grad_transmittance", 4 * screen.pixels()),
+        };
+        let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &blended, &gradient, which, true).unwrap();
+        let groups = Group::ALL.map(|group| {
+            let count = if model.has(group) { u64::from(n * group.width()) } else { 1 };
+            g.external(format!("grad_{}", group.name()), 4 * count.max(3))
+        });
+        let pose = g.external("pose", 48);
+        let into = Gradients { groups, means2d: g.external("means2d", 8 * u64::from(n)), pose: Some(pose) };
+        project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
+
+        let mut camera = scenes::gpu_camera(&self.camera);
+        camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+        let uniform = Step {
+            camera,
+            background: BACKGROUND.map(|b| b as f32),
+            step: 1,
+            sh_degree: self.degree() as u32,
+            ..Default::default()
+        };
+        let single = |v: &[f64]| bytemuck::cast_slice(&v.iter().map(|x| *x as f32).collect::<Vec<_>>()).to_vec();
+        let work = sgs_shaders::structs::Work { x: n.div_ceil(256), y: 1, z: 1, count: n };
+        let mut inputs = vec![
+            (step, bytemuck::bytes_of(&uniform).to_vec()),
+            (flags, vec![0; 4]),
+            (gradient.image, single(&self.image)),
+            (gradient.transmittance, single(&self.transmittance)),
+            (handles.work, bytemuck::bytes_of(&work).to_vec()),
+        ];
+        for group in model.groups() {
+            inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
+        }
+        // Gradients are written for visible Gaussians alone.
+        inputs.extend(groups.iter().zip(Group::ALL).filter(|(_, g)| model.has(*g)).map(|(b, group)| {
+            (*b, vec![0; 4 * (n * group.width()) as usize])
+        }));
+        let out = gpu.run(g, &inputs);
+        assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
+        let all = Group::ALL.map(|group| {
+            if model.has(group) { out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec() } else { vec![] }
+        });
+        (all.to_vec(), out.get(pose))
+    }
+}
+
+fn parameters(g: &mut Gaussians, group: Group) -> &mut Vec<f64> {
+    match group {
+        Group::Means => &mut g.means,
+        Group::LogScales => &mut g.log_scales,
+        Group::Rotations => &mut g.rotations,
+        Group::OpacityLogits => &mut g.opacity_logits,
+        Group::Sh0 => &mut g.sh[0],
+        Group::Sh1 => &mut g.sh[1],
+        Group::Sh2 => &mut g.sh[2],
+        Group::Sh3 => &mut g.sh[3],
+        Group::Normals => &mut g.normals,
+    }
+}
+
+/// Central difference at two steps; none where they disagree, because a threshold lies between.
+fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
+    let mut g = case.gaussians.clone();
+    let mut at = |h: f64| {
+        let mut x = [parameters(&mut g, group)[i]];
+        let value = finite_difference(&mut x, 0, h, |x| {
+            let mut moved = case.gaussians.clone();
+            parameters(&mut moved, group)[i] = x[0];
+            case.loss(&moved, &case.camera)
+        });
+        value
+    };
+    let (coarse, fine) = (at(2e-6), at(5e-7));
+    ((coarse - fine).abs() <= 1e-3 * (1.0 + fine.abs())).then_some(fine)
+}
+
+fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
+    let (groups, pose) = case.gpu_gradients(gpu, which);
+    let (mut compared, mut skipped) = (0, 0);
+    for group in Group::ALL {
+        let found = &groups[group as usize];
+        let scale = found.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
+        for (i, value) in found.iter().enumerate() {
+            let Some(expected) = difference(case, group, i) else {
+                skipped += 1;
+                continue;
+            };
+            compared += 1;
+            let tolerance = 2e-3 * expected.abs() + 2e-4 * scale + 1e-5;
+            assert!(
+                (f64::from(*value) - expected).abs() <= tolerance,
+                "{which:?} {}[{i}]: {value} instead of {expected} (largest of the group {scale})",
+                group.name()
+            );
+        }
+    }
+    assert!(skipped * 5 < compared, "{skipped} of {compared} lie at thresholds");
+    // The camera: rows of the rotation as nine free numbers, then the translation.
+    let scale = pose.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
+    for i in 0..12 {
+        let mut x = [0.0];
+        let by = |case: &Case, d: f64| {
+            let mut camera = case.camera;
+            if i < 9 {
+                let mut m = camera.rotation.to_cols_array();
+                m[i % 3 * 3 + i / 3] += d;
+                camera.rotation = DMat3::from_cols_array(&m);
+            } else {
+                let mut t = camera.translation.to_array();
+                t[i - 9] += d;
+                camera.translation = DVec3::from_array(t);
+            }
+            case.loss(&case.gaussians, &camera)
+        };
+        let coarse = finite_difference(&mut x, 0, 2e-6, |x| by(case, x[0]));
+        let fine = finite_difference(&mut x, 0, 5e-7, |x| by(case, x[0]));
+        if (coarse - fine).abs() > 1e-3 * (1.0 + fine.abs()) {
+            continue;
+        }
+        let error = (f64::from(pose[i]) - fine).abs();
+        assert!(error <= 2e-3 * fine.abs() + 2e-4 * scale, "{which:?} pose[{i}]: {} instead of {fine}", pose[i]);
+    }
+}
+
+#[test]
+fn gradients_of_both_kernels_are_those_of_the_twin() {
+    let gpu = Gpu::new();
+    for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+        check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
+        check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
+        check(&gpu, &Case::new(scenes::ordinary(6, 0, false, 8), [1, 1], false), which);
+    }
+}
+
+#[test]
+fn the_two_kernels_agree_on_a_crowd_and_repeat_bit_for_bit() {
+    let gpu = Gpu::new();
+    let case = Case::new(scenes::ordinary(800, 0, false, 9), [48, 40], false);
+    let (pixel, _) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    let (again, _) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    let (splat, _) = case.gpu_gradients(&gpu, BackwardKernel::Splat);
+    for group in Group::ALL {
+        let (a, b, c) = (&pixel[group as usize], &again[group as usize], &splat[group as usize]);
+        assert!(a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits()), "{} is not repeated", group.name());
+        let scale = a.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        for (i, (x, y)) in a.iter().zip(c).enumerate() {
+            assert!((x - y).abs() <= 1e-3 * x.abs() + 1e-4 * scale, "{}[{i}]: {x} and {y}", group.name());
+        }
+    }
+}
+
+#[test]
+fn hard_splats_have_finite_gradients() {
+    let gpu = Gpu::new();
+    for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+        let case = Case::new(scenes::hard(2), [80, 60], false);
+        let (groups, pose) = case.gpu_gradients(&gpu, which);
+        assert!(groups.iter().flatten().chain(&pose).all(|v| v.is_finite()));
+    }
+}

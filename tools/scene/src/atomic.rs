@@ -1,0 +1,129 @@
+//! Writing files so that nothing is lost.
+//!
+//! The content goes to a new file beside the target, reaches the disk, and only then takes the target's name. After a
+//! kill, a crash or a full disk the target is either the old file or the new one, never a part of either.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::error::{Result, SceneError, io_error};
+
+/// Tells apart the temporary files of one process that writes the same target from several threads.
+static COUNTER: AtomicU64 = AtomicU64::new(0);
+
+/// Removes the temporary file unless it was renamed into place.
+struct Temporary {
+    path: PathBuf,
+    placed: bool,
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if !self.placed {
+            // Nothing can be done about a failure here, and the error that led here is the one to report.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Writes `path` through `write`: beside it, flushed to the disk, then renamed into place.
+///
+/// The parent directory must exist. When `write` fails, the temporary file is removed and `path` is untouched.
+pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
+    let Some(name) = path.file_name() else {
+        return Err(SceneError::Io {
+            action: "write",
+            path: path.to_path_buf(),
+            cause: io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name"),
+        });
+    };
+    let directory = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let hidden = format!(".{}.{}-{unique}.tmp", name.to_string_lossy(), std::process::id());
+    let mut temporary = Temporary { path: directory.join(hidden), placed: false };
+
+    let file = File::create(&temporary.path).map_err(io_error("write", path))?;
+    let mut buffered = BufWriter::with_capacity(1 << 16, file);
+    write(&mut buffered).map_err(io_error("write", path))?;
+    buffered.flush().map_err(io_error("write", path))?;
+    let file = buffered.into_inner().map_err(|e| io_error("write", path)(e.into_error()))?;
+    file.sync_all().map_err(io_error("write", path))?;
+    drop(file);
+
+    fs::rename(&temporary.path, path).map_err(io_error("write", path))?;
+    temporary.placed = true;
+    // The rename itself survives a power cut only once the directory is on the disk. Some file systems cannot sync a
+    // directory; the file is complete all the same.
+    if let Ok(directory) = File::open(directory) {
+        let _ = directory.sync_all();
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(directory: &Path) -> Vec<String> {
+        let mut names: Vec<_> =
+            fs::read_dir(directory).unwrap().map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn replaces_the_file_and_leaves_nothing_beside_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.txt");
+        atomic_write(&path, |w| w.write_all(b"old")).unwrap();
+        atomic_write(&path, |w| w.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(directory.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn a_failed_write_keeps_the_old_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.txt");
+        atomic_write(&path, |w| w.write_all(b"old")).unwrap();
+        let error = atomic_write(&path, |w| {
+            w.write_all(b"half of the n")?;
+            w.flush()?;
+            Err(io::Error::new(io::ErrorKind::StorageFull, "no space left"))
+        })
+        .unwrap_err();
+        assert_eq!(error.to_string(), format!("cannot write {}: no space left", path.display()));
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(directory.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn a_missing_directory_is_named() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("none/a.txt");
+        let error = atomic_write(&path, |w| w.write_all(b"x")).unwrap_err().to_string();
+        assert!(error.starts_with(&format!("cannot write {}", path.display())), "{error}");
+        assert!(atomic_write(Path::new("/"), |_| Ok(())).is_err());
+    }
+
+    #[test]
+    fn threads_that_write_the_same_file_leave_one_whole_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.txt");
+        std::thread::scope(|scope| {
+            for letter in b'a'..b'i' {
+                let path = &path;
+                scope.spawn(move || atomic_write(path, |w| w.write_all(&[letter; 100_000])).unwrap());
+            }
+        });
+        let content = fs::read(&path).unwrap();
+        assert_eq!(content.len(), 100_000);
+        assert!(content.iter().all(|&b| b == content[0]));
+        assert_eq!(names(directory.path()), ["a.txt"]);
+    }
+}

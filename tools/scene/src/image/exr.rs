@@ -1,0 +1,216 @@
+//! EXR files: linear values with any number of named channels.
+//!
+//! Colors come first after reading (`R G B A`), whatever the order in the file; other channels follow by name. Writing
+//! is always 32-bit float and without loss. Only the first layer of a file is read.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, read::read};
+use ::exr::meta::MetaData;
+use ::exr::meta::attribute::Text;
+use ::exr::meta::header::LayerAttributes;
+use ::exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
+
+use super::{Image, file};
+use crate::atomic::atomic_write;
+use crate::error::{Result, SceneError, io_error};
+
+/// An EXR file's first layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExrImage {
+    /// The values, channels in the order of `names`.
+    pub image: Image,
+    /// Channel names: `R G B A` first where present, then the others in alphabetical order.
+    pub names: Vec<String>,
+}
+
+fn unreadable(path: &Path, error: &::exr::error::Error) -> SceneError {
+    SceneError::image(path, format!("the file cannot be read as EXR ({error}); copy or export it again"))
+}
+
+/// Position of a channel: colors before everything else.
+fn rank(name: &str) -> usize {
+    ["R", "G", "B", "A"].iter().position(|&c| c == name).unwrap_or(4)
+}
+
+/// The size and the number of channels, from the header alone.
+fn header(path: &Path) -> Result<(u32, u32, usize)> {
+    let file = File::open(path).map_err(io_error("read", path))?;
+    let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| unreadable(path, &e))?;
+    let Some(layer) = meta.headers.first() else {
+        return Err(SceneError::image(path, "the EXR file has no layer"));
+    };
+    if layer.deep {
+        return Err(SceneError::image(path, "the EXR file holds deep data; flatten it first"));
+    }
+    let window = layer.shared_attributes.display_window;
+    let (data_at, data_size) = (layer.own_attributes.layer_position, layer.layer_size);
+    if window.size != data_size || window.position != data_at {
+        let problem = format!(
+            "the data window ({}×{} at {}, {}) is not the display window ({}×{} at {}, {}); save the image uncropped",
+            data_size.0,
+            data_size.1,
+            data_at.0,
+            data_at.1,
+            window.size.0,
+            window.size.1,
+            window.position.0,
+            window.position.1
+        );
+        return Err(SceneError::image(path, problem));
+    }
+    let side = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    let (width, height) = (side(data_size.0), side(data_size.1));
+    file::check_size(path, width, height)?;
+    Ok((width, height, layer.channels.list.len()))
+}
+
+/// The width and height that the header gives.
+pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
+    header(path).map(|(width, height, _)| (width, height))
+}
+
+/// Reads all channels of the first layer as 32-bit floats.
+pub fn read_exr(path: &Path) -> Result<ExrImage> {
+    let (width, height, channels) = header(path)?;
+    if u64::from(width) * u64::from(height) * channels as u64 > file::MAX_PIXELS * 4 {
+        let problem = format!("{width}×{height} pixels with {channels} channels are more than an image may have");
+        return Err(SceneError::image(path, problem));
+    }
+    let file = File::open(path).map_err(io_error("read", path))?;
+    let layer = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        // Scenes are read one image per thread; a second level of threads only costs.
+        .non_parallel()
+        .from_buffered(io::BufReader::new(file))
+        .map_err(|e| unreadable(path, &e))?
+        .layer_data;
+
+    let mut list: Vec<_> = layer.channel_data.list.iter().map(|c| (c.name.to_string(), &c.sample_data)).collect();
+    list.sort_by(|a, b| (rank(&a.0), &a.0).cmp(&(rank(&b.0), &b.0)));
+    let channels = list.len();
+    let mut image = Image::new(width, height, channels as u32);
+    for (c, (name, samples)) in list.iter().enumerate() {
+        if samples.len() != image.pixels() {
+            let problem = format!("the channel {name} is subsampled; save all channels at full size");
+            return Err(SceneError::image(path, problem));
+        }
+        for (value, pixel) in samples.values_as_f32().zip(image.data.chunks_exact_mut(channels)) {
+            pixel[c] = value;
+        }
+    }
+    if image.data.is_empty() {
+        return Err(SceneError::image(path, "the EXR file has no channels"));
+    }
+    Ok(ExrImage { image, names: list.into_iter().map(|(name, _)| name).collect() })
+}
+
+/// Writes 32-bit float channels under the given names, one for each channel of the image.
+///
+/// The usual names are `R G B` or `R G B A` for colors, `X Y Z` for vectors, `Y` for a single channel. Values are
+/// written unchanged.
+pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
+    image.check()?;
+    if names.len() != image.channels as usize {
+        let problem = format!("{} names were given for {} channels", names.len(), image.channels);
+        return Err(SceneError::image(path, problem));
+    }
+    let mut channels = SmallVec::new();
+    for (c, &name) in names.iter().enumerate() {
+        let text = Text::new_or_none(name).filter(|_| !name.is_empty() && !names[..c].contains(&name));
+        let Some(text) = text else {
+            return Err(SceneError::image(path, format!("{name:?} cannot name a channel, or names two of them")));
+        };
+        let values = image.data.iter().skip(c).step_by(names.len()).copied().collect();
+        channels.push(AnyChannel::new(text, FlatSamples::F32(values)));
+    }
+    let size = (image.width as usize, image.height as usize);
+    let layer =
+        Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(channels));
+    let file = ::exr::image::Image::from_layer(layer);
+    atomic_write(path, |out| {
+        file.write().to_buffered(out).map_err(|error| match error {
+            ::exr::error::Error::Io(error) => error,
+            other => io::Error::other(other.to_string()),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(width: u32, height: u32, channels: u32) -> Image {
+        let mut image = Image::new(width, height, channels);
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = (i as f32 * 0.37 - 3.0) * 10.0_f32.powi(i as i32 % 9 - 4);
+        }
+        image
+    }
+
+    #[test]
+    fn floats_round_trip_bit_by_bit() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        for names in [&["Y"][..], &["R", "G", "B"], &["R", "G", "B", "A"], &["R", "G", "B", "A", "depth.Z", "x", "y"]] {
+            let mut image = sample(7, 5, names.len() as u32);
+            image.data[3] = f32::INFINITY;
+            image.data[4] = f32::MIN_POSITIVE / 8.0;
+            write_exr(&path, &image, names).unwrap();
+            assert_eq!(read_size(&path).unwrap(), (7, 5));
+            let back = read_exr(&path).unwrap();
+            assert_eq!(back.names, names);
+            assert_eq!(back.image, image);
+        }
+    }
+
+    #[test]
+    fn colors_come_first_whatever_the_order() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let image = Image::from_data(1, 1, 5, vec![1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        write_exr(&path, &image, &["A", "Z", "B", "G", "R"]).unwrap();
+        let back = read_exr(&path).unwrap();
+        assert_eq!(back.names, ["R", "G", "B", "A", "Z"]);
+        assert_eq!(back.image.data, [5.0, 4.0, 3.0, 1.0, 2.0]);
+    }
+
+    #[test]
+    fn wrong_names_are_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let fail = |names: &[&str]| write_exr(&path, &sample(2, 2, 3), names).unwrap_err().to_string();
+        assert!(fail(&["R"]).ends_with("1 names were given for 3 channels"));
+        assert!(fail(&["R", "G", "R"]).contains("\"R\" cannot name a channel, or names two"));
+        assert!(fail(&["R", "G", ""]).contains("\"\" cannot name a channel"));
+        assert!(fail(&["R", "G", "深"]).contains("cannot name a channel"));
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_file_cut_anywhere_or_damaged_is_an_error_and_never_a_panic() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        write_exr(&path, &sample(9, 40, 3), &["R", "G", "B"]).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let error = read_exr(&path).unwrap_err().to_string();
+            assert!(error.starts_with(&path.display().to_string()), "{error}");
+        }
+        for i in 0..whole.len() {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = whole.clone();
+                damaged[i] ^= flip;
+                std::fs::write(&path, &damaged).unwrap();
+                let _ = (read_exr(&path), read_size(&path));
+            }
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Reading an image file of any supported kind.
+//!
+//! The kind follows from the extension, because a scene names its files; the decoder then insists that the content
+//! agrees. Decoded sizes are limited, so that a damaged header cannot ask for all of the memory.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use ::image::{DynamicImage, ImageFormat, ImageReader, Limits};
+
+use super::{Image, exr};
+use crate::camera::MAX_IMAGE_SIDE;
+use crate::error::{Result, SceneError, io_error};
+
+/// The most pixels that are believed.
+pub(super) const MAX_PIXELS: u64 = 1 << 28;
+
+/// What the values of a file mean for colors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Encoding {
+    /// Display-referred, in `[0, 1]` (PNG, JPEG).
+    Srgb,
+    /// Proportional to light, without an upper limit (EXR).
+    Linear,
+}
+
+/// The extensions that are read, in the order in which they are looked for.
+pub(crate) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];
+
+enum Kind {
+    Exr,
+    Other(ImageFormat),
+}
+
+fn kind_of(path: &Path) -> Result<Kind> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "exr" => Ok(Kind::Exr),
+        "png" => Ok(Kind::Other(ImageFormat::Png)),
+        "jpg" | "jpeg" => Ok(Kind::Other(ImageFormat::Jpeg)),
+        _ => Err(SceneError::image(path, format!("the extension \"{extension}\" is none of png, jpg, jpeg, exr"))),
+    }
+}
+
+/// The image's values and what they mean. PNG and JPEG values are divided by their maximum; gray, gray-alpha, RGB and
+/// RGBA stay what they are, EXR files come with all of their channels, colors first.
+pub(crate) fn read_raster(path: &Path) -> Result<(Image, Encoding)> {
+    match kind_of(path)? {
+        Kind::Exr => Ok((exr::read_exr(path)?.image, Encoding::Linear)),
+        Kind::Other(format) => Ok((to_image(decode(path, format)?), Encoding::Srgb)),
+    }
+}
+
+/// The width and height that the file's header gives.
+pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
+    match kind_of(path)? {
+        Kind::Exr => exr::read_size(path),
+        Kind::Other(format) => {
+            let (width, height) = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
+            check_size(path, width, height)?;
+            Ok((width, height))
+        }
+    }
+}
+
+/// Refuses sizes that cannot be a photograph's.
+pub(super) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
+    if width == 0 || height == 0 {
+        return Err(SceneError::image(path, format!("the image is {width}×{height} pixels, which is empty")));
+    }
+    if width > MAX_IMAGE_SIDE || height > MAX_IMAGE_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        let problem =
+            format!("the header gives {width}×{height} pixels, more than an image may have; the file is damaged");
+        return Err(SceneError::image(path, problem));
+    }
+    Ok(())
+}
+
+fn open(path: &Path, format: ImageFormat) -> Result<ImageReader<BufReader<File>>> {
+    let file = File::open(path).map_err(io_error("read", path))?;
+    let mut reader = ImageReader::with_format(BufReader::new(file), format);
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_IMAGE_SIDE);
+    limits.max_image_height = Some(MAX_IMAGE_SIDE);
+    limits.max_alloc = Some(MAX_PIXELS * 8);
+    reader.limits(limits);
+    Ok(reader)
+}
+
+fn undecodable(path: &Path, format: ImageFormat, error: &::image::ImageError) -> SceneError {
+    let name = if format == ImageFormat::Png { "PNG" } else { "JPEG" };
+    SceneError::image(path, format!("the file cannot be read as {name} ({error}); copy or export it again"))
+}
+
+/// Decodes a PNG or JPEG file.
+pub(super) fn decode(path: &Path, format: ImageFormat) -> Result<DynamicImage> {
+    // The size is checked before the decoder allocates for it.
+    let (width, height) = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
+    check_size(path, width, height)?;
+    open(path, format)?.decode().map_err(|e| undecodable(path, format, &e))
+}
+
+fn to_image(decoded: DynamicImage) -> Image {
+    let (width, height) = (decoded.width(), decoded.height());
+    let bytes = |raw: Vec<u8>| raw.into_iter().map(|v| f32::from(v) / 255.0).collect();
+    let words = |raw: Vec<u16>| raw.into_iter().map(|v| f32::from(v) / 65_535.0).collect();
+    let (channels, data) = match decoded {
+        DynamicImage::ImageLuma8(image) => (1, bytes(image.into_raw())),
+        DynamicImage::ImageLumaA8(image) => (2, bytes(image.into_raw())),
+        DynamicImage::ImageRgb8(image) => (3, bytes(image.into_raw())),
+        DynamicImage::ImageRgba8(image) => (4, bytes(image.into_raw())),
+        DynamicImage::ImageLuma16(image) => (1, words(image.into_raw())),
+        DynamicImage::ImageLumaA16(image) => (2, words(image.into_raw())),
+        DynamicImage::ImageRgb16(image) => (3, words(image.into_raw())),
+        DynamicImage::ImageRgba16(image) => (4, words(image.into_raw())),
+        other => (4, other.into_rgba32f().into_raw()),
+    };
+    Image { width, height, channels, data }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jpeg_is_read_and_damage_never_panics() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.JPG");
+        let pixels: Vec<u8> = (0..24 * 16 * 3).map(|i| (i * 7 % 256) as u8).collect();
+        let buffer = ::image::RgbImage::from_raw(24, 16, pixels).unwrap();
+        buffer.save_with_format(&path, ImageFormat::Jpeg).unwrap();
+        let (image, encoding) = read_raster(&path).unwrap();
+        assert_eq!((image.width, image.height, image.channels, encoding), (24, 16, 3, Encoding::Srgb));
+        assert!(image.data.iter().all(|v| (0.0..=1.0).contains(v)));
+
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 4]).unwrap();
+        let error = read_raster(&path).unwrap_err().to_string();
+        assert!(error.contains("a.JPG: the file cannot be read as JPEG ("), "{error}");
+        for i in 0..whole.len() {
+            let mut damaged = whole.clone();
+            damaged[i] ^= 0xa5;
+            std::fs::write(&path, &damaged).unwrap();
+            let _ = (read_raster(&path), read_size(&path));
+            std::fs::write(&path, &whole[..i]).unwrap();
+            let _ = (read_raster(&path), read_size(&path));
+        }
+    }
+
+    #[test]
+    fn impossible_sizes_and_kinds_are_refused() {
+        let path = Path::new("a.png");
+        assert!(check_size(path, 0, 5).unwrap_err().to_string().contains("0×5 pixels, which is empty"));
+        let error = check_size(path, 65_000, 65_000).unwrap_err().to_string();
+        assert!(error.contains("65000×65000 pixels, more than an image may have"), "{error}");
+        assert!(check_size(path, 16_384, 16_384).is_ok());
+        let error = read_raster(Path::new("a.bmp")).unwrap_err().to_string();
+        assert_eq!(error, "a.bmp: the extension \"bmp\" is none of png, jpg, jpeg, exr");
+        assert!(read_size(Path::new("none.png")).unwrap_err().to_string().starts_with("cannot read none.png"));
+    }
+
+    /// A header that promises four billion pixels must not allocate for them.
+    #[test]
+    fn a_huge_header_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        super::super::write_exr(&path, &Image::new(3, 2, 1), &["Y"]).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        for name in [&b"dataWindow"[..], b"displayWindow"] {
+            let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 1 + 6 + 4;
+            bytes[at + 8..at + 16].copy_from_slice(&[0xff, 0xff, 0, 0, 0xff, 0xff, 0, 0]);
+        }
+        std::fs::write(&path, bytes).unwrap();
+        let error = read_raster(&path).unwrap_err().to_string();
+        assert!(error.contains("65536×65536 pixels, more than an image may have"), "{error}");
+    }
+}

@@ -1,0 +1,124 @@
+//! PNG files: 8-bit pictures out, and region or class numbers in.
+
+use std::io;
+use std::path::Path;
+
+use ::image::codecs::png::PngEncoder;
+use ::image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
+
+use super::{Image, file};
+use crate::atomic::atomic_write;
+use crate::error::{Result, SceneError};
+
+/// Writes an image of 1 to 4 channels (gray, gray and alpha, RGB, RGBA) as 8-bit PNG.
+///
+/// Values are taken as display-referred: clamped to `[0, 1]`, rounded to 255 steps, not-a-number becoming 0.
+pub fn write_png(path: &Path, image: &Image) -> Result<()> {
+    image.check()?;
+    let color = match image.channels {
+        1 => ExtendedColorType::L8,
+        2 => ExtendedColorType::La8,
+        3 => ExtendedColorType::Rgb8,
+        4 => ExtendedColorType::Rgba8,
+        n => {
+            return Err(SceneError::image(path, format!("a PNG holds 1 to 4 channels, not {n}; write an EXR instead")));
+        }
+    };
+    // A cast of NaN gives 0.
+    let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+    atomic_write(path, |out| {
+        PngEncoder::new(out).write_image(&bytes, image.width, image.height, color).map_err(io::Error::other)
+    })
+}
+
+/// The width, height and whole numbers of a gray PNG with 8 or 16 bits.
+pub(crate) fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
+    match file::decode(path, ImageFormat::Png)? {
+        DynamicImage::ImageLuma8(image) => {
+            Ok((image.width(), image.height(), image.into_raw().into_iter().map(u16::from).collect()))
+        }
+        DynamicImage::ImageLuma16(image) => Ok((image.width(), image.height(), image.into_raw())),
+        other => {
+            let problem = format!("the image is {:?}, but numbers are to be gray with 8 or 16 bits", other.color());
+            Err(SceneError::image(path, problem))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Encoding, read_raster, read_size};
+    use super::*;
+
+    #[test]
+    fn eight_bits_round_trip_for_every_channel_count() {
+        let directory = tempfile::tempdir().unwrap();
+        for channels in 1..=4_u32 {
+            let path = directory.path().join(format!("{channels}.png"));
+            let mut image = Image::new(5, 3, channels);
+            for (i, v) in image.data.iter_mut().enumerate() {
+                *v = (i * 37 % 256) as f32 / 255.0;
+            }
+            write_png(&path, &image).unwrap();
+            assert_eq!(read_size(&path).unwrap(), (5, 3));
+            assert_eq!(read_raster(&path).unwrap(), (image, Encoding::Srgb));
+        }
+    }
+
+    #[test]
+    fn values_are_clamped_and_rounded() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.png");
+        let values = vec![-1.0, 7.0, f32::NAN, 0.499_9 / 255.0, 0.500_1 / 255.0];
+        write_png(&path, &Image::from_data(5, 1, 1, values).unwrap()).unwrap();
+        assert_eq!(read_ids(&path).unwrap(), (5, 1, vec![0, 255, 0, 0, 1]));
+    }
+
+    #[test]
+    fn sixteen_bit_numbers_are_exact() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("ids.png");
+        let ids: Vec<u16> = vec![0, 1, 300, 65_535];
+        ::image::ImageBuffer::<::image::Luma<u16>, _>::from_raw(2, 2, ids.clone()).unwrap().save(&path).unwrap();
+        assert_eq!(read_ids(&path).unwrap(), (2, 2, ids));
+        let (image, _) = read_raster(&path).unwrap();
+        assert_eq!(image.data[3], 1.0);
+        assert_eq!(image.data[2], 300.0 / 65_535.0);
+    }
+
+    #[test]
+    fn what_png_cannot_hold_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.png");
+        let error = write_png(&path, &Image::new(2, 2, 5)).unwrap_err().to_string();
+        assert!(error.ends_with("a PNG holds 1 to 4 channels, not 5; write an EXR instead"), "{error}");
+        write_png(&path, &Image::new(2, 2, 3)).unwrap();
+        let error = read_ids(&path).unwrap_err().to_string();
+        assert!(error.contains("numbers are to be gray"), "{error}");
+    }
+
+    #[test]
+    fn a_file_cut_anywhere_or_damaged_is_an_error_and_never_a_panic() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.png");
+        let mut image = Image::new(6, 5, 3);
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = (i * 91 % 256) as f32 / 255.0;
+        }
+        write_png(&path, &image).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        // The last 12 bytes are the end marker, without which the picture is complete.
+        for length in 0..whole.len() - 12 {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let error = read_raster(&path).unwrap_err().to_string();
+            assert!(error.starts_with(&path.display().to_string()), "{error}");
+            assert!(error.contains("cannot be read as PNG"), "{error}");
+        }
+        for i in 0..whole.len() {
+            let mut damaged = whole.clone();
+            damaged[i] ^= 0x5a;
+            std::fs::write(&path, &damaged).unwrap();
+            let _ = (read_raster(&path), read_size(&path));
+        }
+    }
+}

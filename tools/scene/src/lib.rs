@@ -1,0 +1,42 @@
+//! Scenes on disk: cameras, photographs, points, priors, ground truth, and splats.
+//!
+//! [`Scene::open`] recognizes a directory by what it holds and brings everything to one set of conventions: OpenCV camera
+//! axes, world-to-camera poses, pixel centers at half-integers, sRGB-encoded photographs without distortion, normals in
+//! world space. [`Splats`] are read and written as PLY files that every viewer understands. All files are written beside
+//! and renamed into place ([`atomic_write`]).
+//!
+//! Whatever is wrong with a file is a [`SceneError`], whose message is one sentence for the person who made the file;
+//! nothing here panics on input. The crate knows neither graphics devices nor training.
+
+mod atomic;
+mod camera;
+mod error;
+mod ground_truth;
+mod image;
+mod json;
+mod maps;
+mod ply;
+mod points;
+mod priors;
+mod reader;
+mod scene;
+mod splats;
+mod split;
+mod view;
+
+pub use atomic::atomic_write;
+pub use camera::{Camera, Distortion, MAX_IMAGE_SIDE};
+pub use error::{Result, SceneError};
+pub use ground_truth::{GroundTruth, GroundTruthKind};
+pub use image::{
+    ExrImage, Image, NpyArray, linear_to_srgb, read_exr, resize, resize_valid, srgb_to_linear, undistort,
+    undistort_coverage, write_exr, write_png,
+};
+pub use maps::{MaskedMap, NormalFrame, RegionMap};
+pub use points::{Pcg, PointCloud, RandomBox};
+pub use priors::{FeatureMap, TextEmbeddings};
+pub use reader::Layout;
+pub use scene::{Scene, SceneOptions};
+pub use splats::{SH_C0, Splats};
+pub use split::Split;
+pub use view::{LoadOptions, View};

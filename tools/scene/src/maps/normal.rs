@@ -1,0 +1,86 @@
+//! Normal maps, which come in several frames and leave in one: world space, unit length.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use super::{bring, read};
+use crate::error::{Result, SceneError};
+use crate::image::{Encoding, Image};
+use crate::view::View;
+
+/// The coordinates in which a file's normals are given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub enum NormalFrame {
+    /// The scene's own.
+    #[serde(rename = "world")]
+    World,
+    /// x right, y down, z forward.
+    #[serde(rename = "camera-opencv")]
+    CameraOpencv,
+    /// x right, y up, z towards the viewer.
+    #[serde(rename = "camera-opengl")]
+    CameraOpengl,
+    /// x left, y up, z towards the viewer, as StableNormal writes them.
+    #[serde(rename = "camera-stablenormal")]
+    CameraStablenormal,
+}
+
+impl NormalFrame {
+    /// The matrix that takes a normal of this frame to the world, for a camera with this world-to-camera rotation.
+    pub fn to_world(self, world_to_camera: DMat3) -> DMat3 {
+        let to_opencv = match self {
+            Self::World => return DMat3::IDENTITY,
+            Self::CameraOpencv => DVec3::new(1.0, 1.0, 1.0),
+            Self::CameraOpengl => DVec3::new(1.0, -1.0, -1.0),
+            Self::CameraStablenormal => DVec3::new(-1.0, -1.0, -1.0),
+        };
+        world_to_camera.transpose() * DMat3::from_diagonal(to_opencv)
+    }
+}
+
+/// Lengths that can be meant as a unit vector. With 8 bits, gray means "none" but has a small length, and black means
+/// "none" but has the length √3.
+fn plausible(length: f64, encoding: Encoding) -> bool {
+    match encoding {
+        Encoding::Srgb => (0.1..1.5).contains(&length),
+        Encoding::Linear => length > 1e-3 && length.is_finite(),
+    }
+}
+
+/// Loads a normal map for a view: three channels, unit vectors in the world, zero where the file has none.
+pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image> {
+    let (raster, encoding) = read(path)?;
+    if raster.channels < 3 {
+        let problem = format!("a normal map has 3 channels, but the file has {}", raster.channels);
+        return Err(SceneError::image(path, problem));
+    }
+    let to_world = frame.to_world(view.camera.rotation);
+    let mut valid = Image::new(raster.width, raster.height, 1);
+    let mut marks = valid.data.iter_mut();
+    let world = raster.map_pixels(3, |old, new| {
+        let mut n = DVec3::new(f64::from(old[0]), f64::from(old[1]), f64::from(old[2]));
+        if encoding == Encoding::Srgb {
+            n = 2.0 * n - 1.0;
+        }
+        let length = n.length();
+        if plausible(length, encoding) {
+            let n = to_world * n / length;
+            new.copy_from_slice(&[n.x as f32, n.y as f32, n.z as f32]);
+            if let Some(mark) = marks.next() {
+                *mark = 1.0;
+            }
+        } else {
+            marks.next();
+        }
+    });
+    let mut map = bring(world, valid, view).image;
+    for pixel in map.data.chunks_exact_mut(3) {
+        let n = DVec3::new(f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]));
+        // Opposite normals that average to nothing say nothing.
+        let n = if n.length() > 1e-3 { n.normalize() } else { DVec3::ZERO };
+        pixel.copy_from_slice(&[n.x as f32, n.y as f32, n.z as f32]);
+    }
+    Ok(map)
+}

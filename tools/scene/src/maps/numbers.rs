@@ -1,0 +1,39 @@
+//! Maps of whole numbers: regions and classes.
+
+use std::path::Path;
+
+use crate::error::Result;
+use crate::image::read_ids;
+use crate::view::View;
+
+/// A number for every pixel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RegionMap {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Row-major numbers; 0 means none.
+    pub ids: Vec<u16>,
+}
+
+/// Loads a map of numbers for a view. Numbers cannot be averaged: each pixel takes the one at its center.
+pub(crate) fn load(path: &Path, view: &View) -> Result<RegionMap> {
+    let (w, h, stored) = read_ids(path)?;
+    let camera = &view.camera;
+    let mut ids = Vec::with_capacity(camera.width as usize * camera.height as usize);
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let nx = (f64::from(x) + 0.5 - camera.cx) / camera.fx;
+            let ny = (f64::from(y) + 0.5 - camera.cy) / camera.fy;
+            let (dx, dy) = view.distortion.distort(nx, ny);
+            let u = (dx * camera.fx + camera.cx) / f64::from(camera.width) * f64::from(w);
+            let v = (dy * camera.fy + camera.cy) / f64::from(camera.height) * f64::from(h);
+            // Rounding must not push the center of a pixel over its edge; the cast stops at zero and is total.
+            let column = ((u + 1e-9).floor() as usize).min(w as usize - 1);
+            let row = ((v + 1e-9).floor() as usize).min(h as usize - 1);
+            ids.push(stored.get(row * w as usize + column).copied().unwrap_or(0));
+        }
+    }
+    Ok(RegionMap { width: camera.width, height: camera.height, ids })
+}

@@ -1,0 +1,44 @@
+//! Point clouds: where splats begin.
+
+mod file;
+mod neighbors;
+mod random;
+
+pub(crate) use neighbors::mean_square_distances;
+pub use random::{Pcg, RandomBox};
+
+/// Points of a surface, with what is known about them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// Positions in the world.
+    pub positions: Vec<[f32; 3]>,
+    /// Display-referred (sRGB) colors in `[0, 1]`.
+    pub colors: Option<Vec<[f32; 3]>>,
+    /// Normals in the world, of any length; zero where unknown.
+    pub normals: Option<Vec<[f32; 3]>>,
+}
+
+impl PointCloud {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Whether colors and normals, where present, are as many as the points.
+    pub(crate) fn problem(&self) -> Option<String> {
+        let n = self.len();
+        for (name, other) in [("colors", &self.colors), ("normals", &self.normals)] {
+            if let Some(other) = other
+                && other.len() != n
+            {
+                return Some(format!("{} {name} do not fit {n} positions", other.len()));
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,125 @@
+//! Points out of nothing, for scenes that come without any.
+
+use glam::{DVec2, DVec3};
+
+use super::PointCloud;
+use crate::camera::Camera;
+
+/// Random numbers: the 32-bit generator with permuted output that is known as PCG XSH-RR, on a 64-bit state.
+#[derive(Clone, Debug)]
+pub struct Pcg {
+    state: u64,
+}
+
+impl Pcg {
+    const MULTIPLIER: u64 = 6_364_136_223_846_793_005;
+    const INCREMENT: u64 = 1_442_695_040_888_963_407;
+
+    /// The generator for a seed.
+    pub fn new(seed: u64) -> Self {
+        let mut pcg = Self { state: seed.wrapping_add(Self::INCREMENT) };
+        pcg.next_u32();
+        pcg
+    }
+
+    /// 32 random bits.
+    pub fn next_u32(&mut self) -> u32 {
+        let old = self.state;
+        self.state = old.wrapping_mul(Self::MULTIPLIER).wrapping_add(Self::INCREMENT);
+        let shifted = (((old >> 18) ^ old) >> 27) as u32;
+        shifted.rotate_right((old >> 59) as u32)
+    }
+
+    /// A number in `[0, 1)`, uniformly.
+    pub fn next_f32(&mut self) -> f32 {
+        (self.next_u32() >> 8) as f32 / (1 << 24) as f32
+    }
+}
+
+/// The box that cameras look at: the smallest axis-aligned one around their centers and their views, each view cut off
+/// at one depth.
+///
+/// Without points nothing is known about depth. The cut is at twice the extent of the cameras: for cameras around an
+/// object this reaches through it, for cameras spread over a room about to its walls.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RandomBox {
+    /// The corner with the smallest coordinates.
+    pub min: DVec3,
+    /// The corner with the largest coordinates.
+    pub max: DVec3,
+}
+
+impl RandomBox {
+    /// The box of cameras with this extent; `None` without cameras.
+    pub fn around<'a>(cameras: impl IntoIterator<Item = &'a Camera>, extent: f64) -> Option<Self> {
+        let mut found: Option<Self> = None;
+        let mut add = |point: DVec3| {
+            let old = found.unwrap_or(Self { min: point, max: point });
+            found = Some(Self { min: old.min.min(point), max: old.max.max(point) });
+        };
+        for camera in cameras {
+            add(camera.position());
+            let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+            for corner in [DVec2::ZERO, DVec2::new(w, 0.0), DVec2::new(0.0, h), DVec2::new(w, h)] {
+                add(camera.unproject(corner, 2.0 * extent));
+            }
+        }
+        found
+    }
+
+    /// `count` points uniformly in the box, the same ones for the same seed, without colors.
+    pub fn sample(&self, count: usize, seed: u64) -> PointCloud {
+        let mut random = Pcg::new(seed);
+        let mut coordinate = |k: usize| {
+            let t = f64::from(random.next_f32());
+            (self.min[k] + (self.max[k] - self.min[k]) * t) as f32
+        };
+        let positions = (0..count).map(|_| [coordinate(0), coordinate(1), coordinate(2)]).collect();
+        PointCloud { positions, colors: None, normals: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::camera::tests::camera;
+
+    #[test]
+    fn numbers_are_seeded_and_uniform() {
+        let take = |seed| {
+            let mut random = Pcg::new(seed);
+            (0..10_000).map(|_| random.next_f32()).collect::<Vec<_>>()
+        };
+        assert_eq!(take(1), take(1));
+        assert_ne!(take(1), take(2));
+        let mut bins = [0; 10];
+        take(5).iter().for_each(|v| bins[(v * 10.0) as usize] += 1);
+        assert!(bins.iter().all(|&n| (900..1100).contains(&n)), "{bins:?}");
+    }
+
+    #[test]
+    fn the_box_holds_what_the_camera_sees() {
+        let camera = Camera { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, ..camera() };
+        let seen = RandomBox::around([&camera], 1.5).unwrap();
+        assert_eq!((seen.min.z, seen.max.z), (0.0, 3.0));
+        assert!((seen.min.x + 3.0 * 79.0 / 110.0).abs() < 1e-12);
+        assert!((seen.max.y - 3.0 * (120.0 - 62.5) / 115.0).abs() < 1e-12);
+        assert_eq!(RandomBox::around([], 1.0), None);
+    }
+
+    #[test]
+    fn samples_fill_the_box() {
+        let seen = RandomBox { min: DVec3::new(-1.0, 2.0, 0.0), max: DVec3::new(1.0, 3.0, 10.0) };
+        let cloud = seen.sample(4000, 9);
+        assert_eq!(cloud, seen.sample(4000, 9));
+        assert_ne!(cloud, seen.sample(4000, 10));
+        for k in 0..3 {
+            let mean = cloud.positions.iter().map(|p| f64::from(p[k])).sum::<f64>() / 4000.0;
+            let size = seen.max[k] - seen.min[k];
+            assert!((mean - (seen.min[k] + seen.max[k]) / 2.0).abs() < 0.03 * size);
+            assert!(cloud.positions.iter().all(|p| (seen.min[k]..=seen.max[k]).contains(&f64::from(p[k]))));
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! Priors: what pretrained networks said about the photographs, in `priors/`.
+//!
+//! A prior may guide training. It never comes from ground truth, which lies in another folder and is reached through
+//! another type ([`GroundTruth`](crate::GroundTruth)). Every kind may be absent as a whole or for single views.
+
+use std::path::{Path, PathBuf};
+
+use half::f16;
+use serde::Deserialize;
+
+use crate::error::{Result, SceneError};
+use crate::image::{Image, NpyArray};
+use crate::json::read_json;
+use crate::maps::{self, MaskedMap, Meaning, NormalFrame, RegionMap};
+use crate::scene::Scene;
+use crate::view::View;
+
+const NORMAL_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
+const MAP_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
+
+/// Per-pixel features, at the size and in the precision they are stored with, and with the photograph's distortion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureMap {
+    /// Width in cells; the map covers the whole image.
+    pub width: usize,
+    /// Height in cells.
+    pub height: usize,
+    /// Features for each cell.
+    pub channels: usize,
+    /// Row-major, interleaved values.
+    pub data: Vec<f16>,
+}
+
+/// The text side of semantic features: one embedding for each class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TextEmbeddings {
+    /// Names of the classes.
+    pub labels: Vec<String>,
+    /// Length of an embedding.
+    pub channels: usize,
+    /// Embeddings, class by class.
+    pub data: Vec<f32>,
+}
+
+/// `priors/priors.json`.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(crate) struct PriorSettings {
+    normal: Option<NormalSettings>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+struct NormalSettings {
+    frame: NormalFrame,
+}
+
+#[derive(Deserialize)]
+struct Labels {
+    labels: Vec<String>,
+}
+
+impl PriorSettings {
+    /// Reads the settings of a scene, and insists on them where they are needed.
+    pub(crate) fn read(root: &Path) -> Result<Self> {
+        let path = root.join("priors/priors.json");
+        let settings: Self = if path.is_file() { read_json(&path)? } else { Self::default() };
+        let folder = root.join("priors/normal");
+        if settings.normal.is_none() && folder.is_dir() {
+            let problem = format!(
+                "the frame of the normals is unknown; write {{\"normal\": {{\"frame\": \"world\"}}}}, or camera-opencv, \
+                 camera-opengl or camera-stablenormal, into {}",
+                path.display()
+            );
+            return Err(SceneError::image(&folder, problem));
+        }
+        Ok(settings)
+    }
+}
+
+impl Scene {
+    fn prior_path(&self, kind: &str, view: &View, extensions: &[&str]) -> Option<PathBuf> {
+        maps::find(&self.root.join("priors").join(kind), &view.camera.name, extensions)
+    }
+
+    /// The normal prior of a view: unit vectors in the world at the size of the view's camera, zero where the prior is
+    /// invalid; `None` where there is no prior.
+    pub fn normal_prior(&self, view: usize) -> Result<Option<Image>> {
+        let view = self.view(view)?;
+        let Some(path) = self.prior_path("normal", view, &NORMAL_EXTENSIONS) else {
+            return Ok(None);
+        };
+        let Some(NormalSettings { frame }) = self.prior_settings.normal else {
+            return Err(SceneError::image(&path, "the frame of the normals is unknown; name it in priors/priors.json"));
+        };
+        maps::load_normals(&path, view, frame).map(Some)
+    }
+
+    /// The albedo prior of a view: linear RGB.
+    pub fn albedo_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
+        self.map_prior("albedo", view, Meaning::Color)
+    }
+
+    /// The roughness prior of a view: one channel.
+    pub fn roughness_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
+        self.map_prior("roughness", view, Meaning::Scalar)
+    }
+
+    /// The metallic prior of a view: one channel.
+    pub fn metallic_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
+        self.map_prior("metallic", view, Meaning::Scalar)
+    }
+
+    fn map_prior(&self, kind: &str, view: usize, meaning: Meaning) -> Result<Option<MaskedMap>> {
+        let view = self.view(view)?;
+        match self.prior_path(kind, view, &MAP_EXTENSIONS) {
+            Some(path) => maps::load(&path, view, meaning).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The regions of a view, at the size of the view's camera: the same number is the same region in every view, 0 is
+    /// none.
+    pub fn region_prior(&self, view: usize) -> Result<Option<RegionMap>> {
+        let view = self.view(view)?;
+        match self.prior_path("masks", view, &["png"]) {
+            Some(path) => maps::load_numbers(&path, view).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The semantic features of a view, as stored: not resized, not undistorted.
+    pub fn semantic_prior(&self, view: usize) -> Result<Option<FeatureMap>> {
+        let view = self.view(view)?;
+        let Some(path) = self.prior_path("semantic", view, &["npy"]) else {
+            return Ok(None);
+        };
+        let array = NpyArray::read(&path)?;
+        let [height, width, channels] = array.dimensions3()?;
+        let data = array.to_f16();
+        if let Some(at) = data.iter().position(|v| !v.is_finite()) {
+            let cell = at / channels;
+            let problem = format!(
+                "the feature in column {}, row {} is not finite; compute the map again",
+                cell % width,
+                cell / width
+            );
+            return Err(SceneError::image(&path, problem));
+        }
+        Ok(Some(FeatureMap { width, height, channels, data }))
+    }
+
+    /// The text embeddings of the semantic classes, from `priors/semantic`.
+    pub fn text_embeddings(&self) -> Result<Option<TextEmbeddings>> {
+        let folder = self.root.join("priors/semantic");
+        let path = folder.join("text_embeddings.npy");
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let array = NpyArray::read(&path)?;
+        let Labels { labels } = read_json(&folder.join("labels.json"))?;
+        let data = array.to_f32();
+        match array.shape[..] {
+            [classes, channels] if classes == labels.len() && channels > 0 && data.iter().all(|v| v.is_finite()) => {
+                Ok(Some(TextEmbeddings { labels, channels, data }))
+            }
+            _ => {
+                let problem = format!(
+                    "the array has the shape {:?}; it must hold one finite embedding for each of the {} classes in \
+                     labels.json",
+                    array.shape,
+                    labels.len()
+                );
+                Err(SceneError::image(&path, problem))
+            }
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! The layout of COLMAP and of VGGT's export: `sparse/0` or `sparse` with `cameras`, `images` and `points3D`, in binary
+//! or as text, and the photographs in `images`.
+//!
+//! The binary form wins where both are present. Poses are world-to-camera with OpenCV axes already.
+
+mod binary;
+mod model;
+mod text;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use super::frame::{find_image, missing_warning};
+use super::transforms::read_points;
+use super::{Found, Frame, pose, stem_of};
+use crate::camera::Camera;
+use crate::error::{Result, SceneError};
+use crate::points::PointCloud;
+
+pub(super) use model::Model;
+
+/// A calibrated camera, shared by images.
+#[derive(Clone, Debug, PartialEq)]
+struct CameraRow {
+    id: u32,
+    width: u64,
+    height: u64,
+    model: Model,
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+struct ImageRow {
+    /// World-to-camera quaternion, `(w, x, y, z)`.
+    rotation: [f64; 4],
+    translation: [f64; 3],
+    camera: u32,
+    name: String,
+    /// Where in the file it stands, for errors.
+    place: String,
+}
+
+/// Where a model lies and in which form.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Location {
+    folder: PathBuf,
+    binary: bool,
+}
+
+impl Location {
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.{}", if self.binary { "bin" } else { "txt" }))
+    }
+}
+
+/// The model of a scene directory, if there is one.
+pub(super) fn find(root: &Path) -> Option<Location> {
+    for folder in ["sparse/0", "sparse"] {
+        for (binary, name) in [(true, "cameras.bin"), (false, "cameras.txt")] {
+            let folder = root.join(folder);
+            if folder.join(name).is_file() {
+                return Some(Location { folder, binary });
+            }
+        }
+    }
+    None
+}
+
+/// Reads a scene directory.
+pub(super) fn read(root: &Path) -> Result<Found> {
+    let problem = || "holds no sparse/0 with cameras.bin or cameras.txt".to_string();
+    let location = find(root).ok_or_else(|| SceneError::NotAScene { path: root.to_path_buf(), problem: problem() })?;
+    let (cameras_path, images_path) = (location.file("cameras"), location.file("images"));
+    let (cameras, images) = if location.binary {
+        (binary::read_cameras(&cameras_path)?, binary::read_images(&images_path)?)
+    } else {
+        (text::read_cameras(&cameras_path)?, text::read_images(&images_path)?)
+    };
+    if images.is_empty() {
+        let problem = "no image is registered; run the reconstruction again";
+        return Err(SceneError::cameras(&images_path, "", problem));
+    }
+    let cameras: HashMap<u32, CameraRow> = cameras.into_iter().map(|camera| (camera.id, camera)).collect();
+
+    let folder = root.join("images");
+    let mut found = Found::default();
+    for row in &images {
+        let place = format!("{} ({})", row.place, row.name);
+        let fail = |problem: String| SceneError::cameras(&images_path, place.clone(), problem);
+        let Some(image) = find_image(&folder, &row.name) else {
+            found.missing.push(stem_of(Path::new(&row.name)));
+            continue;
+        };
+        let shared = cameras.get(&row.camera).ok_or_else(|| {
+            fail(format!("the image has the camera {}, which {} lacks", row.camera, cameras_path.display()))
+        })?;
+        let (rotation, translation) = pose::from_quaternion(row.rotation, row.translation).map_err(fail)?;
+        let side = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
+        let Model { fx, fy, cx, cy, lens } = shared.model;
+        let camera = Camera {
+            name: stem_of(&image),
+            width: side(shared.width),
+            height: side(shared.height),
+            fx,
+            fy,
+            cx,
+            cy,
+            rotation,
+            translation,
+        };
+        let problem = camera.problem();
+        let problem = problem.or((!lens.is_finite()).then(|| "the distortion holds values that are not finite".into()));
+        if let Some(problem) = problem {
+            return Err(SceneError::cameras(&cameras_path, format!("camera {}", shared.id), problem));
+        }
+        found.frames.push(Frame { camera, lens, image, declared_in: cameras_path.clone() });
+    }
+    if found.frames.is_empty() {
+        let problem = format!(
+            "none of the {} images exists (the first should be {}); put the images into {}",
+            images.len(),
+            folder.join(&images[0].name).display(),
+            folder.display()
+        );
+        return Err(SceneError::cameras(&images_path, "", problem));
+    }
+    found.warnings.extend(missing_warning(&images_path, &found.missing, images.len()));
+    found.points = points_of(&location)?;
+    Ok(found)
+}
+
+/// The model's points: `points3D` in the model's form, else in any other.
+fn points_of(location: &Location) -> Result<Option<PointCloud>> {
+    let path = |name: &str| location.folder.join(name);
+    let own = if location.binary { ["points3D.bin", "points3D.txt"] } else { ["points3D.txt", "points3D.bin"] };
+    for name in own.into_iter().chain(["points3D.ply", "points.ply"]) {
+        let path = path(name);
+        if !path.is_file() {
+            continue;
+        }
+        let points = match path.extension().and_then(|e| e.to_str()) {
+            Some("bin") => binary::read_points(&path)?,
+            Some("txt") => text::read_points(&path)?,
+            _ => read_points(&path)?,
+        };
+        if points.is_empty() {
+            let problem = "the file holds no points; replace it, or remove it to start from random points";
+            return Err(SceneError::points(&path, "", problem));
+        }
+        return Ok(Some(points));
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,132 @@
+//! COLMAP's text files.
+
+use std::path::Path;
+
+use super::{CameraRow, ImageRow, model};
+use crate::error::{Result, SceneError, io_error};
+use crate::points::PointCloud;
+
+fn read_text(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(io_error("read", path))?;
+    // Names of images may be in any encoding; numbers are the same in all.
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// The words of one line, with errors that name it.
+struct Words<'a> {
+    path: &'a Path,
+    line: usize,
+    words: std::str::SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Words<'a> {
+    fn new(path: &'a Path, line: usize, text: &'a str) -> Self {
+        Self { path, line, words: text.split_ascii_whitespace() }
+    }
+
+    fn fail(&self, problem: impl Into<String>) -> SceneError {
+        SceneError::cameras(self.path, format!("line {}", self.line), problem)
+    }
+
+    fn word(&mut self, what: &str) -> Result<&'a str> {
+        self.words.next().ok_or_else(|| self.fail(format!("the line ends before {what}; export the file again")))
+    }
+
+    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
+        let word = self.word(what)?;
+        word.parse().map_err(|_| self.fail(format!("\"{word}\" is no {what}; export the file again")))
+    }
+
+    fn numbers<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.number(what)?;
+        }
+        Ok(values)
+    }
+}
+
+/// Lines that say something, with their numbers from 1.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| is_content(line))
+}
+
+fn is_content(line: &str) -> bool {
+    let line = line.trim();
+    !line.is_empty() && !line.starts_with('#')
+}
+
+/// Reads `cameras.txt`.
+pub(super) fn read_cameras(path: &Path) -> Result<Vec<CameraRow>> {
+    let text = read_text(path)?;
+    let mut cameras = Vec::new();
+    for (line, content) in lines(&text) {
+        let mut words = Words::new(path, line, content);
+        let id = words.number("camera number")?;
+        let name = words.word("the camera model")?;
+        let width = words.number("width in pixels")?;
+        let height = words.number("height in pixels")?;
+        let mut parameters: Vec<f64> = Vec::new();
+        while let Some(word) = words.words.next() {
+            let number = word.parse().map_err(|_| words.fail(format!("\"{word}\" is no camera parameter")))?;
+            parameters.push(number);
+        }
+        let model = model::from_parameters(name, &parameters).map_err(|problem| words.fail(problem))?;
+        cameras.push(CameraRow { id, width, height, model });
+    }
+    Ok(cameras)
+}
+
+/// Reads `images.txt`; the observed points are skipped.
+pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
+    let text = read_text(path)?;
+    let mut images = Vec::new();
+    let mut all = text.lines().enumerate();
+    while let Some((i, content)) = all.next() {
+        if !is_content(content) {
+            continue;
+        }
+        let mut words = Words::new(path, i + 1, content);
+        let _id: u32 = words.number("image number")?;
+        let rotation = words.numbers("part of a quaternion")?;
+        let translation = words.numbers("part of a translation")?;
+        let camera = words.number("camera number")?;
+        words.word("the name of the image")?;
+        // The name is the rest of the line, because it may hold spaces.
+        let name = rest_after(content, 9).to_string();
+        images.push(ImageRow { rotation, translation, camera, name, place: format!("line {}", i + 1) });
+        // The observed points have a line of their own, which is empty where there are none.
+        all.next();
+    }
+    Ok(images)
+}
+
+/// What follows the first `n` words of a line.
+fn rest_after(line: &str, n: usize) -> &str {
+    let mut rest = line.trim();
+    for _ in 0..n {
+        rest = rest.find(|c: char| c.is_ascii_whitespace()).map_or("", |at| rest[at..].trim_start());
+    }
+    rest
+}
+
+/// Reads `points3D.txt`; the tracks are skipped.
+pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
+    let text = read_text(path)?;
+    let (mut positions, mut colors) = (Vec::new(), Vec::new());
+    for (line, content) in lines(&text) {
+        let mut words = Words::new(path, line, content);
+        let _id: u64 = words.number("point number")?;
+        let position = words.numbers::<3>("coordinate")?.map(|v| v as f32);
+        if position.iter().any(|v| !v.is_finite()) {
+            return Err(words.fail("the position is not finite; remove the point or run the reconstruction again"));
+        }
+        positions.push(position);
+        let mut color = [0.0; 3];
+        for value in &mut color {
+            *value = f32::from(words.number::<u8>("color from 0 to 255")?) / 255.0;
+        }
+        colors.push(color);
+    }
+    Ok(PointCloud { positions, colors: Some(colors), normals: None })
+}

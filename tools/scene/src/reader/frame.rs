@@ -1,0 +1,119 @@
+//! A photograph and its camera, as every reader gives it.
+
+use std::path::{Path, PathBuf};
+
+use crate::camera::{Camera, Distortion};
+use crate::error::{Result, SceneError};
+use crate::image::{EXTENSIONS, read_size};
+
+/// A photograph and its camera.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Frame {
+    /// The camera for the image as it is on the disk.
+    pub(crate) camera: Camera,
+    /// The lens of that camera.
+    pub(crate) lens: Distortion,
+    /// The image.
+    pub(crate) image: PathBuf,
+    /// The file that describes the camera.
+    pub(crate) declared_in: PathBuf,
+}
+
+impl Frame {
+    /// Refuses an image whose header gives another size than the camera.
+    pub(crate) fn check_size(&self) -> Result<()> {
+        let image = read_size(&self.image)?;
+        let camera = (self.camera.width, self.camera.height);
+        if image == camera {
+            return Ok(());
+        }
+        let declared_in = self.declared_in.clone();
+        Err(SceneError::ImageSize { path: self.image.clone(), image, camera, declared_in })
+    }
+}
+
+/// The extensions that `read_size` and the loaders know, in any case.
+fn is_image_extension(extension: &str) -> bool {
+    EXTENSIONS.contains(&extension.to_lowercase().as_str())
+}
+
+/// The file name without its image extension. Names may hold dots of their own: `frame.0001` is a whole stem.
+pub(crate) fn stem_of(path: &Path) -> String {
+    let known = path.extension().is_some_and(|e| is_image_extension(&e.to_string_lossy()));
+    let name = if known { path.file_stem() } else { path.file_name() };
+    name.unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The image that a scene file names with or without extension, relative to `folder`, or `None` when there is none.
+pub(crate) fn find_image(folder: &Path, name: &str) -> Option<PathBuf> {
+    if name.is_empty() {
+        return None;
+    }
+    // Files written on Windows separate folders with backslashes.
+    let path = folder.join(name.replace('\\', "/"));
+    if path.is_file() {
+        return Some(path);
+    }
+    let with = |extension: &str| {
+        let mut name = path.clone().into_os_string();
+        name.push(".");
+        name.push(extension);
+        PathBuf::from(name)
+    };
+    let upper = EXTENSIONS.map(str::to_uppercase);
+    let candidates = EXTENSIONS.iter().copied().chain(upper.iter().map(String::as_str));
+    candidates.map(with).find(|candidate| candidate.is_file())
+}
+
+/// One sentence about frames whose image is missing, or `None` when there are none.
+pub(crate) fn missing_warning(declared_in: &Path, missing: &[String], total: usize) -> Option<String> {
+    let first = missing.first()?;
+    let n = missing.len();
+    Some(format!(
+        "{n} of {total} frames in {} are skipped because their image does not exist (the first is {first:?})",
+        declared_in.display()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stems_lose_only_image_extensions() {
+        let stem = |s: &str| stem_of(Path::new(s));
+        assert_eq!(stem("images/000.png"), "000");
+        assert_eq!(stem("images/a.JPG"), "a");
+        assert_eq!(stem("images/frame.0001"), "frame.0001");
+        assert_eq!(stem("images/frame.0001.exr"), "frame.0001");
+        assert_eq!(stem(""), "");
+    }
+
+    #[test]
+    fn images_are_found_with_and_without_extension() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        std::fs::create_dir(root.join("images")).unwrap();
+        for name in ["images/a.png", "images/b.JPG", "images/c.5.exr"] {
+            std::fs::write(root.join(name), "").unwrap();
+        }
+        let find = |name: &str| find_image(root, name).map(|p| p.strip_prefix(root).unwrap().to_path_buf());
+        assert_eq!(find("images/a.png"), Some("images/a.png".into()));
+        assert_eq!(find("images/a"), Some("images/a.png".into()));
+        assert_eq!(find("images/b"), Some("images/b.JPG".into()));
+        assert_eq!(find("images\\c.5"), Some("images/c.5.exr".into()));
+        for none in ["images/d", "images", "", "images/a.jpg"] {
+            assert_eq!(find(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn missing_frames_are_counted_in_one_sentence() {
+        assert_eq!(missing_warning(Path::new("t.json"), &[], 3), None);
+        let warning = missing_warning(Path::new("t.json"), &["a".into(), "b".into()], 5).unwrap();
+        assert_eq!(
+            warning,
+            "2 of 5 frames in t.json are skipped because their image does not exist (the first is \"a\")"
+        );
+    }
+}

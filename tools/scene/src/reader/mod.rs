@@ -1,0 +1,136 @@
+//! Readers: one module for each layout of a scene directory.
+//!
+//! A layout is recognized by what the directory holds. Its reader finds cameras, images and points and turns them into
+//! this crate's conventions; everything that layouts share (split, scale, priors, checks) happens afterwards, in
+//! [`Scene`](crate::Scene).
+
+mod blender;
+pub(crate) mod colmap;
+mod fipt;
+mod frame;
+mod interiorverse;
+mod pose;
+pub(crate) mod transforms;
+
+use std::path::Path;
+
+pub(crate) use frame::{Frame, stem_of};
+
+use crate::error::{Result, SceneError};
+use crate::points::PointCloud;
+
+/// How a scene directory is laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// `transforms.json`, as nerfstudio and instant-ngp write it.
+    Transforms,
+    /// `sparse/0` or `sparse`, as COLMAP and VGGT write it.
+    Colmap,
+    /// `NNN_im.exr` and its companions.
+    InteriorVerse,
+    /// `transforms_train.json` and folders of images, as for TensoIR.
+    Blender,
+    /// `cam.txt` and `K_list.txt`.
+    Fipt,
+}
+
+/// What a reader found.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    /// Frames whose image exists, in the order of the file.
+    pub(crate) frames: Vec<Frame>,
+    /// Stems of frames whose image does not exist.
+    pub(crate) missing: Vec<String>,
+    /// Points, where the layout has some.
+    pub(crate) points: Option<PointCloud>,
+    /// What the user should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Recognizes the layout of a scene directory.
+pub(crate) fn recognize(root: &Path) -> Result<Layout> {
+    let problem = if !root.exists() {
+        "does not exist; give the directory of a scene"
+    } else if !root.is_dir() {
+        "is not a directory; give the directory of a scene"
+    } else if root.join("transforms.json").is_file() {
+        return Ok(Layout::Transforms);
+    } else if colmap::find(root).is_some() {
+        return Ok(Layout::Colmap);
+    } else if interiorverse::sign(root).is_some() {
+        return Ok(Layout::InteriorVerse);
+    } else if blender::sign(root).is_some() {
+        return Ok(Layout::Blender);
+    } else if fipt::sign(root).is_some() {
+        return Ok(Layout::Fipt);
+    } else {
+        "holds no scene: there is neither transforms.json nor sparse/0 with cameras.bin or cameras.txt"
+    };
+    Err(SceneError::NotAScene { path: root.to_path_buf(), problem: problem.into() })
+}
+
+/// Reads a scene directory of the given layout.
+pub(crate) fn read(root: &Path, layout: Layout) -> Result<Found> {
+    match layout {
+        Layout::Transforms => transforms::read(root),
+        Layout::Colmap => colmap::read(root),
+        Layout::InteriorVerse => interiorverse::read(root),
+        Layout::Blender => blender::read(root),
+        Layout::Fipt => fipt::read(root),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layouts_are_recognized_by_what_they_hold() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        let put = |name: &str| {
+            let path = root.join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        };
+        assert!(recognize(root).unwrap_err().to_string().contains("neither transforms.json nor sparse/0"));
+        put("cam.txt");
+        assert!(recognize(root).is_err());
+        put("K_list.txt");
+        assert_eq!(recognize(root).unwrap(), Layout::Fipt);
+        put("transforms_train.json");
+        assert_eq!(recognize(root).unwrap(), Layout::Blender);
+        put("im.exr");
+        put("x_im.exr");
+        assert_eq!(recognize(root).unwrap(), Layout::Blender);
+        put("007_im.exr");
+        assert_eq!(recognize(root).unwrap(), Layout::InteriorVerse);
+        put("sparse/cameras.txt");
+        assert_eq!(recognize(root).unwrap(), Layout::Colmap);
+        put("transforms.json");
+        assert_eq!(recognize(root).unwrap(), Layout::Transforms);
+
+        let error = recognize(&root.join("none")).unwrap_err().to_string();
+        assert!(error.ends_with("none does not exist; give the directory of a scene"), "{error}");
+        let error = recognize(&root.join("cam.txt")).unwrap_err().to_string();
+        assert!(error.ends_with("cam.txt is not a directory; give the directory of a scene"), "{error}");
+    }
+
+    #[test]
+    fn layouts_without_a_reader_say_so() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        for (name, layout, words) in [
+            ("K_list.txt", Layout::Fipt, "FIPT layout (it holds cam.txt and K_list.txt)"),
+            ("transforms_train.json", Layout::Blender, "Blender layout (it holds transforms_train.json)"),
+            ("012_im.exr", Layout::InteriorVerse, "InteriorVerse layout (it holds 012_im.exr)"),
+        ] {
+            std::fs::write(root.join("cam.txt"), "").unwrap();
+            std::fs::write(root.join(name), "").unwrap();
+            assert_eq!(recognize(root).unwrap(), layout);
+            let error = read(root, layout).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+            assert!(error.contains("convert it to transforms.json or to COLMAP's sparse/0"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! What may stand at the top of a `transforms.json`, at a frame, or at both.
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use crate::camera::{Camera, Distortion};
+use crate::reader::pose;
+
+/// The top of the file or one of its frames. Everything is optional: what a frame does not say, the top may.
+///
+/// One flat structure for both, because nested ones would lose the line of a wrong value.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(super) struct Entry {
+    pub(super) file_path: Option<String>,
+    pub(super) transform_matrix: Option<Vec<Vec<f64>>>,
+    camera_model: Option<String>,
+    is_fisheye: Option<bool>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    width: Option<f64>,
+    height: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+impl Entry {
+    /// The intrinsic values of a frame, completed with those of the whole file.
+    pub(super) fn or(&self, all: &Self) -> Self {
+        // A frame that gives any focal length does not want the file's other way of saying it.
+        let own_focal = self.fl_x.is_some() || self.camera_angle_x.is_some();
+        let focal = if own_focal { self } else { all };
+        Self {
+            file_path: None,
+            transform_matrix: None,
+            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
+            is_fisheye: self.is_fisheye.or(all.is_fisheye),
+            fl_x: focal.fl_x,
+            fl_y: self.fl_y.or(focal.fl_y),
+            camera_angle_x: focal.camera_angle_x,
+            camera_angle_y: self.camera_angle_y.or(focal.camera_angle_y),
+            cx: self.cx.or(all.cx),
+            cy: self.cy.or(all.cy),
+            w: self.w.or(self.width).or(all.w).or(all.width),
+            h: self.h.or(self.height).or(all.h).or(all.height),
+            width: None,
+            height: None,
+            k1: self.k1.or(all.k1),
+            k2: self.k2.or(all.k2),
+            k3: self.k3.or(all.k3),
+            k4: self.k4.or(all.k4),
+            p1: self.p1.or(all.p1),
+            p2: self.p2.or(all.p2),
+        }
+    }
+
+    /// The image size, where it is given.
+    pub(super) fn size(&self) -> Result<Option<(u32, u32)>, String> {
+        let (Some(w), Some(h)) = (self.w, self.h) else {
+            return Ok(None);
+        };
+        let side = |v: f64| (v.fract() == 0.0 && v > 0.0 && v <= f64::from(u32::MAX)).then_some(v as u32);
+        match (side(w), side(h)) {
+            (Some(w), Some(h)) => Ok(Some((w, h))),
+            _ => Err(format!("the image size is {w}×{h}; w and h must be whole positive numbers of pixels")),
+        }
+    }
+
+    /// The lens.
+    pub(super) fn lens(&self) -> Result<Distortion, String> {
+        let value = |k: Option<f64>| k.unwrap_or(0.0);
+        let lens = Distortion {
+            k1: value(self.k1),
+            k2: value(self.k2),
+            k3: value(self.k3),
+            k4: value(self.k4),
+            p1: value(self.p1),
+            p2: value(self.p2),
+        };
+        if lens.is_finite() { Ok(lens) } else { Err("the distortion holds values that are not finite".into()) }
+    }
+
+    /// The camera of an image of this size.
+    pub(super) fn camera(
+        &self,
+        name: String,
+        (width, height): (u32, u32),
+        rotation: DMat3,
+        translation: DVec3,
+    ) -> Result<Camera, String> {
+        self.check_model()?;
+        let from_angle = |angle: f64, side: u32| 0.5 * f64::from(side) / (0.5 * angle).tan();
+        let (fx, fy) = match (self.fl_x, self.camera_angle_x) {
+            (Some(fx), _) => (fx, self.fl_y.unwrap_or(fx)),
+            (None, Some(angle)) => {
+                for angle in [Some(angle), self.camera_angle_y].into_iter().flatten() {
+                    if !(angle > 0.0 && angle < std::f64::consts::PI) {
+                        return Err(format!("the field of view is {angle} radians; it must lie between 0 and π"));
+                    }
+                }
+                let fx = from_angle(angle, width);
+                (fx, self.fl_y.or(self.camera_angle_y.map(|angle| from_angle(angle, height))).unwrap_or(fx))
+            }
+            (None, None) => {
+                return Err("there is no focal length; add fl_x or camera_angle_x".into());
+            }
+        };
+        let cx = self.cx.unwrap_or(0.5 * f64::from(width));
+        let cy = self.cy.unwrap_or(0.5 * f64::from(height));
+        let camera = Camera { name, width, height, fx, fy, cx, cy, rotation, translation };
+        match camera.problem() {
+            None => Ok(camera),
+            Some(problem) => Err(problem),
+        }
+    }
+
+    /// How an error calls the frame.
+    pub(super) fn place(&self, index: usize) -> String {
+        match &self.file_path {
+            Some(path) => format!("frame {index} ({path})"),
+            None => format!("frame {index}"),
+        }
+    }
+
+    /// The world-to-camera pose.
+    pub(super) fn pose(&self) -> Result<(DMat3, DVec3), String> {
+        let rows = self.transform_matrix.as_ref().ok_or("there is no transform_matrix; every frame needs one")?;
+        pose::from_opengl(rows)
+    }
+
+    fn check_model(&self) -> Result<(), String> {
+        let model = self.camera_model.as_deref().unwrap_or("OPENCV");
+        let known = ["OPENCV", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+        let fisheye = self.is_fisheye == Some(true);
+        if known.contains(&model.to_uppercase().as_str()) && !fisheye {
+            return Ok(());
+        }
+        let model = if fisheye { "fisheye" } else { model };
+        Err(format!("the camera model is {model}, which is not supported; undistort the images to a pinhole camera"))
+    }
+}

@@ -1,0 +1,189 @@
+//! The layout of nerfstudio and instant-ngp: one `transforms.json` beside the images.
+//!
+//! It gives pinhole intrinsics with OpenCV distortion, for all frames or per frame, and camera-to-world matrices with
+//! OpenGL axes. The same file without images describes cameras to render from ([`Camera::read_transforms`]).
+
+mod intrinsics;
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use self::intrinsics::Entry;
+use super::frame::{find_image, missing_warning};
+use super::{Found, Frame, stem_of};
+use crate::camera::Camera;
+use crate::error::{Result, SceneError};
+use crate::image::read_size;
+use crate::json::read_json;
+use crate::points::PointCloud;
+use crate::split::Split;
+
+/// Point clouds that are taken when the file names none, in this order.
+const POINT_FILES: [&str; 4] = ["points.ply", "init.ply", "points3d.ply", "points3D.ply"];
+
+/// Where held-out frames are listed when `transforms.json` holds the training frames only.
+const COMPANIONS: [&str; 2] = ["transforms_val.json", "transforms_test.json"];
+
+#[derive(Deserialize)]
+struct Listing {
+    ply_file_path: Option<String>,
+    frames: Vec<Entry>,
+}
+
+/// The frames, the point file, and what stands at the top for all frames.
+fn open(path: &Path) -> Result<(Listing, Entry)> {
+    let all: Entry = read_json(path)?;
+    let listing: Listing = read_json(path)?;
+    if listing.frames.is_empty() {
+        return Err(SceneError::cameras(path, "", "the list of frames is empty; there must be at least one"));
+    }
+    Ok((listing, all))
+}
+
+/// Reads a scene directory.
+pub(super) fn read(root: &Path) -> Result<Found> {
+    let path = root.join("transforms.json");
+    let (file, all) = open(&path)?;
+    let mut found = Found::default();
+    collect(root, &path, (&file, &all), &mut found, |_| true)?;
+    if found.frames.is_empty() {
+        let looked = file.frames[0].file_path.clone().unwrap_or_default();
+        let problem = format!(
+            "none of the {} frames has its image (the first should be {}); put the images there or correct file_path",
+            file.frames.len(),
+            root.join(looked).display()
+        );
+        return Err(SceneError::cameras(&path, "", problem));
+    }
+    held_out(root, &mut found)?;
+    found.points = points_of(root, &path, file.ply_file_path.as_deref())?;
+    Ok(found)
+}
+
+/// Some scenes list only their training frames in `transforms.json`. Views that `split.json` names and that file lacks
+/// are looked for in its companions.
+fn held_out(root: &Path, found: &mut Found) -> Result<()> {
+    let split = root.join("split.json");
+    if !split.is_file() {
+        return Ok(());
+    }
+    let mut wanted = Split::names(&split)?;
+    let known = found.frames.iter().map(|frame| &frame.camera.name).chain(&found.missing);
+    known.for_each(|name| {
+        wanted.remove(name);
+    });
+    for name in COMPANIONS {
+        let path = root.join(name);
+        if wanted.is_empty() || !path.is_file() {
+            continue;
+        }
+        let (file, all) = open(&path)?;
+        collect(root, &path, (&file, &all), found, |stem| wanted.remove(stem))?;
+    }
+    Ok(())
+}
+
+/// Adds the frames of a file whose stem is `wanted`, or notes that their image is missing.
+fn collect(
+    root: &Path,
+    path: &Path,
+    (file, all): (&Listing, &Entry),
+    found: &mut Found,
+    mut wanted: impl FnMut(&str) -> bool,
+) -> Result<()> {
+    let (mut missing, mut total) = (Vec::new(), 0);
+    for (index, entry) in file.frames.iter().enumerate() {
+        let fail = |problem: String| SceneError::cameras(path, entry.place(index), problem);
+        let name = entry.file_path.as_deref().filter(|name| !name.is_empty());
+        let name = name.ok_or_else(|| fail("there is no file_path; every frame needs one".into()))?;
+        let image = find_image(root, name);
+        let stem = stem_of(image.as_deref().unwrap_or(Path::new(name)));
+        if !wanted(&stem) {
+            continue;
+        }
+        total += 1;
+        let Some(image) = image else {
+            missing.push(stem);
+            continue;
+        };
+        let (rotation, translation) = entry.pose().map_err(fail)?;
+        let intrinsics = entry.or(all);
+        let size = match intrinsics.size().map_err(fail)? {
+            Some(size) => size,
+            None => read_size(&image)?,
+        };
+        let camera = intrinsics.camera(stem, size, rotation, translation).map_err(fail)?;
+        let lens = intrinsics.lens().map_err(fail)?;
+        found.frames.push(Frame { camera, lens, image, declared_in: path.to_path_buf() });
+    }
+    found.warnings.extend(missing_warning(path, &missing, total));
+    found.missing.extend(missing);
+    Ok(())
+}
+
+/// The point cloud that the file names, or else one under a usual name.
+fn points_of(root: &Path, declared_in: &Path, named: Option<&str>) -> Result<Option<PointCloud>> {
+    let named = named.filter(|name| !name.is_empty()).map(|name| root.join(name));
+    if let Some(path) = &named
+        && !path.is_file()
+    {
+        let problem =
+            format!("ply_file_path is {}, which does not exist; put it there or remove the key", path.display());
+        return Err(SceneError::cameras(declared_in, "", problem));
+    }
+    let usual = || POINT_FILES.iter().map(|name| root.join(name)).find(|path| path.is_file());
+    match named.or_else(usual) {
+        Some(path) => read_points(&path).map(Some),
+        None => Ok(None),
+    }
+}
+
+/// Reads a point cloud that must not be empty.
+pub(in crate::reader) fn read_points(path: &Path) -> Result<PointCloud> {
+    let points = PointCloud::read_ply(path)?;
+    if points.is_empty() {
+        let problem = "the file holds no points; replace it, or remove it to start from random points";
+        return Err(SceneError::points(path, "", problem));
+    }
+    Ok(points)
+}
+
+impl Camera {
+    /// Reads the cameras of a `transforms.json`, whose images need not exist, in the order of the file.
+    ///
+    /// The size comes from `w` and `h`, else from the image where there is one. A frame without `file_path` gets its
+    /// index as a name. Lens distortion is left out: what is rendered is the ideal image.
+    pub fn read_transforms(path: &Path) -> Result<Vec<Self>> {
+        let (file, all) = open(path)?;
+        let folder: PathBuf = path.parent().unwrap_or(Path::new("")).into();
+        let mut names = HashSet::new();
+        let mut cameras = Vec::with_capacity(file.frames.len());
+        for (index, entry) in file.frames.iter().enumerate() {
+            let fail = |problem: String| SceneError::cameras(path, entry.place(index), problem);
+            let (rotation, translation) = entry.pose().map_err(fail)?;
+            let intrinsics = entry.or(&all);
+            let file_path = entry.file_path.as_deref().unwrap_or("");
+            let size = match intrinsics.size().map_err(fail)? {
+                Some(size) => size,
+                None => match find_image(&folder, file_path) {
+                    Some(image) => read_size(&image)?,
+                    None => {
+                        return Err(fail("the image size is unknown; add w and h in pixels to the file".into()));
+                    }
+                },
+            };
+            let name = if file_path.is_empty() { format!("{index:03}") } else { stem_of(Path::new(file_path)) };
+            if !names.insert(name.clone()) {
+                let problem = format!("the name \"{name}\" was used before; give every frame a file_path of its own");
+                return Err(fail(problem));
+            }
+            cameras.push(intrinsics.camera(name, size, rotation, translation).map_err(fail)?);
+        }
+        Ok(cameras)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,240 @@
+//! A scene directory, opened.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::error::{Result, SceneError};
+use crate::image::Image;
+use crate::points::{PointCloud, RandomBox};
+use crate::priors::PriorSettings;
+use crate::reader::{self, Layout};
+use crate::split::Split;
+use crate::view::{LoadOptions, View};
+
+/// How to open a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneOptions {
+    /// Take this many training views, spread evenly; all by default.
+    pub views: Option<usize>,
+    /// Image size as a factor, at most 1.
+    pub scale: f64,
+    /// Factor that linear (EXR) images are multiplied with before they are clipped and encoded.
+    pub exposure: f32,
+    /// Number of random points for scenes without any; held between 100 and 10 million.
+    pub random_points: usize,
+    /// Seed of the random points.
+    pub seed: u64,
+}
+
+impl Default for SceneOptions {
+    fn default() -> Self {
+        Self { views: None, scale: 1.0, exposure: 1.0, random_points: 100_000, seed: 0 }
+    }
+}
+
+impl SceneOptions {
+    fn check(&self) -> Result<()> {
+        let fail = |option, value: String, expected| Err(SceneError::Option { option, value, expected });
+        if self.views == Some(0) {
+            return fail("--views", "0".into(), "there must be at least one training view");
+        }
+        if !(self.scale > 0.0 && self.scale <= 1.0) {
+            return fail("--scale", self.scale.to_string(), "the factor must be above 0 and at most 1");
+        }
+        if !(self.exposure.is_finite() && self.exposure > 0.0) {
+            return fail("exposure", self.exposure.to_string(), "the exposure must be a positive number");
+        }
+        Ok(())
+    }
+}
+
+/// A scene: views, their split, and points to begin with. Images, priors and ground truth stay on the disk until they
+/// are asked for.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// The directory.
+    pub root: PathBuf,
+    /// How it is laid out.
+    pub layout: Layout,
+    /// All views, ordered by name, numbers by their value.
+    pub views: Vec<View>,
+    /// Which of the views are trained on and which are held out.
+    pub split: Split,
+    /// Points to begin with; never empty.
+    pub points: PointCloud,
+    /// Whether the points are random, because the scene came without any.
+    pub points_are_random: bool,
+    /// What the user should know, one sentence each.
+    pub warnings: Vec<String>,
+    /// The options it was opened with; the exposure among them is a part of the result.
+    pub options: SceneOptions,
+    pub(crate) prior_settings: PriorSettings,
+    extent: f64,
+}
+
+impl Scene {
+    /// Opens a scene directory.
+    ///
+    /// Every image's header is read and compared with its camera; pixels are not.
+    pub fn open(path: &Path, options: &SceneOptions) -> Result<Self> {
+        options.check()?;
+        let layout = reader::recognize(path)?;
+        let reader::Found { mut frames, missing, points, mut warnings } = reader::read(path, layout)?;
+        frames.sort_by_cached_key(|frame| natural_key(&frame.camera.name));
+        let mut places = HashMap::new();
+        for frame in &frames {
+            if let Some(other) = places.insert(&frame.camera.name, &frame.image) {
+                let problem = format!(
+                    "the images {} and {} have the same stem; splits and priors go by it, so rename one",
+                    other.display(),
+                    frame.image.display()
+                );
+                return Err(SceneError::cameras(&frame.declared_in, "", problem));
+            }
+        }
+        frames.par_iter().try_for_each(|frame| frame.check_size())?;
+        let views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
+        let split = split_of(path, &views, &missing, options, &mut warnings)?;
+        warnings.extend(coverage_warning(&views));
+
+        let cameras = || split.train.iter().filter_map(|&i| views.get(i)).map(|view| &view.camera);
+        let centers: Vec<DVec3> = cameras().map(|camera| camera.position()).collect();
+        let extent = extent_of(&centers, points.as_ref());
+        let points_are_random = points.is_none();
+        let random = || {
+            let count = options.random_points.clamp(100, 10_000_000);
+            RandomBox::around(cameras(), extent).map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
+        };
+        let points = points.unwrap_or_else(random);
+        if points_are_random {
+            let n = points.len();
+            warnings.push(format!("{} has no point cloud; starting from {n} random points", path.display()));
+        }
+        Ok(Self {
+            root: path.to_path_buf(),
+            layout,
+            views,
+            split,
+            points,
+            points_are_random,
+            warnings,
+            options: options.clone(),
+            prior_settings: PriorSettings::read(path)?,
+            extent,
+        })
+    }
+
+    /// A view by its index.
+    pub fn view(&self, index: usize) -> Result<&View> {
+        self.views.get(index).ok_or_else(|| SceneError::Data {
+            what: "the scene",
+            problem: format!("there is no view {index}; there are {}", self.views.len()),
+        })
+    }
+
+    /// The size of the camera path: 1.1 times the largest distance of a training camera from their mean.
+    ///
+    /// Cameras that all stand in one place (one view, a panorama) have no such size; then it is half of the median
+    /// distance from them to the scene's points, or 1 where these are random.
+    pub fn extent(&self) -> f64 {
+        self.extent
+    }
+
+    /// The image of a view, as [`View::load_image`] gives it with the scene's exposure.
+    pub fn load_image(&self, view: usize) -> Result<Image> {
+        self.view(view)?.load_image(&LoadOptions { exposure: self.options.exposure })
+    }
+
+    /// The images of all training views, in the order of [`Split::train`].
+    pub fn load_train_images(&self) -> Result<Vec<Image>> {
+        self.split.train.par_iter().map(|&i| self.load_image(i)).collect()
+    }
+}
+
+/// Orders names as people do: runs of digits by their value, so that 9 comes before 10.
+fn natural_key(name: &str) -> (Vec<(String, u128)>, String) {
+    let mut key = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let (text, after) = rest.split_at(rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len()));
+        let (digits, after) = after.split_at(after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len()));
+        // A number that does not fit is no counter; the whole name decides then.
+        key.push((text.to_string(), digits.parse().unwrap_or(0)));
+        rest = after;
+    }
+    (key, name.to_string())
+}
+
+fn split_of(
+    root: &Path,
+    views: &[View],
+    missing: &[String],
+    options: &SceneOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Split> {
+    let names: Vec<&str> = views.iter().map(|view| view.camera.name.as_str()).collect();
+    let path = root.join("split.json");
+    let mut split =
+        if path.is_file() { Split::read(&path, &names, missing)? } else { Split::every_eighth(views.len()) };
+    if split.train.is_empty() {
+        let problem = format!(
+            "no training view is left, because without split.json every 8th of the {} views is a test view; add views or \
+             a split.json",
+            views.len()
+        );
+        return Err(SceneError::split(root, problem));
+    }
+    if let Some(count) = options.views {
+        let had = split.train.len();
+        if !split.spread(count) {
+            warnings.push(format!("--views asks for {count} training views, but there are {had}; all are taken"));
+        }
+    }
+    Ok(split)
+}
+
+/// Distortion that shows more than a sliver of unseen pixels is worth a sentence.
+fn coverage_warning(views: &[View]) -> Option<String> {
+    let worst = views
+        .par_iter()
+        .filter(|view| !view.distortion.is_none())
+        .map(|view| {
+            // A small image gives the share well enough.
+            let mut small = view.clone();
+            small.stored_camera = view.stored_camera.scaled(64, 64);
+            small.camera = small.stored_camera.clone();
+            let seen = small.coverage().map_or(1.0, |c| c.data.iter().sum::<f32>() / c.data.len() as f32);
+            (1.0 - seen, view.camera.name.as_str())
+        })
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (worst.0 > 0.01).then(|| {
+        let percent = 100.0 * worst.0;
+        format!("undistorting \"{}\" leaves {percent:.1} % of its pixels unseen; they repeat the border", worst.1)
+    })
+}
+
+fn extent_of(centers: &[DVec3], points: Option<&PointCloud>) -> f64 {
+    if centers.is_empty() {
+        return 1.0;
+    }
+    let mean = centers.iter().sum::<DVec3>() / centers.len() as f64;
+    let radius = centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
+    let distance = points.and_then(|points| {
+        let mut all: Vec<f64> = points.positions.iter().map(|p| mean.distance(DVec3::from(p.map(f64::from)))).collect();
+        let middle = all.len() / 2;
+        (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
+    });
+    let distance = distance.filter(|d| *d > 0.0 && d.is_finite());
+    match distance {
+        Some(distance) if radius > 1e-3 * distance => 1.1 * radius,
+        Some(distance) => 0.5 * distance,
+        None if radius > 1e-9 => 1.1 * radius,
+        None => 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests;

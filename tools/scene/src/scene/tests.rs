@@ -1,0 +1,148 @@
+use super::*;
+use crate::image::write_png;
+
+/// A scene of `n` views of 8×6 pixels along the x axis, looking along −z, with images `v0.png` and up.
+fn write_scene(root: &Path, n: usize, extra: &str) {
+    let frame = |i: usize| {
+        write_png(&root.join(format!("v{i}.png")), &Image::new(8, 6, 3)).unwrap();
+        format!(r#"{{"file_path": "v{i}", "transform_matrix": [[1,0,0,{i}],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}"#)
+    };
+    let frames: Vec<_> = (0..n).rev().map(frame).collect();
+    let json = format!(r#"{{"fl_x": 4, {extra} "frames": [{}]}}"#, frames.join(","));
+    std::fs::write(root.join("transforms.json"), json).unwrap();
+}
+
+fn open(root: &Path, change: impl FnOnce(&mut SceneOptions)) -> Result<Scene> {
+    let mut options = SceneOptions::default();
+    change(&mut options);
+    Scene::open(root, &options)
+}
+
+#[test]
+fn views_are_ordered_by_number_and_split() {
+    let directory = tempfile::tempdir().unwrap();
+    write_scene(directory.path(), 12, "");
+    let scene = open(directory.path(), |_| ()).unwrap();
+    let names: Vec<_> = scene.views.iter().map(|view| view.camera.name.as_str()).collect();
+    assert_eq!(names, (0..12).map(|i| format!("v{i}")).collect::<Vec<_>>());
+    assert_eq!(scene.split.test, [0, 8]);
+    assert_eq!(scene.layout, Layout::Transforms);
+
+    let four = open(directory.path(), |o| o.views = Some(4)).unwrap();
+    assert_eq!(four.split.train, [1, 4, 7, 11]);
+    assert_eq!(four.split.test, [0, 8]);
+    let many = open(directory.path(), |o| o.views = Some(99)).unwrap();
+    assert_eq!(many.split.train.len(), 10);
+    assert!(many.warnings.iter().any(|w| w.contains("asks for 99 training views, but there are 10")));
+
+    std::fs::write(directory.path().join("split.json"), r#"{"train": ["v10", "v2"], "test": []}"#).unwrap();
+    let named = open(directory.path(), |_| ()).unwrap();
+    assert_eq!(named.split, Split { train: vec![10, 2], test: vec![] });
+    assert_eq!(named.load_train_images().unwrap().len(), 2);
+    assert!(named.load_image(12).unwrap_err().to_string().contains("there is no view 12; there are 12"));
+}
+
+#[test]
+fn names_sort_as_people_count() {
+    let mut names = ["v10", "v9", "v9a", "a", "v009", "v100000000000000000000000000000000000000001", ""];
+    names.sort_by_key(|name| natural_key(name));
+    assert_eq!(names, ["", "a", "v100000000000000000000000000000000000000001", "v009", "v9", "v9a", "v10"]);
+}
+
+#[test]
+fn the_extent_is_that_of_the_training_cameras() {
+    let directory = tempfile::tempdir().unwrap();
+    write_scene(directory.path(), 9, "");
+    // Training views 1 to 7 have their mean at 4.
+    assert!((open(directory.path(), |_| ()).unwrap().extent() - 1.1 * 3.0).abs() < 1e-9);
+    // One camera has no path: half of the median distance to the points, else 1.
+    assert_eq!(open(directory.path(), |o| o.views = Some(1)).unwrap().extent(), 1.0);
+    let positions = vec![[1.0, 0.0, -2.0], [1.0, 0.0, -3.0], [1.0, 0.0, -90.0]];
+    let points = PointCloud { positions, ..Default::default() };
+    points.write_ply(&directory.path().join("points.ply")).unwrap();
+    let one = open(directory.path(), |o| o.views = Some(1)).unwrap();
+    assert_eq!((one.extent(), one.points_are_random), (1.5, false));
+    assert_eq!(one.points, points);
+    assert_eq!(extent_of(&[], None), 1.0);
+}
+
+#[test]
+fn random_points_replace_missing_ones() {
+    let directory = tempfile::tempdir().unwrap();
+    write_scene(directory.path(), 9, "");
+    let scene = open(directory.path(), |o| o.random_points = 5000).unwrap();
+    assert!(scene.points_are_random);
+    assert_eq!(scene.points.len(), 5000);
+    assert!(scene.warnings.iter().any(|w| w.ends_with("has no point cloud; starting from 5000 random points")));
+    // The cameras look along −z, up to twice their extent of 3.3.
+    assert!(scene.points.positions.iter().all(|p| (-6.601..=0.0).contains(&p[2])));
+    assert_eq!(open(directory.path(), |o| o.random_points = 0).unwrap().points.len(), 100);
+    let other = open(directory.path(), |o| (o.random_points, o.seed) = (5000, 1)).unwrap();
+    assert_ne!(other.points, scene.points);
+}
+
+#[test]
+fn scaling_changes_cameras_and_images_alike() {
+    let directory = tempfile::tempdir().unwrap();
+    write_scene(directory.path(), 2, "");
+    let scene = open(directory.path(), |o| o.scale = 0.5).unwrap();
+    let camera = &scene.views[1].camera;
+    assert_eq!((camera.width, camera.height, camera.fx, camera.cx), (4, 3, 2.0, 2.0));
+    let image = scene.load_image(1).unwrap();
+    assert_eq!((image.width, image.height), (4, 3));
+    assert_eq!(open(directory.path(), |o| o.scale = 1e-9).unwrap().views[0].camera.width, 1);
+}
+
+#[test]
+fn strong_distortion_is_warned_about_once() {
+    let directory = tempfile::tempdir().unwrap();
+    write_scene(directory.path(), 3, "\"k1\": 0.5,");
+    let scene = open(directory.path(), |_| ()).unwrap();
+    assert_eq!(scene.warnings.iter().filter(|w| w.contains("pixels unseen; they repeat the border")).count(), 1);
+    write_scene(directory.path(), 3, "\"k1\": -0.01,");
+    assert!(!open(directory.path(), |_| ()).unwrap().warnings.iter().any(|w| w.contains("unseen")));
+}
+
+#[test]
+fn each_fault_has_its_sentence() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    write_scene(root, 2, "");
+    let fail = |change: fn(&mut SceneOptions)| open(root, change).unwrap_err().to_string();
+    assert_eq!(fail(|o| o.views = Some(0)), "--views is 0, but there must be at least one training view");
+    assert_eq!(fail(|o| o.scale = 1.5), "--scale is 1.5, but the factor must be above 0 and at most 1");
+    assert!(fail(|o| o.scale = f64::NAN).starts_with("--scale is NaN"));
+    assert!(fail(|o| o.exposure = 0.0).starts_with("exposure is 0"));
+
+    write_png(&root.join("v1.png"), &Image::new(9, 6, 3)).unwrap();
+    write_scene_json_size(root);
+    let error = fail(|_| ());
+    assert!(error.contains("v1.png is 9×6 pixels, but ") && error.contains("gives 8×6 for its camera"), "{error}");
+
+    std::fs::create_dir(root.join("b")).unwrap();
+    write_png(&root.join("b/v0.png"), &Image::new(8, 6, 3)).unwrap();
+    let text = std::fs::read_to_string(root.join("transforms.json")).unwrap();
+    std::fs::write(root.join("transforms.json"), text.replace("\"v1\"", "\"b/v0\"")).unwrap();
+    let error = fail(|_| ());
+    assert!(error.contains("have the same stem; splits and priors go by it"), "{error}");
+
+    write_scene(root, 1, "");
+    let error = fail(|_| ());
+    assert!(error.contains("no training view is left, because without split.json every 8th of the 1 views"), "{error}");
+    std::fs::write(root.join("split.json"), r#"{"train": ["v0"]}"#).unwrap();
+    assert!(open(root, |_| ()).is_ok());
+
+    std::fs::create_dir_all(root.join("priors/normal")).unwrap();
+    let error = fail(|_| ());
+    assert!(error.contains("priors/normal: the frame of the normals is unknown; write"), "{error}");
+    std::fs::write(root.join("priors/priors.json"), r#"{"normal": {"frame": "left"}}"#).unwrap();
+    let error = fail(|_| ());
+    assert!(error.contains("priors.json, line 1") && error.contains("unknown variant `left`"), "{error}");
+}
+
+/// Adds the size 8×6 to a scene's `transforms.json`.
+fn write_scene_json_size(root: &Path) {
+    let path = root.join("transforms.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(path, text.replace("\"fl_x\"", "\"w\": 8, \"h\": 6, \"fl_x\"")).unwrap();
+}

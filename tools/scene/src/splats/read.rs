@@ -1,0 +1,175 @@
+//! Splats from PLY files of this and other programs.
+
+use std::path::Path;
+
+use super::Splats;
+use super::layout::{degree_of_rest, place_of_rest};
+use crate::error::Result;
+use crate::ply::VertexTable;
+
+const PURPOSE: &str = "a splat file";
+
+/// Where in a picked row each optional group begins.
+#[derive(Default)]
+struct Groups {
+    normals: Option<usize>,
+    albedo: Option<usize>,
+    roughness: Option<usize>,
+    metallic: Option<usize>,
+    semantic: Option<(usize, usize)>,
+}
+
+impl Splats {
+    /// Reads a PLY file as 3DGS programs write it, with this project's additions where present.
+    ///
+    /// Properties may have any order and type. Normals that are all zero count as absent, because 3DGS files carry
+    /// zeros there. Values that are not finite and quaternions of length zero are refused.
+    pub fn read_ply(path: &Path) -> Result<Self> {
+        let table = VertexTable::open(path)?;
+        let mut wanted = table.need(&["x", "y", "z", "scale_0", "scale_1", "scale_2"], PURPOSE)?;
+        wanted.extend(table.need(&["rot_0", "rot_1", "rot_2", "rot_3", "opacity"], PURPOSE)?);
+        wanted.extend(table.need(&["f_dc_0", "f_dc_1", "f_dc_2"], PURPOSE)?);
+        let rest_at = wanted.len();
+        let rest = table.count_prefixed("f_rest_");
+        let Some(degree) = degree_of_rest(rest) else {
+            let problem = format!("there are {rest} properties f_rest_*, but degrees 0 to 3 have 0, 9, 24 or 45");
+            return Err(table.fail("", problem));
+        };
+        for i in 0..rest {
+            wanted.extend(table.need(&[format!("f_rest_{i}").as_str()], PURPOSE)?);
+        }
+        let groups = optional_groups(&table, &mut wanted);
+
+        let n = table.len();
+        let mut splats = Self {
+            means: Vec::with_capacity(n),
+            log_scales: Vec::with_capacity(n),
+            rotations: Vec::with_capacity(n),
+            opacity_logits: Vec::with_capacity(n),
+            sh: std::array::from_fn(|d| if d <= degree { vec![0.0; n * (2 * d + 1) * 3] } else { Vec::new() }),
+            normals: groups.normals.map(|_| Vec::with_capacity(n)),
+            albedo: groups.albedo.map(|_| Vec::with_capacity(n)),
+            roughness: groups.roughness.map(|_| Vec::with_capacity(n)),
+            metallic: groups.metallic.map(|_| Vec::with_capacity(n)),
+            semantic: groups.semantic.map(|(_, channels)| (channels, Vec::with_capacity(n * channels))),
+        };
+        let places: Vec<_> = (0..rest).map(|i| place_of_rest(degree, i)).collect();
+        table.read(&wanted, |i, v| {
+            let three = |at: usize| [v[at], v[at + 1], v[at + 2]];
+            splats.means.push(three(0));
+            splats.log_scales.push(three(3));
+            let rotation = [v[6], v[7], v[8], v[9]];
+            if rotation == [0.0; 4] {
+                return Err("the rotation is a zero quaternion; remove the splat or set it to 1 0 0 0".into());
+            }
+            splats.rotations.push(rotation);
+            splats.opacity_logits.push(v[10]);
+            splats.sh[0][i * 3..i * 3 + 3].copy_from_slice(&v[11..14]);
+            for (&(band, position), &value) in places.iter().zip(&v[rest_at..]) {
+                splats.sh[band][i * (2 * band + 1) * 3 + position] = value;
+            }
+            if let (Some(target), Some(at)) = (&mut splats.normals, groups.normals) {
+                target.push(three(at));
+            }
+            if let (Some(target), Some(at)) = (&mut splats.albedo, groups.albedo) {
+                target.push(three(at));
+            }
+            if let (Some(target), Some(at)) = (&mut splats.roughness, groups.roughness) {
+                target.push(v[at]);
+            }
+            if let (Some(target), Some(at)) = (&mut splats.metallic, groups.metallic) {
+                target.push(v[at]);
+            }
+            if let (Some((channels, target)), Some((at, _))) = (&mut splats.semantic, groups.semantic) {
+                target.extend_from_slice(&v[at..at + *channels]);
+            }
+            Ok(())
+        })?;
+        if splats.normals.as_ref().is_some_and(|n| n.iter().flatten().all(|&v| v == 0.0)) {
+            splats.normals = None;
+        }
+        Ok(splats)
+    }
+}
+
+fn optional_groups(table: &VertexTable, wanted: &mut Vec<usize>) -> Groups {
+    let mut group = |names: &[&str]| {
+        let at = wanted.len();
+        wanted.extend(table.find_all(names)?);
+        Some(at)
+    };
+    let normals = group(&["nx", "ny", "nz"]);
+    let albedo = group(&["albedo_0", "albedo_1", "albedo_2"]);
+    let roughness = group(&["roughness"]);
+    let metallic = group(&["metallic"]);
+    let channels = table.count_numbered("semantic_");
+    let names: Vec<String> = (0..channels).map(|i| format!("semantic_{i}")).collect();
+    let semantic = if channels == 0 { None } else { group(&names.iter().map(String::as_str).collect::<Vec<_>>()) };
+    Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::write::tests::sample;
+    use super::*;
+
+    #[test]
+    fn a_file_of_another_program_in_any_order_and_type() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.ply");
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double rot_3\nproperty float rot_0\n\
+                    property float rot_1\nproperty float rot_2\nproperty float opacity\nproperty float scale_2\n\
+                    property float scale_0\nproperty float scale_1\nproperty uchar f_dc_0\nproperty float f_dc_1\n\
+                    property float f_dc_2\nproperty float z\nproperty float y\nproperty float x\nproperty float label\n\
+                    end_header\n4 1 2 3 -2 0.3 0.1 0.2 7 8 9 30 20 10 99\n";
+        std::fs::write(&path, text).unwrap();
+        let splats = Splats::read_ply(&path).unwrap();
+        assert_eq!(splats.means, [[10.0, 20.0, 30.0]]);
+        assert_eq!(splats.log_scales, [[0.1, 0.2, 0.3]]);
+        assert_eq!(splats.rotations, [[1.0, 2.0, 3.0, 4.0]]);
+        assert_eq!(splats.opacity_logits, [-2.0]);
+        assert_eq!(splats.sh[0], [7.0, 8.0, 9.0]);
+        assert_eq!(splats.sh_degree(), 0);
+        assert_eq!((&splats.normals, &splats.albedo, &splats.semantic), (&None, &None, &None));
+
+        let fail = |from: &str, to: &str| {
+            std::fs::write(&path, text.replace(from, to)).unwrap();
+            Splats::read_ply(&path).unwrap_err().to_string()
+        };
+        assert!(fail("\n4 1 2 3", "\n0 0 0 0").contains("vertex 0 (line 20): the rotation is a zero quaternion"));
+    }
+
+    #[test]
+    fn each_fault_has_its_sentence() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.ply");
+        sample(2, 1).write_ply(&path).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let fail = |change: &dyn Fn(&mut Vec<u8>)| {
+            let mut bytes = whole.clone();
+            change(&mut bytes);
+            std::fs::write(&path, bytes).unwrap();
+            Splats::read_ply(&path).unwrap_err().to_string()
+        };
+        let rename = |from: &'static str, to: &'static str| {
+            move |bytes: &mut Vec<u8>| {
+                let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+                bytes.splice(at..at + from.len(), to.bytes());
+            }
+        };
+        let error = fail(&rename("f_rest_8\n", "f_other_8\n"));
+        assert!(error.contains("there are 8 properties f_rest_*, but degrees 0 to 3 have 0, 9, 24 or 45"), "{error}");
+        let error = fail(&rename("f_rest_8\n", "f_rest_9\n"));
+        assert!(error.contains("no property \"f_rest_8\", which a splat file needs"), "{error}");
+        for name in ["x", "scale_1", "rot_3", "opacity", "f_dc_2"] {
+            let declared: &'static str = format!("property float {name}\n").leak();
+            let error = fail(&rename(declared, "property float other\n"));
+            assert!(error.contains(&format!("no property \"{name}\", which a splat file needs")), "{error}");
+        }
+        let end = whole.len();
+        let error = fail(&|bytes| bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes()));
+        assert!(error.contains("vertex 1: the property \"semantic_1\" is NaN"), "{error}");
+        let error = fail(&|bytes| bytes.truncate(end - 1));
+        assert!(error.contains("promises 2 vertices"), "{error}");
+    }
+}

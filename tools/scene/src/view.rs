@@ -1,0 +1,262 @@
+//! One photograph with its camera.
+
+use std::path::PathBuf;
+
+use crate::camera::{Camera, Distortion};
+use crate::error::{Result, SceneError};
+use crate::image::{
+    Encoding, Image, linear_to_srgb, read_raster, resize, srgb_to_linear, undistort, undistort_coverage,
+};
+use crate::reader::Frame;
+
+/// Half-float files hold infinity where a lamp was too bright for them; it is read as their largest number, so that
+/// averages stay finite.
+const BRIGHTEST: f32 = 65_504.0;
+
+/// A view of a scene: the camera, and where and how its photograph is stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// The camera of the loaded image: without distortion, at the scene's scale.
+    pub camera: Camera,
+    /// The file of the photograph.
+    pub image_path: PathBuf,
+    /// The distortion of the photograph as stored.
+    pub distortion: Distortion,
+    /// The camera at the size of the photograph as stored.
+    pub stored_camera: Camera,
+    declared_in: PathBuf,
+}
+
+/// How photographs become what training compares with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoadOptions {
+    /// The factor that linear (EXR) values are multiplied with before they are clipped and encoded.
+    pub exposure: f32,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { exposure: 1.0 }
+    }
+}
+
+impl View {
+    /// The view of a frame, at `scale` times its size.
+    pub(crate) fn new(frame: Frame, scale: f64) -> Self {
+        let Frame { camera: stored_camera, lens, image, declared_in } = frame;
+        let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
+        let camera = stored_camera.scaled(side(stored_camera.width), side(stored_camera.height));
+        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in }
+    }
+
+    /// The photograph as training compares with it: sRGB-encoded RGB in `[0, 1]`, without distortion, at the size of
+    /// [`View::camera`].
+    ///
+    /// Alpha is composited on black: PNG's straight alpha by multiplication; EXR's colors hold theirs already. Linear
+    /// values are exposed, resized, and only then clipped, as a camera does; a not-a-number is an error. A PNG or JPEG
+    /// that needs neither undistortion nor scaling keeps its values exactly.
+    pub fn load_image(&self, options: &LoadOptions) -> Result<Image> {
+        let (raster, encoding) = self.read()?;
+        if encoding == Encoding::Srgb && self.distortion.is_none() && self.is_stored_size() {
+            return Ok(raster);
+        }
+        let mut image = self.bring(self.linear(raster, encoding, options)?);
+        image.data.iter_mut().for_each(|v| *v = linear_to_srgb(v.clamp(0.0, 1.0)));
+        Ok(image)
+    }
+
+    /// The photograph as linear light, exposed, without distortion, at the size of [`View::camera`]. Values above 1 stay
+    /// what they are, as far as the file has any.
+    pub fn load_linear(&self, options: &LoadOptions) -> Result<Image> {
+        let (raster, encoding) = self.read()?;
+        Ok(self.bring(self.linear(raster, encoding, options)?))
+    }
+
+    /// One channel, 1 where the lens saw the pixel, 0 where undistortion had to repeat the image's border. `None` for
+    /// images without distortion, which cover all pixels.
+    pub fn coverage(&self) -> Option<Image> {
+        if self.distortion.is_none() {
+            return None;
+        }
+        let stored = undistort_coverage(&self.stored_camera, &self.distortion);
+        let mut scaled = resize(&stored, self.camera.width, self.camera.height);
+        scaled.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
+        Some(scaled)
+    }
+
+    fn is_stored_size(&self) -> bool {
+        (self.camera.width, self.camera.height) == (self.stored_camera.width, self.stored_camera.height)
+    }
+
+    /// The file's values as RGB on black.
+    fn read(&self) -> Result<(Image, Encoding)> {
+        let (raster, encoding) = read_raster(&self.image_path)?;
+        let (image, camera) = ((raster.width, raster.height), (self.stored_camera.width, self.stored_camera.height));
+        if image != camera {
+            let declared_in = self.declared_in.clone();
+            return Err(SceneError::ImageSize { path: self.image_path.clone(), image, camera, declared_in });
+        }
+        if let Some(at) = raster.data.iter().position(|v| v.is_nan()) {
+            let pixel = at / raster.channels as usize;
+            let (x, y) = (pixel as u32 % raster.width, pixel as u32 / raster.width);
+            let problem = format!("the pixel in column {x}, row {y} is not a number; repair the image");
+            return Err(SceneError::image(&self.image_path, problem));
+        }
+        if raster.channels == 3 {
+            return Ok((raster, encoding));
+        }
+        let straight_alpha = encoding == Encoding::Srgb;
+        let rgb = raster.map_pixels(3, |old, new| {
+            let alpha = match *old {
+                [_, a] | [_, _, _, a] if straight_alpha => a,
+                _ => 1.0,
+            };
+            match *old {
+                [r, g, b, ..] => new.copy_from_slice(&[r * alpha, g * alpha, b * alpha]),
+                [v, ..] => new.fill(v * alpha),
+                [] => {}
+            }
+        });
+        Ok((rgb, encoding))
+    }
+
+    /// Linear light from the file's values.
+    fn linear(&self, mut image: Image, encoding: Encoding, options: &LoadOptions) -> Result<Image> {
+        match encoding {
+            Encoding::Srgb => image.data.iter_mut().for_each(|v| *v = srgb_to_linear(*v)),
+            Encoding::Linear => {
+                let exposure = options.exposure;
+                if !(exposure.is_finite() && exposure > 0.0) {
+                    let value = exposure.to_string();
+                    let expected = "the exposure must be a positive number";
+                    return Err(SceneError::Option { option: "exposure", value, expected });
+                }
+                image.data.iter_mut().for_each(|v| *v = (v.clamp(-BRIGHTEST, BRIGHTEST)) * exposure);
+            }
+        }
+        Ok(image)
+    }
+
+    /// Undistorts and scales linear values.
+    fn bring(&self, image: Image) -> Image {
+        let straight = undistort(&image, &self.stored_camera, &self.distortion);
+        resize(&straight, self.camera.width, self.camera.height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::tests::camera;
+    use crate::image::{write_exr, write_png};
+
+    /// A view of an image that was written to `name`, at `scale`.
+    fn view(name: &str, image: &Image, scale: f64) -> (tempfile::TempDir, View) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(name);
+        if name.ends_with("exr") {
+            let names = ["R", "G", "B", "A"];
+            let names = if image.channels == 1 { &["Y"][..] } else { &names[..image.channels as usize] };
+            write_exr(&path, image, names).unwrap();
+        } else {
+            write_png(&path, image).unwrap();
+        }
+        let camera = camera().scaled(image.width, image.height);
+        let frame = Frame { camera, lens: Distortion::default(), image: path, declared_in: "cameras.json".into() };
+        (directory, View::new(frame, scale))
+    }
+
+    fn load(name: &str, image: &Image, scale: f64) -> Image {
+        let (_keep, view) = view(name, image, scale);
+        view.load_image(&LoadOptions::default()).unwrap()
+    }
+
+    fn image(channels: u32, data: &[f32]) -> Image {
+        Image::from_data(data.len() as u32 / channels, 1, channels, data.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn stored_values_are_kept_exactly() {
+        let photograph = image(3, &[0.0, 1.0, 51.0 / 255.0, 7.0 / 255.0, 0.2, 0.4]);
+        assert_eq!(load("a.png", &photograph, 1.0), photograph);
+    }
+
+    #[test]
+    fn gray_and_alpha_become_rgb_on_black() {
+        assert_eq!(load("a.png", &image(1, &[0.2, 1.0]), 1.0).data, [0.2, 0.2, 0.2, 1.0, 1.0, 1.0]);
+        let alpha = 51.0 / 255.0;
+        let straight = load("a.png", &image(4, &[1.0, 0.0, 0.4, alpha]), 1.0);
+        assert_eq!(straight.data, [alpha, 0.0, 0.4 * alpha]);
+        assert_eq!(load("a.png", &image(2, &[1.0, alpha]), 1.0).data, [alpha; 3]);
+        // EXR's colors are multiplied by alpha already.
+        let premultiplied = load("a.exr", &image(4, &[1.0, 0.0, 1.0, 0.5]), 1.0);
+        assert!((premultiplied.data[0] - 1.0).abs() < 1e-6 && premultiplied.data[1] == 0.0);
+    }
+
+    #[test]
+    fn exr_is_exposed_clipped_and_encoded() {
+        let hdr = image(3, &[0.18, 4.0, -0.5, f32::INFINITY, 0.0, 0.05]);
+        let (_keep, view) = view("a.exr", &hdr, 1.0);
+        let one = view.load_image(&LoadOptions::default()).unwrap();
+        let expected = [0.461_356, 1.0, 0.0, 1.0, 0.0, linear_to_srgb(0.05)];
+        assert!(one.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", one.data);
+        let half = view.load_image(&LoadOptions { exposure: 0.125 }).unwrap();
+        assert!((half.data[1] - linear_to_srgb(0.5)).abs() < 1e-6);
+        assert_eq!(view.load_linear(&LoadOptions { exposure: 0.5 }).unwrap().data[..3], [0.09, 2.0, -0.25]);
+        let error = view.load_image(&LoadOptions { exposure: f32::NAN }).unwrap_err().to_string();
+        assert_eq!(error, "exposure is NaN, but the exposure must be a positive number");
+    }
+
+    #[test]
+    fn scaling_averages_light_and_not_codes() {
+        let stripes = load("a.png", &image(3, &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]), 0.5);
+        assert_eq!((stripes.width, stripes.height), (1, 1));
+        // Half of the light is code 0.735, far from the mean of the codes.
+        assert!(stripes.data.iter().all(|v| (v - 0.735_357).abs() < 1e-4), "{:?}", stripes.data);
+        // A lamp is averaged before it is clipped.
+        let lamp = load("a.exr", &image(3, &[0.0, 0.0, 0.0, 10.0, 1.0, 0.5]), 0.5);
+        let expected = [1.0, linear_to_srgb(0.5), linear_to_srgb(0.25)];
+        assert!(lamp.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+
+    #[test]
+    fn the_camera_follows_the_whole_size() {
+        let (_keep, view) = view("a.png", &Image::new(5, 3, 3), 0.5);
+        let Camera { width, height, fx, fy, cx, cy, .. } = view.camera;
+        assert_eq!((width, height), (3, 2));
+        let stored = &view.stored_camera;
+        assert!((fx - stored.fx * 0.6).abs() < 1e-12 && (fy - stored.fy * 2.0 / 3.0).abs() < 1e-12);
+        assert!((cx - stored.cx * 0.6).abs() < 1e-12 && (cy - stored.cy * 2.0 / 3.0).abs() < 1e-12);
+        let loaded = view.load_image(&LoadOptions::default()).unwrap();
+        assert_eq!((loaded.width, loaded.height, loaded.channels), (3, 2, 3));
+    }
+
+    #[test]
+    fn distortion_is_removed_and_coverage_known() {
+        let mut photograph = Image::new(160, 120, 3);
+        photograph.data.iter_mut().enumerate().for_each(|(i, v)| *v = (i % 480) as f32 / 480.0);
+        let (_keep, mut view) = view("a.png", &photograph, 0.5);
+        assert!(view.coverage().is_none());
+        let straight = view.load_image(&LoadOptions::default()).unwrap();
+        view.distortion = Distortion { k1: 0.2, ..Default::default() };
+        let bent = view.load_image(&LoadOptions::default()).unwrap();
+        assert_ne!(straight, bent);
+        assert_eq!((bent.width, bent.height), (80, 60));
+        let coverage = view.coverage().unwrap();
+        assert_eq!((coverage.width, coverage.pixel(0, 0)[0], coverage.pixel(40, 30)[0]), (80, 0.0, 1.0));
+    }
+
+    #[test]
+    fn each_fault_has_its_sentence() {
+        let (_keep, mut view) = view("a.exr", &image(3, &[0.0, 0.0, 0.0, 0.0, f32::NAN, 0.0]), 1.0);
+        let fail = |view: &View| view.load_image(&LoadOptions::default()).unwrap_err().to_string();
+        assert!(fail(&view).contains("a.exr: the pixel in column 1, row 0 is not a number"));
+        view.stored_camera.width = 7;
+        let error = fail(&view);
+        assert!(error.contains("a.exr is 2×1 pixels, but cameras.json gives 7×1 for its camera"), "{error}");
+        view.image_path.set_extension("tiff");
+        assert!(fail(&view).contains("the extension \"tiff\" is none of png, jpg, jpeg, exr"));
+        view.image_path.set_extension("png");
+        assert!(fail(&view).starts_with("cannot read "));
+    }
+}

@@ -1,0 +1,37 @@
+//! Where Gaussians and cameras come from on the command line.
+
+use anyhow::{Context, bail};
+use sgs_engine::Device;
+use sgs_passes::scene::{Gaussians, Model};
+use sgs_scene::Splats;
+use sgs_train::{RunDirectory, Settings, gaussian_data};
+use std::path::{Path, PathBuf};
+
+/// The PLY behind a run directory or a file, and the run's settings if it is one.
+pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
+    if source.is_dir() {
+        let run = RunDirectory::open(source)?;
+        let ply = run.path("scene.ply");
+        if !ply.is_file() {
+            bail!("\"{}\" has no scene.ply yet: training was not finished; resume it with --resume.", source.display());
+        }
+        return Ok((Splats::read_ply(&ply)?, Some(run.settings()?)));
+    }
+    if !source.exists() {
+        bail!("\"{}\" does not exist; give a run directory or a PLY file.", source.display());
+    }
+    Ok((Splats::read_ply(source)?, None))
+}
+
+/// Gaussians on the device from splats.
+pub fn upload(device: &Device, splats: &Splats) -> anyhow::Result<Gaussians> {
+    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some() };
+    let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;
+    gaussians.upload(device, &gaussian_data(splats, model))?;
+    Ok(gaussians)
+}
+
+/// A path, as an error names it.
+pub fn shown(path: &Path) -> String {
+    PathBuf::from(path).display().to_string()
+}

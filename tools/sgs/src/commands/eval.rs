@@ -1,0 +1,105 @@
+//! `sgs eval`: metrics at the views of a split, and the pictures behind them.
+
+use super::train::{open_scene, validated};
+use crate::cameras::{splats_of, upload};
+use crate::common::Common;
+use anyhow::bail;
+use sgs_scene::write_png;
+use sgs_train::{Evaluation, RunDirectory, evaluate};
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Run directory.
+    run: PathBuf,
+    /// Another place of the scene than the run remembers.
+    #[arg(long)]
+    scene: Option<PathBuf>,
+    /// Which views.
+    #[arg(long, value_enum, default_value = "test")]
+    split: Split,
+    /// Also write every rendered view as PNG into this directory.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Split {
+    Test,
+    Train,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let run = RunDirectory::open(&a.run)?;
+    let (splats, settings) = splats_of(&a.run)?;
+    let Some(mut settings) = settings else { bail!("\"{}\" is not a run directory.", a.run.display()) };
+    if let Some(scene) = &a.scene {
+        settings.scene.clone_from(scene);
+    }
+    let scene = open_scene(&settings)?;
+    let views = if a.split == Split::Test { &scene.split.test } else { &scene.split.train };
+    if views.is_empty() {
+        bail!("The scene has no views in that split.");
+    }
+    let device = common.open_device()?;
+    let gaussians = upload(&device, &splats)?;
+    if let Some(dir) = &a.images {
+        std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
+    }
+    let result = evaluate(&device, &scene, &gaussians, views, settings.geometry.background, |name, rendered| {
+        if let Some(dir) = &a.images {
+            write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+            if let Some(normal) = &rendered.normal {
+                let mut shown = normal.clone();
+                shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
+                write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+            }
+            let mut shown = rendered.depth.clone();
+            let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
+            shown.data.iter_mut().for_each(|v| *v /= far);
+            write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+        }
+        Ok(())
+    })?;
+    let split = if a.split == Split::Test { "test" } else { "train" };
+    record(&run, split, &result, splats.len())?;
+    if let Some(path) = &common.json {
+        let text = serde_json::to_string_pretty(&result)?;
+        if common.json_to_stdout() {
+            println!("{text}");
+        } else {
+            sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+        }
+    }
+    if !common.json_to_stdout() {
+        print_table(&result);
+    }
+    validated(&device)
+}
+
+/// Puts the result into `metrics.json` beside what is there.
+fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize) -> anyhow::Result<()> {
+    let old = std::fs::read_to_string(run.path("metrics.json")).unwrap_or_default();
+    let mut all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&old).unwrap_or_default();
+    all.insert(split.to_owned(), serde_json::to_value(result)?);
+    all.insert("gaussians".to_owned(), gaussians.into());
+    let training = std::fs::read_to_string(run.path("training.json")).unwrap_or_default();
+    if let Ok(serde_json::Value::Object(t)) = serde_json::from_str(&training) {
+        for key in ["seconds", "steps_per_second", "peak_device_bytes"] {
+            if let Some(v) = t.get(key) {
+                all.insert(key.to_owned(), v.clone());
+            }
+        }
+    }
+    Ok(run.write_json("metrics.json", &all)?)
+}
+
+fn print_table(e: &Evaluation) {
+    println!("{:<20} {:>8} {:>8} {:>10} {:>10}", "view", "PSNR", "SSIM", "normal °", "depth rel");
+    let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    for v in &e.views {
+        println!("{:<20} {:>8.2} {:>8.4} {:>10} {:>10}", v.name, v.nvs.psnr, v.nvs.ssim, cell(v.normal_mae_deg, 2), cell(v.depth_rel, 4));
+    }
+    let m = &e.mean;
+    println!("{:<20} {:>8.2} {:>8.4} {:>10} {:>10}", "mean", m.nvs.psnr, m.nvs.ssim, cell(m.normal_mae_deg, 2), cell(m.depth_rel, 4));
+}

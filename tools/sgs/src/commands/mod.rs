@@ -1,0 +1,9 @@
+//! One file a command.
+
+pub mod devices;
+pub mod eval;
+pub mod export;
+pub mod plan;
+pub mod render;
+pub mod synth;
+pub mod train;

@@ -1,0 +1,70 @@
+//! `sgs plan`: what would be modeled, why, and what it costs.
+
+use super::train::{Options, open_scene, settings};
+use crate::common::Common;
+use sgs_engine::graph::dump;
+use sgs_train::Geometry;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Scene directory.
+    scene: PathBuf,
+    #[command(flatten)]
+    options: Options,
+    /// Print the compiled graph of a step as well.
+    #[arg(long)]
+    graph: bool,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let s = settings(&a.scene, &a.options)?;
+    let scene = open_scene(&s)?;
+    let device = common.open_device()?;
+    let mut training = Geometry::new(&device, &scene, &s, None)?;
+    let g = training.gaussians();
+    let (count, model, capacity, gaussian_bytes) = (g.count(&device)?, g.model, g.capacity, g.bytes());
+    let plan = training.executor().plan().clone();
+    let (now, _) = device.memory_use();
+    if common.json_to_stdout() {
+        let value = serde_json::json!({
+            "views": scene.split.train.len(),
+            "gaussians": count,
+            "capacity": capacity,
+            "sh_degree": model.sh_degree,
+            "normals": model.normals,
+            "gaussian_bytes": gaussian_bytes,
+            "arena_bytes": plan.arena_bytes,
+            "arena_unaliased_bytes": plan.arena_unaliased_bytes,
+            "device_bytes": now,
+            "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
+            "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
+        });
+        println!("{}", serde_json::to_string_pretty(&value)?);
+        return Ok(());
+    }
+    let mib = |b: u64| b as f64 / f64::from(1 << 20);
+    println!("scene       {} ({} training views, {} test views)", a.scene.display(), scene.split.train.len(), scene.split.test.len());
+    println!("device      {}", device.info().name);
+    println!("Gaussians   {count} at first, room for {capacity} ({:.1} MiB with gradients' moments)", mib(gaussian_bytes));
+    println!("color       spherical harmonics of degree {} (geometry.sh_degree)", model.sh_degree);
+    let why = if model.normals { "the scene has normal priors" } else { "left out: no normal priors, or they are switched off" };
+    println!("normals     {} ({why})", if model.normals { "one a Gaussian" } else { "none" });
+    println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
+    println!(
+        "a step      {} passes in {} groups, {} barriers",
+        plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
+        plan.groups.len(),
+        plan.groups.iter().filter(|g| g.barrier.is_some()).count()
+    );
+    println!(
+        "arena       {:.1} MiB for transients ({:.1} MiB if nothing shared memory)",
+        mib(plan.arena_bytes),
+        mib(plan.arena_unaliased_bytes)
+    );
+    println!("in all      {:.1} MiB of device memory before growth", mib(now));
+    if a.graph {
+        println!("\n{}", dump::text(&plan));
+    }
+    Ok(())
+}

@@ -1,0 +1,53 @@
+//! `sgs synth`: an indoor scene to try things on.
+
+use crate::common::Common;
+use crate::ui::Bar;
+use std::path::PathBuf;
+use std::sync::Mutex;
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Directory to make.
+    out: PathBuf,
+    /// Which scene.
+    #[arg(long, value_name = "NAME", default_value = "livingroom")]
+    scene: String,
+    /// Training views; test views come on top.
+    #[arg(long, value_name = "N")]
+    views: Option<usize>,
+    /// Columns and rows of the images.
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<(usize, usize)>,
+    /// Seed of furniture and noise.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+fn size(text: &str) -> Result<(usize, usize), String> {
+    let wrong = || format!("\"{text}\" is not a size; write columns x rows, as 160x120");
+    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    Ok((w.parse().map_err(|_| wrong())?, h.parse().map_err(|_| wrong())?))
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let mut options = sgs_synth::SynthOptions { scene: a.scene.parse()?, seed: a.seed, ..Default::default() };
+    if let Some(views) = a.views {
+        options.views = views;
+    }
+    if let Some((width, height)) = a.size {
+        (options.width, options.height) = (width, height);
+    }
+    let bar: Mutex<Option<Bar>> = Mutex::new(None);
+    let progress = |done: u64, total: u64| {
+        let mut bar = bar.lock().unwrap_or_else(|e| e.into_inner());
+        bar.get_or_insert_with(|| Bar::new(common, "rendering", total, 0)).set(done, String::new);
+    };
+    sgs_synth::generate(&a.out, &options, &progress)?;
+    if let Some(bar) = bar.into_inner().unwrap_or_else(|e| e.into_inner()) {
+        bar.finish();
+    }
+    if !common.quiet {
+        eprintln!("wrote {}", a.out.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,220 @@
+//! `sgs train`: from a scene directory to a run directory.
+
+use crate::common::Common;
+use crate::ui::{Bar, interrupted};
+use anyhow::bail;
+use sgs_scene::{Scene, SceneOptions};
+use sgs_train::{Geometry, Progress, RunDirectory, Settings, StepLog};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// Options that shape training; `sgs plan` takes them too.
+#[derive(clap::Args)]
+pub struct Options {
+    /// Steps of the geometry stage.
+    #[arg(long, value_name = "N")]
+    pub geometry_steps: Option<u32>,
+    /// Training views, spread evenly; all by default.
+    #[arg(long, value_name = "N")]
+    pub views: Option<usize>,
+    /// Factor on the size of the images, at most 1.
+    #[arg(long, value_name = "F")]
+    pub scale: Option<f64>,
+    /// Keep the number of Gaussians as it is.
+    #[arg(long)]
+    pub no_densify: bool,
+    /// Seed of everything random.
+    #[arg(long, value_name = "S")]
+    pub seed: Option<u64>,
+    /// Settings from a TOML file, as config.toml of a run.
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// One setting by its name in config.toml, as geometry.rates.scales=0.01; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Scene directory.
+    scene: PathBuf,
+    /// Run directory to make.
+    #[arg(short, long, value_name = "RUN")]
+    output: PathBuf,
+    /// Which stage.
+    #[arg(long, value_enum, default_value = "geometry")]
+    stage: Stage,
+    #[command(flatten)]
+    options: Options,
+    /// Go on where an interrupted run stopped.
+    #[arg(long)]
+    resume: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Stage {
+    Geometry,
+}
+
+/// Settings from file, then from `--set`, then from the options of their own.
+pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
+    let mut table = match &o.config {
+        None => toml::Table::new(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
+            text.parse().map_err(|e: toml::de::Error| anyhow::anyhow!("\"{}\": {}.", path.display(), e.message()))?
+        }
+    };
+    for pair in &o.set {
+        let Some((key, value)) = pair.split_once('=') else {
+            bail!("--set takes KEY=VALUE, not \"{pair}\".");
+        };
+        set(&mut table, key.trim(), value.trim())?;
+    }
+    let mut s: Settings = toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| {
+        anyhow::anyhow!("A setting is wrong: {}.", e.message().trim().trim_end_matches('.').replace('\n', " "))
+    })?;
+    s.scene = scene.to_owned();
+    if let Some(n) = o.geometry_steps {
+        s.geometry.steps = n;
+    }
+    if let Some(n) = o.views {
+        s.views = n;
+    }
+    if let Some(f) = o.scale {
+        s.scale = f;
+    }
+    if o.no_densify {
+        s.geometry.densify.enabled = false;
+    }
+    if let Some(seed) = o.seed {
+        s.seed = seed;
+    }
+    s.check()?;
+    if o.views == Some(0) {
+        bail!("--views is 0, but there must be at least one training view.");
+    }
+    Ok(s)
+}
+
+fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
+    let parsed = format!("x = {value}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut t| t.remove("x"))
+        .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+    let mut parts: Vec<&str> = key.split('.').collect();
+    let Some(last) = parts.pop().filter(|l| !l.is_empty()) else { bail!("--set has no key before \"={value}\".") };
+    let mut at = table;
+    for part in parts {
+        let entry = at.entry(part).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        let toml::Value::Table(inner) = entry else { bail!("\"{key}\" is not a setting: \"{part}\" is a value.") };
+        at = inner;
+    }
+    at.insert(last.to_owned(), parsed);
+    Ok(())
+}
+
+/// Opens the scene that the settings name, and says what the user should know.
+pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
+    let options = SceneOptions {
+        views: (s.views > 0).then_some(s.views),
+        scale: s.scale,
+        exposure: s.exposure,
+        random_points: s.random_points,
+        seed: s.seed,
+    };
+    let scene = Scene::open(&s.scene, &options)?;
+    for warning in &scene.warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(scene)
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let Stage::Geometry = a.stage;
+    let resuming = a.resume && a.output.join("config.toml").is_file();
+    let settings = if resuming {
+        let mut s = RunDirectory::open(&a.output)?.settings()?;
+        s.scene.clone_from(&a.scene);
+        if let Some(n) = a.options.geometry_steps {
+            if n != s.geometry.steps {
+                bail!("The run was begun for {} steps; --geometry-steps {n} would change its schedules.", s.geometry.steps);
+            }
+        }
+        s
+    } else {
+        settings(&a.scene, &a.options)?
+    };
+    let scene = open_scene(&settings)?;
+    let device = common.open_device()?;
+    let run = RunDirectory::create(&a.output)?;
+    let mut training = Geometry::new(&device, &scene, &settings, None)?;
+    if resuming && run.checkpoint().is_file() {
+        training.restore(&run.checkpoint())?;
+    }
+    run.write_settings(&settings)?;
+    let steps = settings.geometry.steps;
+    let mut log = run.log(training.step())?;
+    let mut bar = Bar::new(common, "training", u64::from(steps), u64::from(training.step()));
+    let stop = interrupted()?;
+    let started = Instant::now();
+    let first = training.step();
+    let mut failure = None;
+    while training.step() < steps && !stop.load(Ordering::SeqCst) {
+        let interval = match settings.geometry.checkpoint_interval {
+            0 => steps,
+            n => n,
+        };
+        let next = ((training.step() / interval + 1) * interval).min(steps);
+        let heard = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                if r.step % 10 == 0 || r.step == 1 || r.step == steps {
+                    let line = serde_json::to_string(&StepLog::from(r)).unwrap_or_default();
+                    if let Err(e) = writeln!(log, "{line}") {
+                        failure.get_or_insert(e);
+                    }
+                }
+                bar.set(u64::from(r.step), || format!("loss {:.4}, {} Gaussians", r.losses.total, r.gaussians));
+            }
+        };
+        training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
+        training.save(&run.checkpoint())?;
+    }
+    bar.finish();
+    if let Some(e) = failure {
+        tracing::warn!("log.jsonl could not be written: {e}");
+    }
+    if training.step() < steps {
+        eprintln!("stopped after step {}; go on with: sgs train {} -o {} --resume", training.step(), a.scene.display(), a.output.display());
+        std::process::exit(1);
+    }
+    training.splats()?.write_ply(&run.path("scene.ply"))?;
+    let seconds = started.elapsed().as_secs_f64();
+    let summary = serde_json::json!({
+        "steps": steps,
+        "seconds": seconds,
+        "steps_per_second": f64::from(steps - first) / seconds.max(1e-9),
+        "gaussians": training.gaussians().count(&device)?,
+        "peak_device_bytes": device.memory_use().1,
+        "device": device.info().name,
+    });
+    run.write_json("training.json", &summary)?;
+    if common.json_to_stdout() {
+        println!("{summary}");
+    } else if !common.quiet {
+        eprintln!("{} Gaussians after {steps} steps in {seconds:.0} s; wrote {}", summary["gaussians"], a.output.display());
+    }
+    validated(&device)
+}
+
+/// In validation mode any message is a failure.
+pub fn validated(device: &sgs_engine::Device) -> anyhow::Result<()> {
+    let messages = device.messages().take();
+    if let Some(first) = messages.first() {
+        bail!("Validation reported {} messages; the first: {first}", messages.len());
+    }
+    Ok(())
+}

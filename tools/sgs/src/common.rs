@@ -1,0 +1,49 @@
+//! Options that every command has, and opening a device by them.
+
+use clap::Args;
+use sgs_engine::{Device, DeviceOptions};
+use std::path::PathBuf;
+
+/// Options of every command.
+#[derive(Args, Clone, Debug)]
+pub struct Common {
+    /// Device by index or part of its name (see `sgs devices`); the best by default.
+    #[arg(long, global = true, value_name = "INDEX|NAME")]
+    pub device: Option<String>,
+    /// Machine-readable output on standard output.
+    #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE", require_equals = true)]
+    pub json: Option<PathBuf>,
+    /// More messages; twice for all.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Errors only.
+    #[arg(short, long, global = true)]
+    pub quiet: bool,
+    /// Run with Vulkan validation; any message is an error.
+    #[arg(long, global = true, hide = true)]
+    pub validate: bool,
+}
+
+impl Common {
+    /// Opens the device that was asked for.
+    pub fn open_device(&self) -> anyhow::Result<Device> {
+        let options = DeviceOptions {
+            select: self.device.clone(),
+            validation: self.validate,
+            pipeline_cache: cache_folder(),
+            ..Default::default()
+        };
+        Ok(Device::open(&options)?)
+    }
+
+    /// Whether standard output carries JSON.
+    pub fn json_to_stdout(&self) -> bool {
+        self.json.as_ref().is_some_and(|p| p.as_os_str() == "-")
+    }
+}
+
+fn cache_folder() -> Option<PathBuf> {
+    let base = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
+    let base = base.or_else(|| std::env::var_os("HOME").map(|h| PathBuf::from(h).join(".cache")))?;
+    Some(base.join("sgs"))
+}

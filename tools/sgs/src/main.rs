@@ -1,0 +1,56 @@
+//! `sgs`: the command line. Thin: every command is a call into the libraries.
+//!
+//! Exit status 0 done, 1 failed (one sentence on standard error), 2 wrong usage.
+
+mod cameras;
+mod commands;
+mod common;
+mod ui;
+
+use clap::{Parser, Subcommand};
+
+/// Turn a dozen photographs of a room into Gaussians that can be rendered, on any Vulkan device.
+#[derive(Parser)]
+#[command(name = "sgs", version, about, max_term_width = 100)]
+struct Cli {
+    #[command(flatten)]
+    common: common::Common,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Make an indoor scene directory with path-traced images, priors and ground truth.
+    Synth(commands::synth::Args),
+    /// Print what will be modeled, why, and what it costs; train nothing.
+    Plan(commands::plan::Args),
+    /// Train on a scene directory.
+    Train(commands::train::Args),
+    /// Measure a run at held-out or training views.
+    Eval(commands::eval::Args),
+    /// Render a run or a PLY from the cameras of a transforms file.
+    Render(commands::render::Args),
+    /// Write a run's Gaussians as a PLY that viewers open.
+    Export(commands::export::Args),
+    /// List what can run here, and what each device lacks.
+    Devices,
+}
+
+fn main() {
+    let cli = Cli::parse();
+    ui::start_logging(&cli.common);
+    let result = match &cli.command {
+        Command::Synth(a) => commands::synth::run(&cli.common, a),
+        Command::Plan(a) => commands::plan::run(&cli.common, a),
+        Command::Train(a) => commands::train::run(&cli.common, a),
+        Command::Eval(a) => commands::eval::run(&cli.common, a),
+        Command::Render(a) => commands::render::run(&cli.common, a),
+        Command::Export(a) => commands::export::run(&cli.common, a),
+        Command::Devices => commands::devices::run(&cli.common),
+    };
+    if let Err(error) = result {
+        eprintln!("sgs: {error:#}");
+        std::process::exit(1);
+    }
+}

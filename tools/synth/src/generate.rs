@@ -1,0 +1,230 @@
+//! Makes a whole scene directory: builds the room, places cameras, sets the exposure, renders, imitates priors, and
+//! writes everything.
+
+use std::path::Path;
+use std::sync::Mutex;
+use std::time::Instant;
+
+use glam::Vec3;
+use serde_json::json;
+
+use crate::error::SynthError;
+use crate::expose;
+use crate::options::SynthOptions;
+use crate::output::lights::{self, Relighting};
+use crate::output::stage::Stage;
+use crate::output::{exr, meta, npy, ply, view};
+use crate::points;
+use crate::priors::{maps, masks, semantic};
+use crate::rng;
+use crate::scene::{MAX_GROUPS, Scene};
+use crate::trace::camera::Camera;
+use crate::trace::denoise::{self, Image};
+use crate::trace::path::PathOptions;
+use crate::trace::render::render;
+use crate::views;
+
+/// What was made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Training views.
+    pub train_views: usize,
+    /// Test views.
+    pub test_views: usize,
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// Triangles in the scene.
+    pub triangles: usize,
+    /// Lights in the scene.
+    pub lights: usize,
+    /// Things with masks of their own.
+    pub instances: usize,
+    /// Points in `points.ply`; fewer than asked for when views hardly overlap.
+    pub points: usize,
+    /// Names of the relit sets under `gt/relit`.
+    pub relit: Vec<String>,
+    /// Share of the images' values that are clipped at exposure 1.
+    pub clipped: f32,
+    /// Mean display value of the images.
+    pub mean: f32,
+    /// Wall-clock seconds spent.
+    pub seconds: f64,
+}
+
+/// Makes the scene directory `out`, which must not exist, be empty, or (with [`SynthOptions::replace`]) be a scene.
+///
+/// `progress` is told how many of how many units of work are done, never decreasing; it may be called from any
+/// thread. The same options give the same bytes for any number of threads.
+///
+/// # Errors
+///
+/// Options out of range, an output path that may not be written, and failures of the file system.
+pub fn generate(
+    out: &Path,
+    options: &SynthOptions,
+    progress: &(dyn Fn(u64, u64) + Sync),
+) -> Result<Summary, SynthError> {
+    options.validate()?;
+    let started = Instant::now();
+    let stage = Stage::open(out, options.replace)?;
+    let mut scene = Scene::build(options.scene, options.seed);
+    let views = views::place(&scene, options);
+    let progress = Progress::new(((options.views + options.test_views) * options.height) as u64, progress);
+    expose::expose(&mut scene, &views.train, options.seed);
+    let relightings = if options.relit { lights::relightings(&scene) } else { Vec::new() };
+    let embeddings = semantic::embeddings();
+    let job = Job {
+        scene: &scene,
+        options,
+        stage: &stage,
+        embeddings: &embeddings,
+        relightings: &relightings,
+        progress: &progress,
+    };
+    let mut images = Vec::with_capacity(options.views);
+    let mut tally = Tally::default();
+    for (index, camera) in views.train.iter().chain(&views.test).enumerate() {
+        let train = index < options.views;
+        let image = job.view(index, camera, train)?;
+        tally.add(&image);
+        if train {
+            images.push(image);
+        }
+    }
+    let points = points::choose(&scene, &views.train, &images, options.points, options.seed);
+    stage.write("points.ply", &ply::encode(&points))?;
+    stage.write("transforms.json", &meta::text(&meta::transforms(&views)))?;
+    stage.write("split.json", &meta::text(&meta::split(&views)))?;
+    stage.write("scene.json", &meta::text(&meta::scene(&scene, options)))?;
+    job.shared_files()?;
+    stage.commit()?;
+    Ok(Summary {
+        train_views: options.views,
+        test_views: options.test_views,
+        width: options.width,
+        height: options.height,
+        triangles: scene.surfaces.len(),
+        lights: scene.lights.len(),
+        instances: scene.instances.len() - 1,
+        points: points.len(),
+        relit: relightings.iter().map(|r| r.name.to_owned()).collect(),
+        clipped: tally.clipped / tally.values.max(1.0),
+        mean: tally.sum / tally.values.max(1.0),
+        seconds: started.elapsed().as_secs_f64(),
+    })
+}
+
+/// What all views need.
+struct Job<'a> {
+    scene: &'a Scene,
+    options: &'a SynthOptions,
+    stage: &'a Stage,
+    embeddings: &'a [Vec<f32>],
+    relightings: &'a [Relighting],
+    progress: &'a Progress<'a>,
+}
+
+impl Job<'_> {
+    /// Renders one view and writes its files; returns its linear image.
+    fn view(&self, index: usize, camera: &Camera, train: bool) -> Result<Image, SynthError> {
+        let (options, stage) = (self.options, self.stage);
+        let key = rng::key(&[options.seed, 0x5a11, index as u64]);
+        let film = render(self.scene, camera, key, options.samples_per_pixel, &PathOptions::default(), &|| {
+            self.progress.advance()
+        });
+        let footprint = 1.0 / camera.focal;
+        let image = denoise::image(&film, footprint, &[Vec3::ONE; MAX_GROUPS], options.denoise);
+        let stem = meta::stem(index);
+        view::image(stage, &stem, &film, &image)?;
+        view::truth(stage, &stem, &film)?;
+        let number = index as u64;
+        let maps = maps::imitate(&film, &image, camera, options.seed, number);
+        let regions = masks::imitate(&film, options.seed, number);
+        view::priors(stage, &stem, &film, &maps, &regions)?;
+        if train {
+            let features = semantic::imitate(&film, self.embeddings, options.seed, number);
+            view::semantic(stage, &stem, &features)?;
+        } else {
+            for relighting in self.relightings {
+                let relit = denoise::image(&film, footprint, &relighting.weights, options.denoise);
+                view::relit(stage, &stem, relighting.name, &film, &relit)?;
+            }
+        }
+        Ok(image)
+    }
+
+    /// Files that belong to no single view.
+    fn shared_files(&self) -> Result<(), SynthError> {
+        let stage = self.stage;
+        let frame = json!({ "normal": { "frame": "camera-opengl" } });
+        stage.write("priors/priors.json", &meta::text(&frame))?;
+        let labels = meta::labels(semantic::DIM, semantic::CELL);
+        stage.write("priors/semantic/labels.json", &meta::text(&labels))?;
+        let flat: Vec<u8> = self.embeddings.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+        let shape = [self.embeddings.len(), semantic::DIM];
+        let table = npy::encode("<f4", &shape, &flat);
+        stage.write("priors/semantic/text_embeddings.npy", &table)?;
+        let lights = lights::describe(self.scene, self.relightings);
+        stage.write("gt/lights.json", &meta::text(&lights))?;
+        for relighting in self.relightings {
+            let about = json!({
+                "lighting": relighting.name,
+                "group_weights": lights["light_groups_weights"][relighting.name],
+                "lights": lights["relight"][relighting.name],
+                "note": "group_weights are factors on the training lighting; materials are unchanged",
+            });
+            let path = format!("gt/relit/{}.json", relighting.name);
+            stage.write(path, &meta::text(&about))?;
+        }
+        if self.scene.sky.mean() > 0.0 {
+            let (width, height) = (256, 128);
+            let map = self.scene.sky.map(width, height);
+            exr::rgb(&stage.file("gt/environment.exr")?, width, height, &map)?;
+        }
+        Ok(())
+    }
+}
+
+/// Sums over all images.
+#[derive(Default)]
+struct Tally {
+    values: f32,
+    sum: f32,
+    clipped: f32,
+}
+
+impl Tally {
+    fn add(&mut self, image: &Image) {
+        let (mut sum, mut clipped) = (0.0, 0usize);
+        for value in image.iter().flat_map(|c| c.to_array()) {
+            sum += crate::color::encode(value);
+            clipped += usize::from(value > 1.0);
+        }
+        self.values += 3.0 * image.len() as f32;
+        self.sum += sum;
+        self.clipped += clipped as f32;
+    }
+}
+
+/// Counts units of work and passes them on in order.
+struct Progress<'a> {
+    done: Mutex<u64>,
+    total: u64,
+    report: &'a (dyn Fn(u64, u64) + Sync),
+}
+
+impl<'a> Progress<'a> {
+    fn new(total: u64, report: &'a (dyn Fn(u64, u64) + Sync)) -> Self {
+        report(0, total);
+        Self { done: Mutex::new(0), total, report }
+    }
+
+    fn advance(&self) {
+        // The lock is held while reporting so that no caller sees the count go back.
+        let mut done = self.done.lock().unwrap_or_else(|e| e.into_inner());
+        *done += 1;
+        (self.report)(*done, self.total);
+    }
+}

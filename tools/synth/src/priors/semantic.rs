@@ -1,0 +1,87 @@
+//! Imitated language-aligned features: class embeddings on a coarse grid, mixed at borders, with noise.
+
+use half::f16;
+
+use crate::noise::value;
+use crate::rng::{Rng, text_key};
+use crate::scene::classes::CLASSES;
+use crate::trace::film::Film;
+
+/// Length of an embedding.
+pub(crate) const DIM: usize = 512;
+/// Pixels along the side of a feature cell.
+pub(crate) const CELL: usize = 8;
+
+/// One unit vector a class. A label has the same vector in every scene, so features compare across scenes.
+pub(crate) fn embeddings() -> Vec<Vec<f32>> {
+    CLASSES
+        .iter()
+        .map(|label| {
+            let mut rng = Rng::new(&[text_key(label)]);
+            unit((0..DIM).map(|_| rng.normal()).collect())
+        })
+        .collect()
+}
+
+/// A feature map: height, width and values, cell by cell.
+pub(crate) struct Features {
+    /// Cells down.
+    pub(crate) height: usize,
+    /// Cells across.
+    pub(crate) width: usize,
+    /// `height × width ×` [`DIM`] values.
+    pub(crate) values: Vec<f16>,
+}
+
+/// The features of one view.
+pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], seed: u64, view: u64) -> Features {
+    let (height, width) = (film.height.div_ceil(CELL), film.width.div_ceil(CELL));
+    let mut rng = Rng::new(&[seed, view, 31]);
+    let salt = rng.next_u32();
+    let mut values = Vec::with_capacity(height * width * DIM);
+    for row in 0..height {
+        for column in 0..width {
+            let share = shares(film, row, column);
+            let mut feature = vec![0.0; DIM];
+            for (class, share) in share.iter().enumerate().filter(|(_, s)| **s > 0.0) {
+                for (f, e) in feature.iter_mut().zip(&embeddings[class]) {
+                    *f += share * e;
+                }
+            }
+            let mut feature = unit(feature);
+            // Half of the noise is shared with neighbors, as features of large receptive fields are.
+            let place = glam::Vec2::new(column as f32, row as f32) / 3.0;
+            let scale = 1.0 / (DIM as f32).sqrt();
+            for (k, f) in feature.iter_mut().enumerate() {
+                let slow = (value(place, salt.wrapping_add(k as u32)) - 0.5) * 4.5;
+                *f += scale * (0.5 * rng.normal() + 0.5 * slow);
+            }
+            values.extend(unit(feature).into_iter().map(f16::from_f32));
+        }
+    }
+    Features { height, width, values }
+}
+
+/// How much of a cell and its surroundings belongs to each class.
+fn shares(film: &Film, row: usize, column: usize) -> Vec<f32> {
+    let mut share = vec![0.0; CLASSES.len()];
+    let span = |cell: usize, limit: usize| {
+        let from = (cell * CELL).saturating_sub(CELL / 4);
+        from..((cell + 1) * CELL + CELL / 4).min(limit)
+    };
+    for y in span(row, film.height) {
+        for x in span(column, film.width) {
+            share[film.features[y * film.width + x].class as usize] += 1.0;
+        }
+    }
+    let total: f32 = share.iter().sum();
+    share.iter_mut().for_each(|s| *s /= total.max(1.0));
+    share
+}
+
+/// The vector scaled to unit length.
+fn unit(mut v: Vec<f32>) -> Vec<f32> {
+    let length = v.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-9);
+    v.iter_mut().for_each(|x| *x /= length);
+    v
+}

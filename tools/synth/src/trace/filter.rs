@@ -1,0 +1,142 @@
+//! An edge-avoiding à-trous filter over one color channel set.
+//!
+//! Five passes of a 5×5 kernel with growing gaps average over up to 125 pixels across, but only over pixels that lie
+//! on the same surface (plane and normal) and whose brightness differs by no more than the noise explains. The noise
+//! estimate is filtered along, so that later passes become more careful.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::color::luminance;
+use crate::trace::film::Feature;
+
+/// A color and the variance of its luminance.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Estimate {
+    /// The color.
+    pub(crate) color: Vec3,
+    /// Variance of its luminance.
+    pub(crate) variance: f32,
+}
+
+/// How strictly neighbors are compared.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Strictness {
+    /// Accepted brightness difference in standard deviations.
+    pub(crate) brightness: f32,
+    /// Exponent of the cosine between normals.
+    pub(crate) normal: f32,
+    /// Accepted distance from the pixel's plane, in pixel footprints.
+    pub(crate) plane: f32,
+}
+
+/// Everything that decides which neighbors count.
+pub(crate) struct Guide<'a> {
+    /// Image width.
+    pub(crate) width: usize,
+    /// Image height.
+    pub(crate) height: usize,
+    /// Geometry by pixel.
+    pub(crate) features: &'a [Feature],
+    /// Size of a pixel at unit depth.
+    pub(crate) footprint: f32,
+    /// How many passes each pixel takes part in.
+    pub(crate) passes: &'a [u8],
+}
+
+impl Guide<'_> {
+    /// Visits the pixels of a 5×5 kernel with gaps of `step` that lie in the image, with the kernel's weight.
+    fn window(&self, index: usize, step: i32, mut visit: impl FnMut(usize, f32)) {
+        let (w, h) = (self.width as i32, self.height as i32);
+        let (x, y) = (index as i32 % w, index as i32 / w);
+        for dy in -2..=2i32 {
+            for dx in -2..=2i32 {
+                let (nx, ny) = (x + dx * step, y + dy * step);
+                if nx >= 0 && ny >= 0 && nx < w && ny < h {
+                    let (i, j) = (dx.unsigned_abs() as usize, dy.unsigned_abs() as usize);
+                    visit((ny * w + nx) as usize, KERNEL[i] * KERNEL[j]);
+                }
+            }
+        }
+    }
+}
+
+/// Binomial weights by distance.
+const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
+
+/// Most passes a pixel can take part in.
+pub(crate) const MAX_PASSES: u8 = 5;
+
+/// Filters estimates in place of their noise.
+pub(crate) fn filter(mut image: Vec<Estimate>, guide: &Guide<'_>, strictness: &Strictness) -> Vec<Estimate> {
+    for pass in 0..MAX_PASSES {
+        let smooth = smooth_variance(&image, guide);
+        image = (0..image.len())
+            .into_par_iter()
+            .map(|index| {
+                if guide.passes[index] <= pass || !guide.features[index].surface {
+                    image[index]
+                } else {
+                    average(&image, &smooth, guide, strictness, index, 1 << pass)
+                }
+            })
+            .collect();
+    }
+    image
+}
+
+/// One pixel of one pass.
+fn average(
+    image: &[Estimate],
+    smooth: &[f32],
+    guide: &Guide<'_>,
+    strictness: &Strictness,
+    index: usize,
+    step: i32,
+) -> Estimate {
+    let here = &guide.features[index];
+    let own = luminance(image[index].color);
+    let noise = smooth[index].max(0.0).sqrt();
+    // A little difference is always accepted: nobody sees it, and dark pixels may have met no light at all.
+    let brightness = 1.0 / (strictness.brightness * noise + 1e-4 + 0.004 * own);
+    let plane = 1.0 / (strictness.plane * guide.footprint * here.depth * step as f32 + 1e-4);
+    let (mut color, mut variance, mut total) = (Vec3::ZERO, 0.0, 0.0);
+    guide.window(index, step, |other, kernel| {
+        let there = &guide.features[other];
+        if !there.surface {
+            return;
+        }
+        let mut weight = kernel;
+        if other != index {
+            // Either plane may tell the two apart: at a step only one of them does.
+            let between = there.position - here.position;
+            let off = here.normal.dot(between).abs().max(there.normal.dot(between).abs());
+            let difference = (luminance(image[other].color) - own).abs();
+            let rough = (here.roughness - there.roughness).abs();
+            let facing = here.normal.dot(there.normal).max(0.0);
+            weight *= facing.powf(strictness.normal) * (-off * plane - difference * brightness - 6.0 * rough).exp();
+        }
+        color += weight * image[other].color;
+        variance += weight * weight * image[other].variance;
+        total += weight;
+    });
+    Estimate { color: color / total, variance: variance / (total * total) }
+}
+
+/// Variances are noisy themselves: a 5×5 mean over neighbors of the same orientation steadies them.
+fn smooth_variance(image: &[Estimate], guide: &Guide<'_>) -> Vec<f32> {
+    (0..image.len())
+        .into_par_iter()
+        .map(|index| {
+            let here = &guide.features[index];
+            let (mut sum, mut total) = (0.0, 0.0);
+            guide.window(index, 1, |other, kernel| {
+                let kin = here.normal.dot(guide.features[other].normal) > 0.9;
+                let weight = if kin { kernel } else { 0.02 * kernel };
+                sum += weight * image[other].variance;
+                total += weight;
+            });
+            sum / total
+        })
+        .collect()
+}

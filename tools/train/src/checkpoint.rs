@@ -1,0 +1,106 @@
+//! The state of training in one safetensors file: parameters, moments, statistics, and the step.
+//!
+//! Promises: the file is written beside and renamed into place, so that a full disk or a kill loses no earlier one.
+
+use crate::error::{Result, TrainError};
+use safetensors::{Dtype, SafeTensors, View};
+use sgs_passes::scene::{GaussianData, Group, Model};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::Path;
+
+/// What resuming starts from.
+pub(crate) struct State {
+    pub step: u32,
+    pub parameters: GaussianData,
+    pub moments: GaussianData,
+    pub statistics: Vec<f32>,
+}
+
+struct Floats<'a>(&'a [f32], Vec<usize>);
+
+impl View for Floats<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        &self.1
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(bytemuck::cast_slice(self.0))
+    }
+    fn data_len(&self) -> usize {
+        size_of_val(self.0)
+    }
+}
+
+pub(crate) fn save(
+    path: &Path,
+    step: u32,
+    model: Model,
+    parameters: &GaussianData,
+    moments: &GaussianData,
+    statistics: &[f32],
+) -> Result<()> {
+    let count = parameters.len();
+    let mut tensors = Vec::new();
+    for group in model.groups() {
+        let width = group.width() as usize;
+        tensors.push((group.name().to_owned(), Floats(parameters.group(group), vec![count, width])));
+        tensors.push((format!("{}_moments", group.name()), Floats(moments.group(group), vec![count, width, 2])));
+    }
+    tensors.push(("statistics".to_owned(), Floats(statistics, vec![count, statistics.len() / count.max(1)])));
+    let meta = HashMap::from([
+        ("format".to_owned(), "sgs-geometry-1".to_owned()),
+        ("step".to_owned(), step.to_string()),
+    ]);
+    let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
+    sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
+    Ok(())
+}
+
+pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
+    let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| file(path, format!("not a checkpoint: {e}")))?;
+    let meta = header.metadata().clone().unwrap_or_default();
+    if meta.get("format").map(String::as_str) != Some("sgs-geometry-1") {
+        return Err(file(path, "not a checkpoint of the geometry stage".into()));
+    }
+    let step = meta
+        .get("step")
+        .and_then(|s| s.parse().ok())
+        .ok_or_else(|| file(path, "the checkpoint does not say which step it holds".into()))?;
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| file(path, format!("damaged: {e}")))?;
+    let floats = |name: &str| -> Result<Vec<f32>> {
+        let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
+        if t.dtype() != Dtype::F32 {
+            return Err(file(path, format!("\"{name}\" does not hold 32-bit floats")));
+        }
+        Ok(t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+    };
+    let mut parameters = GaussianData::default();
+    let mut moments = GaussianData::default();
+    for group in Group::ALL {
+        let present = tensors.tensor(group.name()).is_ok();
+        if present != model.has(group) {
+            let reason = format!("the checkpoint {} \"{}\", unlike these settings", if present { "has" } else { "lacks" }, group.name());
+            return Err(file(path, reason));
+        }
+        if present {
+            parameters.groups[group as usize] = floats(group.name())?;
+            moments.groups[group as usize] = floats(&format!("{}_moments", group.name()))?;
+        }
+    }
+    let count = parameters.len();
+    for group in model.groups() {
+        let scalars = count * group.width() as usize;
+        if parameters.group(group).len() != scalars || moments.group(group).len() != 2 * scalars {
+            return Err(file(path, format!("\"{}\" does not fit {count} Gaussians", group.name())));
+        }
+    }
+    Ok(State { step, parameters, moments, statistics: floats("statistics")? })
+}
+
+fn file(path: &Path, reason: String) -> TrainError {
+    TrainError::File { path: path.to_owned(), reason }
+}

@@ -1,0 +1,90 @@
+//! Between the scene on disk and the scene on the GPU: cameras, splats, packed pixels.
+
+use sgs_passes::pipeline::Camera;
+use sgs_passes::scene::{GaussianData, Group, Model};
+use sgs_scene::Splats;
+
+/// Nothing nearer than this is seen.
+pub const NEAR: f32 = 0.01;
+
+/// A camera as kernels take it; tiles are filled in where it is used.
+pub fn camera(c: &sgs_scene::Camera) -> Camera {
+    let row = |i: usize| {
+        let r = c.rotation.row(i);
+        [r.x as f32, r.y as f32, r.z as f32, c.translation[i] as f32]
+    };
+    Camera {
+        world_to_camera: [row(0), row(1), row(2)],
+        position: c.position().as_vec3().to_array(),
+        near: NEAR,
+        focal: [c.fx as f32, c.fy as f32],
+        center: [c.cx as f32, c.cy as f32],
+        size: [c.width, c.height],
+        tiles: [0, 0],
+    }
+}
+
+/// Splats as the GPU takes them, for a model (missing normals become zeros, missing bands zeros).
+pub fn gaussian_data(s: &Splats, model: Model) -> GaussianData {
+    let mut d = GaussianData::default();
+    for group in model.groups() {
+        let width = group.width() as usize;
+        let flat = match group {
+            Group::Means => s.means.as_flattened().to_vec(),
+            Group::LogScales => s.log_scales.as_flattened().to_vec(),
+            Group::Rotations => s.rotations.as_flattened().to_vec(),
+            Group::OpacityLogits => s.opacity_logits.clone(),
+            Group::Sh0 => s.sh[0].clone(),
+            Group::Sh1 => s.sh[1].clone(),
+            Group::Sh2 => s.sh[2].clone(),
+            Group::Sh3 => s.sh[3].clone(),
+            Group::Normals => s.normals.as_ref().map_or_else(Vec::new, |n| n.as_flattened().to_vec()),
+        };
+        d.groups[group as usize] = if flat.is_empty() { vec![0.0; width * s.len()] } else { flat };
+    }
+    d
+}
+
+/// The other way round.
+pub fn splats(d: &GaussianData, model: Model) -> Splats {
+    let triples = |g: Group| d.group(g).as_chunks::<3>().0.to_vec();
+    let mut s = Splats {
+        means: triples(Group::Means),
+        log_scales: triples(Group::LogScales),
+        rotations: d.group(Group::Rotations).as_chunks::<4>().0.to_vec(),
+        opacity_logits: d.group(Group::OpacityLogits).to_vec(),
+        normals: model.normals.then(|| triples(Group::Normals)),
+        ..Default::default()
+    };
+    for band in 0..=model.sh_degree as usize {
+        s.sh[band] = d.groups[Group::Sh0 as usize + band].clone();
+    }
+    s
+}
+
+/// A photograph, RGBA8, red in the low byte.
+pub fn pack_image(image: &sgs_scene::Image) -> Vec<u32> {
+    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32;
+    let pack = |p: &[f32]| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 0xff00_0000;
+    image.data.chunks_exact(image.channels as usize).map(pack).collect()
+}
+
+/// Normals, octahedral in two 16-bit numbers; 0 where there is none.
+pub fn pack_normals(image: &sgs_scene::Image) -> Vec<u32> {
+    image.data.chunks_exact(3).map(|n| pack_normal([n[0], n[1], n[2]])).collect()
+}
+
+fn pack_normal(n: [f32; 3]) -> u32 {
+    let sum = n[0].abs() + n[1].abs() + n[2].abs();
+    if !(sum > 0.0 && sum.is_finite()) {
+        return 0;
+    }
+    let (mut x, mut y) = (n[0] / sum, n[1] / sum);
+    if n[2] < 0.0 {
+        let fold = |a: f32, b: f32| (1.0 - b.abs()) * if a >= 0.0 { 1.0 } else { -1.0 };
+        (x, y) = (fold(x, y), fold(y, x));
+    }
+    let word = |v: f32| ((v * 0.5 + 0.5) * 65535.0 + 0.5) as u32;
+    // The corner that would be all zeros is the direction -z at its least corner; any other corner means the same.
+    (word(x) | word(y) << 16).max(1)
+}

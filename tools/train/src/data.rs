@@ -1,0 +1,75 @@
+//! The training views on the GPU: photographs and normal priors packed one behind the other, and their cameras.
+
+use crate::convert::{camera, pack_image, pack_normals};
+use crate::error::{Result, TrainError};
+use rayon::prelude::*;
+use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_passes::pipeline::Camera;
+use sgs_scene::Scene;
+
+/// Training views in device memory.
+pub struct TrainingData {
+    /// Photographs, RGBA8.
+    pub targets: DeviceBuffer,
+    /// Normal priors, if every training view has one.
+    pub normals: Option<DeviceBuffer>,
+    /// Camera and first pixel of each training view, in the order of the split.
+    pub views: Vec<(Camera, u32)>,
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+}
+
+impl TrainingData {
+    /// Loads the training views of a scene. Priors are used only if `normals` says so and they are there.
+    ///
+    /// # Errors
+    /// If an image or prior cannot be read, or memory runs out.
+    pub fn load(device: &Device, scene: &Scene, normals: bool) -> Result<TrainingData> {
+        let train = &scene.split.train;
+        let packed: Vec<Vec<u32>> =
+            train.par_iter().map(|&i| Ok(pack_image(&scene.load_image(i)?))).collect::<Result<_>>()?;
+        let mut views = Vec::new();
+        let mut offset = 0_u64;
+        let mut largest = [1, 1];
+        for &i in train {
+            let c = camera(&scene.views[i].camera);
+            largest = [largest[0].max(c.size[0]), largest[1].max(c.size[1])];
+            let first = u32::try_from(offset)
+                .map_err(|_| TrainError::Setting("The training views hold more than 2^32 pixels; use --scale.".into()))?;
+            views.push((c, first));
+            offset += u64::from(c.size[0]) * u64::from(c.size[1]);
+        }
+        let targets = upload(device, "targets", &packed)?;
+        let normals = if normals {
+            let maps: Vec<Option<Vec<u32>>> = train
+                .par_iter()
+                .map(|&i| Ok(scene.normal_prior(i)?.map(|n| pack_normals(&n))))
+                .collect::<Result<_>>()?;
+            // A view without a prior among views with one is trained without: all zeros mean nothing is known.
+            if maps.iter().any(Option::is_some) {
+                let filled: Vec<Vec<u32>> = maps
+                    .into_iter()
+                    .zip(&packed)
+                    .map(|(map, image)| map.unwrap_or_else(|| vec![0; image.len()]))
+                    .collect();
+                Some(upload(device, "normal_priors", &filled)?)
+            } else {
+                None
+            }
+        } else {
+            None
+        };
+        Ok(TrainingData { targets, normals, views, largest })
+    }
+}
+
+fn upload(device: &Device, name: &str, parts: &[Vec<u32>]) -> Result<DeviceBuffer> {
+    let words: u64 = parts.iter().map(|p| p.len() as u64).sum();
+    let buffer = device.buffer(name, 4 * words, Location::Device)?;
+    let mut offset = 0;
+    for part in parts {
+        device.upload(&buffer, offset, bytemuck::cast_slice(part))?;
+        offset += 4 * part.len() as u64;
+    }
+    Ok(buffer)
+}

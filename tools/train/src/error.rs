@@ -1,0 +1,39 @@
+//! Errors of training: one sentence each, naming what to do.
+
+use std::path::PathBuf;
+
+/// Errors of this crate.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The GPU side failed.
+    #[error(transparent)]
+    Engine(#[from] sgs_engine::Error),
+    /// The scene cannot be used.
+    #[error(transparent)]
+    Scene(#[from] sgs_scene::SceneError),
+    /// Two images cannot be compared.
+    #[error(transparent)]
+    Metric(#[from] crate::metrics::MetricError),
+    /// A setting is wrong.
+    #[error("{0}")]
+    Setting(String),
+    /// A file of a run cannot be used.
+    #[error("\"{path}\": {reason}.", path = path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Training cannot go on.
+    #[error("Training stopped at step {step}: {reason}.")]
+    Diverged {
+        /// The step.
+        step: u32,
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Result with this crate's error.
+pub type Result<T> = std::result::Result<T, TrainError>;

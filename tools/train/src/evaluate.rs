@@ -1,0 +1,157 @@
+//! What training came to, measured at the views of a split.
+
+use crate::convert::camera;
+use crate::error::Result;
+use crate::metrics;
+use serde::Serialize;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::scene::Gaussians;
+use sgs_passes::splat::Channels;
+use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
+
+/// Metrics of one view; what has no ground truth is absent.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewMetrics {
+    /// The view's name.
+    pub name: String,
+    /// Novel-view synthesis.
+    pub nvs: Nvs,
+    /// Mean angular error of normals, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_mae_deg: Option<f64>,
+    /// Mean relative error of depth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_rel: Option<f64>,
+}
+
+/// Image metrics.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Nvs {
+    /// dB, joint mean squared error.
+    pub psnr: f64,
+    /// Structural similarity.
+    pub ssim: f64,
+}
+
+/// Means over the views.
+#[derive(Clone, Debug, Serialize)]
+pub struct Means {
+    /// Novel-view synthesis.
+    pub nvs: Nvs,
+    /// Degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_mae_deg: Option<f64>,
+    /// Relative.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_rel: Option<f64>,
+}
+
+/// Metrics of a split.
+#[derive(Clone, Debug, Serialize)]
+pub struct Evaluation {
+    /// Means over its views.
+    pub mean: Means,
+    /// One entry a view.
+    pub views: Vec<ViewMetrics>,
+}
+
+/// Renders one view with rgb, depth, and normals where the model has them.
+///
+/// # Errors
+/// If the device fails.
+pub fn render_view(
+    renderer: &mut Renderer,
+    gaussians: &Gaussians,
+    view: &sgs_scene::Camera,
+    background: [f32; 3],
+) -> Result<Picture> {
+    Ok(renderer.render(gaussians, &camera(view), gaussians.model.sh_degree, background)?)
+}
+
+/// Measures at some views; `look` sees every rendered picture.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate(
+    device: &Device,
+    scene: &Scene,
+    gaussians: &Gaussians,
+    views: &[usize],
+    background: [f32; 3],
+    mut look: impl FnMut(&str, &Rendered) -> Result<()>,
+) -> Result<Evaluation> {
+    let truth = GroundTruth::of(scene);
+    let channels = Channels { normals: gaussians.model.normals, depth: true };
+    let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), gaussians, [1, 1], channels)?;
+    let mut out = Vec::new();
+    for &i in views {
+        let view = &scene.views[i];
+        let picture = render_view(&mut renderer, gaussians, &view.camera, background)?;
+        let rendered = Rendered::from_picture(&picture, channels);
+        let photo = scene.load_image(i)?;
+        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let mask = mask.as_ref();
+        let nvs = Nvs {
+            psnr: metrics::psnr(&rendered.rgb, &photo, None)?,
+            ssim: metrics::ssim(&rendered.rgb, &photo)?,
+        };
+        let normal = match (&rendered.normal, truth.load(GroundTruthKind::Normal, i)?) {
+            (Some(n), Some(t)) => Some(metrics::normal_mae_deg(n, &t, mask)?),
+            _ => None,
+        };
+        let depth = match truth.load(GroundTruthKind::Depth, i)? {
+            Some(t) => Some(metrics::depth_rel(&rendered.depth, &t, mask)?),
+            None => None,
+        };
+        look(&view.camera.name, &rendered)?;
+        out.push(ViewMetrics { name: view.camera.name.clone(), nvs, normal_mae_deg: normal, depth_rel: depth });
+    }
+    let n = out.len().max(1) as f64;
+    let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
+    let some = |f: &dyn Fn(&ViewMetrics) -> Option<f64>| {
+        let values: Vec<f64> = out.iter().filter_map(f).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let mean = Means {
+        nvs: Nvs { psnr: mean(&|v| v.nvs.psnr), ssim: mean(&|v| v.nvs.ssim) },
+        normal_mae_deg: some(&|v| v.normal_mae_deg),
+        depth_rel: some(&|v| v.depth_rel),
+    };
+    Ok(Evaluation { mean, views: out })
+}
+
+/// A rendered view as images.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// Display-referred color over the background, clipped to what a screen shows.
+    pub rgb: Image,
+    /// One minus transmittance.
+    pub alpha: Image,
+    /// Unit normals, world; zero where nothing is.
+    pub normal: Option<Image>,
+    /// Blended depth over alpha.
+    pub depth: Image,
+}
+
+impl Rendered {
+    fn from_picture(p: &Picture, channels: Channels) -> Rendered {
+        let [w, h] = p.size;
+        let c = p.channels as usize;
+        let pixel = |i: usize| &p.image[i * c..(i + 1) * c];
+        let pixels = (w * h) as usize;
+        let image = |channels: u32, data: Vec<f32>| Image { width: w, height: h, channels, data };
+        let rgb = (0..pixels).flat_map(|i| [0, 1, 2].map(|k| pixel(i)[k].clamp(0.0, 1.0))).collect();
+        let alpha: Vec<f32> = p.transmittance.iter().map(|t| 1.0 - t).collect();
+        let normal = channels.normals.then(|| {
+            let unit = |n: &[f32]| {
+                let l = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+                if l > 1e-6 { [n[0] / l, n[1] / l, n[2] / l] } else { [0.0; 3] }
+            };
+            image(3, (0..pixels).flat_map(|i| unit(&pixel(i)[3..6])).collect())
+        });
+        let depth = (0..pixels).map(|i| if alpha[i] > 1e-4 { pixel(i)[c - 2] / alpha[i] } else { 0.0 }).collect();
+        Rendered { rgb: image(3, rgb), alpha: image(1, alpha), normal, depth: image(1, depth) }
+    }
+}

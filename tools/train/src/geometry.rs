@@ -1,0 +1,329 @@
+//! The geometry stage: steps, densification, growth.
+//!
+//! Promises: the result depends on the scene, the settings and the seed alone, not on how large buffers were at first,
+//! when checkpoints were written, or whether training was interrupted. A step in the steady state waits only for the
+//! one two before it; the host looks at reports of steps that are done.
+
+use crate::checkpoint;
+use crate::convert::{gaussian_data, splats};
+use crate::data::TrainingData;
+use crate::error::{Result, TrainError};
+use crate::schedule::Schedule;
+use crate::settings::Settings;
+use sgs_engine::graph::exec::PassTime;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport};
+use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_scene::{Scene, Splats};
+use std::path::Path;
+
+/// Replays in flight.
+const IN_FLIGHT: usize = 2;
+
+/// What the caller hears of while training.
+#[derive(Clone, Debug)]
+pub enum Progress {
+    /// A step is done.
+    Step(StepReport),
+    /// Gaussians were added and removed after a step.
+    Densified {
+        /// The step.
+        step: u32,
+        /// What happened.
+        stats: DensifyStats,
+    },
+}
+
+/// The geometry stage of one scene.
+pub struct Geometry {
+    device: Device,
+    tuning: Tuning,
+    settings: Settings,
+    schedule: Schedule,
+    data: TrainingData,
+    gaussians: Gaussians,
+    status: Status,
+    exec: GeometryStep,
+    densify: Option<DensifyStep>,
+    reset: Option<OpacityReset>,
+    options: GeometryOptions,
+    /// Last step that was submitted.
+    submitted: u32,
+    /// Last step whose report was seen to be clean.
+    done: u32,
+}
+
+impl Geometry {
+    /// Prepares training from the scene's points, or from given splats.
+    ///
+    /// # Errors
+    /// If data cannot be read or memory runs out.
+    pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
+        settings.check()?;
+        let g = &settings.geometry;
+        let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
+        let data = TrainingData::load(device, scene, wants_normals)?;
+        let model = Model { sh_degree: g.sh_degree, normals: data.normals.is_some() };
+        let initial;
+        let start = match start {
+            Some(s) => s,
+            None => {
+                initial = Splats::from_points(&scene.points, g.sh_degree as usize)?;
+                &initial
+            }
+        };
+        let count = start.len() as u32;
+        let capacity = if g.densify.enabled { room_for(count, g.densify.max_gaussians) } else { count };
+        let gaussians = Gaussians::new(device, model, capacity, true)?;
+        gaussians.upload(device, &gaussian_data(start, model))?;
+        let tuning = Tuning::for_device(device.info());
+        let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
+        let options = GeometryOptions {
+            largest: data.largest,
+            entry_capacity: first_entry_capacity(count),
+            channels: Channels { normals: model.normals, depth },
+            normal_prior: model.normals,
+            statistics: g.densify.enabled,
+            backward: BackwardKernel::Pixel,
+            timestamps: false,
+            frames_in_flight: IN_FLIGHT,
+        };
+        let status = Status::new(device)?;
+        let exec =
+            GeometryStep::new(device, &tuning, &gaussians, &data.targets, data.normals.as_ref(), &status, options)?;
+        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let settings = settings.clone();
+        Ok(Geometry {
+            device: device.clone(),
+            tuning,
+            settings,
+            schedule,
+            data,
+            gaussians,
+            status,
+            exec,
+            densify: None,
+            reset: None,
+            options,
+            submitted: 0,
+            done: 0,
+        })
+    }
+
+    /// Steps that are done.
+    pub fn step(&self) -> u32 {
+        self.done
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// The Gaussians on the device.
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.gaussians
+    }
+
+    /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
+    ///
+    /// # Errors
+    /// If the device fails or training diverges.
+    pub fn train(
+        &mut self,
+        last: u32,
+        mut heard: impl FnMut(&Progress),
+        mut go_on: impl FnMut() -> bool,
+    ) -> Result<()> {
+        while self.done < last && go_on() {
+            if self.submitted < last {
+                self.submit_next()?;
+                self.look(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
+            }
+            let boundary = self.schedule.densify(self.submitted).is_some()
+                || self.schedule.reset(self.submitted)
+                || self.submitted == last;
+            if boundary && self.drain(&mut heard)? {
+                self.after(self.submitted, &mut heard)?;
+            }
+        }
+        while !self.drain(&mut heard)? {
+            // An overflow took steps back: they are repeated so that what was asked for is whole.
+            while self.submitted < self.done {
+                self.submit_next()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn submit_next(&mut self) -> Result<()> {
+        let step = self.submitted + 1;
+        let (camera, offset) = self.data.views[self.schedule.view(step)];
+        self.exec.submit(&self.schedule.step(step, &camera, offset))?;
+        self.submitted = step;
+        Ok(())
+    }
+
+    /// Looks at the reports up to a step that is known to be done. False if an overflow took steps back.
+    fn look(&mut self, until: u32, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
+        while self.done < until {
+            let step = self.done + 1;
+            let report = self.status.report(step)?;
+            if report.step != step {
+                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+            }
+            if report.flags != 0 {
+                self.grow_entries(step)?;
+                return Ok(false);
+            }
+            if !report.losses.total.is_finite() {
+                let reason = format!(
+                    "the loss is {} with {} Gaussians visible; lower the learning rates",
+                    report.losses.total, report.visible
+                );
+                return Err(TrainError::Diverged { step, reason });
+            }
+            self.done = step;
+            heard(&Progress::Step(report));
+        }
+        Ok(true)
+    }
+
+    /// Waits for everything submitted and looks at it. False if an overflow took steps back.
+    fn drain(&mut self, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
+        self.exec.finish()?;
+        self.look(self.submitted, heard)
+    }
+
+    /// The entries of a step did not fit. Nothing was changed from that step on: make room and go back to it.
+    fn grow_entries(&mut self, step: u32) -> Result<()> {
+        self.exec.finish()?;
+        let mut wanted = 0;
+        for s in step..=self.submitted {
+            wanted = wanted.max(self.status.report(s)?.entries);
+        }
+        let room = u64::from(wanted) + u64::from(wanted) / 4;
+        self.options.entry_capacity = u32::try_from(room).unwrap_or(u32::MAX);
+        tracing::debug!(step, wanted, capacity = self.options.entry_capacity, "tile entries grow");
+        self.rebuild()?;
+        self.status.clear_flags(&self.device)?;
+        self.submitted = step - 1;
+        Ok(())
+    }
+
+    fn rebuild(&mut self) -> Result<()> {
+        self.densify = None;
+        self.reset = None;
+        self.exec = GeometryStep::new(
+            &self.device,
+            &self.tuning,
+            &self.gaussians,
+            &self.data.targets,
+            self.data.normals.as_ref(),
+            &self.status,
+            self.options,
+        )?;
+        Ok(())
+    }
+
+    /// What happens between steps.
+    fn after(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+        if let Some(settings) = self.schedule.densify(step) {
+            if self.densify.is_none() {
+                // Densification may use the step's arena: nothing in it outlives a replay.
+                let arena = self.exec.executor().arena().cloned();
+                self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, arena)?);
+            }
+            if let Some(densify) = &mut self.densify {
+                let stats = densify.run(&settings)?;
+                let most = self.settings.geometry.densify.max_gaussians;
+                if stats.after > self.gaussians.capacity / 4 * 3 && self.gaussians.capacity < most {
+                    self.densify = None;
+                    self.reset = None;
+                    self.gaussians = self.gaussians.grown(&self.device, room_for(stats.after, most))?;
+                    self.rebuild()?;
+                }
+                heard(&Progress::Densified { step, stats });
+            }
+        }
+        if self.schedule.reset(step) {
+            if self.reset.is_none() {
+                self.reset = Some(OpacityReset::new(&self.device, &self.tuning, &self.gaussians)?);
+            }
+            if let Some(reset) = &mut self.reset {
+                reset.run()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The Gaussians as they are.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn splats(&self) -> Result<Splats> {
+        Ok(splats(&self.gaussians.download(&self.device)?, self.gaussians.model))
+    }
+
+    /// Writes everything that resuming needs.
+    ///
+    /// # Errors
+    /// If the file cannot be written; an earlier one stays whole.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let (moments, statistics) = self.gaussians.download_optimizer(&self.device)?;
+        let parameters = self.gaussians.download(&self.device)?;
+        checkpoint::save(path, self.done, self.gaussians.model, &parameters, &moments, &statistics)
+    }
+
+    /// Goes on from what [`Geometry::save`] wrote.
+    ///
+    /// # Errors
+    /// If the file is damaged or belongs to other settings.
+    pub fn restore(&mut self, path: &Path) -> Result<()> {
+        let state = checkpoint::load(path, self.gaussians.model)?;
+        let count = state.parameters.len() as u32;
+        let most = self.settings.geometry.densify.max_gaussians;
+        let capacity = if self.settings.geometry.densify.enabled { room_for(count, most) } else { count };
+        self.gaussians = Gaussians::new(&self.device, self.gaussians.model, capacity, true)?;
+        self.gaussians.upload(&self.device, &state.parameters)?;
+        self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
+        self.options.entry_capacity = self.options.entry_capacity.max(first_entry_capacity(count));
+        self.rebuild()?;
+        self.submitted = state.step;
+        self.done = state.step;
+        Ok(())
+    }
+
+    /// Turns per-pass timestamps on or off.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
+        self.exec.finish()?;
+        self.options.timestamps = on;
+        self.rebuild()
+    }
+
+    /// Times of the passes since the last call.
+    pub fn take_times(&mut self) -> Vec<PassTime> {
+        self.exec.executor().take_times()
+    }
+
+    /// The step's executor, for its plan.
+    pub fn executor(&mut self) -> &mut sgs_engine::graph::exec::Executor {
+        self.exec.executor()
+    }
+}
+
+/// Half as many again, so that densification rarely has to grow.
+fn room_for(count: u32, most: u32) -> u32 {
+    let room = (u64::from(count) + u64::from(count) / 2).max(1 << 14);
+    (room.min(u64::from(most.max(count)))) as u32
+}
+
+/// Before anything is measured: a few tiles a splat. Wrong guesses cost one rebuild.
+fn first_entry_capacity(count: u32) -> u32 {
+    count.saturating_mul(3).clamp(1 << 14, 1 << 26)
+}

@@ -1,0 +1,23 @@
+//! Training: settings, the geometry stage, checkpoints, evaluation, the run directory.
+//!
+//! Knows datasets and schedules; never Vulkan calls. The command line is a thin shell around this crate.
+
+mod checkpoint;
+mod convert;
+mod data;
+mod error;
+mod evaluate;
+mod geometry;
+pub mod metrics;
+mod run;
+mod schedule;
+mod settings;
+
+pub use convert::{camera, gaussian_data, splats};
+pub use data::TrainingData;
+pub use error::{Result, TrainError};
+pub use evaluate::{Evaluation, Means, ViewMetrics, evaluate, render_view};
+pub use geometry::{Geometry, Progress};
+pub use run::{RunDirectory, StepLog};
+pub use schedule::Schedule;
+pub use settings::{DensifyOptions, GeometrySettings, LossWeights, Rates, Settings, Statistic};

@@ -1,0 +1,143 @@
+//! The run directory: what training leaves, and where.
+
+use crate::error::{Result, TrainError};
+use crate::settings::Settings;
+use serde::Serialize;
+use sgs_passes::pipeline::StepReport;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// A run directory.
+#[derive(Clone, Debug)]
+pub struct RunDirectory {
+    root: PathBuf,
+}
+
+/// One line of `log.jsonl`.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StepLog {
+    /// The step.
+    pub step: u32,
+    /// Weighted sum of all losses.
+    pub loss: f32,
+    /// Mean absolute difference.
+    pub l1: f32,
+    /// SSIM.
+    pub ssim: f32,
+    /// One minus the cosine to the normal prior.
+    pub normal: f32,
+    /// How many Gaussians.
+    pub gaussians: u32,
+    /// How many of them the view sees.
+    pub visible: u32,
+    /// Tile entries.
+    pub entries: u32,
+    /// Splats skipped so far because their gradients were not finite.
+    pub skipped: u32,
+}
+
+impl From<&StepReport> for StepLog {
+    fn from(r: &StepReport) -> StepLog {
+        StepLog {
+            step: r.step,
+            loss: r.losses.total,
+            l1: r.losses.l1,
+            ssim: r.losses.ssim,
+            normal: r.losses.normal,
+            gaussians: r.gaussians,
+            visible: r.visible,
+            entries: r.entries,
+            skipped: r.skipped,
+        }
+    }
+}
+
+impl RunDirectory {
+    /// Makes the directory, or takes one that is there.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn create(root: &Path) -> Result<RunDirectory> {
+        std::fs::create_dir_all(root.join("checkpoint")).map_err(|e| error(root, format!("cannot be made: {e}")))?;
+        Ok(RunDirectory { root: root.to_owned() })
+    }
+
+    /// Opens an existing run.
+    ///
+    /// # Errors
+    /// If it is not a run directory.
+    pub fn open(root: &Path) -> Result<RunDirectory> {
+        if !root.join("config.toml").is_file() {
+            return Err(error(root, "is not a run directory: there is no config.toml in it".into()));
+        }
+        Ok(RunDirectory { root: root.to_owned() })
+    }
+
+    /// A file in it.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.root.join(name)
+    }
+
+    /// The resumable state.
+    pub fn checkpoint(&self) -> PathBuf {
+        self.root.join("checkpoint").join("geometry.safetensors")
+    }
+
+    /// The settings it was trained with.
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn settings(&self) -> Result<Settings> {
+        let path = self.path("config.toml");
+        let text = std::fs::read_to_string(&path).map_err(|e| error(&path, format!("cannot be read: {e}")))?;
+        toml::from_str(&text).map_err(|e| error(&path, format!("is not valid: {}", e.message())))
+    }
+
+    /// Writes the settings.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_settings(&self, settings: &Settings) -> Result<()> {
+        let path = self.path("config.toml");
+        let text = toml::to_string(settings).map_err(|e| error(&path, e.to_string()))?;
+        self.write(&path, text.as_bytes())
+    }
+
+    /// Writes something as JSON.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<()> {
+        let path = self.path(name);
+        let text = serde_json::to_string_pretty(value).map_err(|e| error(&path, e.to_string()))?;
+        self.write(&path, text.as_bytes())
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> Result<()> {
+        Ok(sgs_scene::atomic_write(path, |f| f.write_all(bytes))?)
+    }
+
+    /// Opens the log; lines after `step` (of an interrupted run) are dropped.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn log(&self, step: u32) -> Result<File> {
+        let path = self.path("log.jsonl");
+        let kept: String = std::fs::read_to_string(&path)
+            .unwrap_or_default()
+            .lines()
+            .filter(|l| {
+                let value: Option<serde_json::Value> = serde_json::from_str(l).ok();
+                value.and_then(|v| v["step"].as_u64()).is_some_and(|s| s <= u64::from(step))
+            })
+            .map(|l| format!("{l}\n"))
+            .collect();
+        self.write(&path, kept.as_bytes())?;
+        File::options().append(true).open(&path).map_err(|e| error(&path, format!("cannot be written: {e}")))
+    }
+}
+
+fn error(path: &Path, reason: String) -> TrainError {
+    TrainError::File { path: path.to_owned(), reason }
+}

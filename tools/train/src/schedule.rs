@@ -1,0 +1,122 @@
+//! What a step is made of, as a function of its number alone: resuming needs nothing but the number.
+
+use crate::settings::Settings;
+use sgs_passes::pipeline::{Camera, DensifySettings, Step};
+
+/// Schedules of a run.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    settings: Settings,
+    extent: f64,
+    views: usize,
+}
+
+impl Schedule {
+    /// For a scene of that extent and so many training views.
+    pub fn new(settings: &Settings, extent: f64, views: usize) -> Schedule {
+        Schedule { settings: settings.clone(), extent, views: views.max(1) }
+    }
+
+    /// Which training view a step (from 1) sees: every view once, in a new order each time around.
+    pub fn view(&self, step: u32) -> usize {
+        let at = u64::from(step.saturating_sub(1));
+        let (round, position) = (at / self.views as u64, (at % self.views as u64) as usize);
+        let mut order: Vec<usize> = (0..self.views).collect();
+        for i in (1..self.views).rev() {
+            let j = hash(self.settings.seed, round.wrapping_mul(0x1_0001).wrapping_add(i as u64)) % (i as u64 + 1);
+            order.swap(i, j as usize);
+        }
+        order[position]
+    }
+
+    /// The uniform of a step.
+    pub fn step(&self, step: u32, camera: &Camera, target_offset: u32) -> Step {
+        let g = &self.settings.geometry;
+        let done = f64::from(step) / f64::from(g.steps.max(1));
+        let means = g.rates.means.powf(1.0 - done.min(1.0)) * g.rates.means_final.powf(done.min(1.0));
+        let sh_degree = match g.sh_interval {
+            0 => g.sh_degree,
+            interval => g.sh_degree.min((step - 1) / interval),
+        };
+        let spread = 10f64.powf(f64::from(step) / 5000.0).min(100.0) as f32;
+        Step {
+            camera: *camera,
+            background: g.background,
+            step,
+            target_offset,
+            sh_degree,
+            seed: hash(self.settings.seed, u64::from(step)) as u32,
+            lr_means: (means * self.extent) as f32,
+            lr_scales: g.rates.scales as f32,
+            lr_rotations: g.rates.rotations as f32,
+            lr_opacities: g.rates.opacities as f32,
+            lr_sh0: g.rates.sh0 as f32,
+            lr_sh_rest: g.rates.sh_rest as f32,
+            lr_normals: g.rates.normals as f32,
+            correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
+            correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
+            weight_l1: g.losses.l1,
+            weight_dssim: g.losses.dssim,
+            weight_normal: g.losses.normal,
+            weight_normal_smooth: g.losses.normal_smooth,
+            weight_depth_smooth: g.losses.depth_smooth,
+            weight_depth_variance: g.losses.depth_variance * spread,
+            gather_statistics: u32::from(self.last_densification() > step),
+        }
+    }
+
+    /// The last step after which there is densification.
+    fn last_densification(&self) -> u32 {
+        let d = &self.settings.geometry.densify;
+        if d.enabled { (f64::from(self.settings.geometry.steps) * d.until) as u32 } else { 0 }
+    }
+
+    /// What densification does after a step, if anything.
+    pub fn densify(&self, step: u32) -> Option<DensifySettings> {
+        let d = &self.settings.geometry.densify;
+        if !d.enabled || step < d.from || step > self.last_densification() || step % d.interval != 0 {
+            return None;
+        }
+        let after_reset = d.reset_interval > 0 && step > d.reset_interval;
+        Some(DensifySettings {
+            grad_threshold: d.grad_threshold,
+            split_size: (d.split_size * self.extent) as f32,
+            prune_opacity: d.prune_opacity,
+            prune_weight: d.prune_weight,
+            prune_size: if after_reset { (d.prune_size * self.extent) as f32 } else { f32::MAX },
+            cap: d.max_gaussians,
+            seed: hash(self.settings.seed ^ 0xdead, u64::from(step)) as u32,
+        })
+    }
+
+    /// Whether opacities are reset after a step.
+    pub fn reset(&self, step: u32) -> bool {
+        let d = &self.settings.geometry.densify;
+        d.enabled && d.reset_interval > 0 && step % d.reset_interval == 0 && step < self.last_densification()
+    }
+}
+
+/// A counter-based hash (SplitMix64).
+fn hash(seed: u64, counter: u64) -> u64 {
+    let mut z = seed.wrapping_add(counter.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_view_once_a_round_and_orders_differ() {
+        let s = Schedule::new(&Settings::default(), 1.0, 7);
+        let round = |r: u32| (1..=7).map(|i| s.view(r * 7 + i)).collect::<Vec<_>>();
+        for r in 0..5 {
+            let mut seen = round(r);
+            seen.sort_unstable();
+            assert_eq!(seen, (0..7).collect::<Vec<_>>());
+        }
+        assert_ne!(round(0), round(1));
+    }
+}
