@@ -11,4 +11,4 @@ pub mod shader;
 
 pub use device::{Device, DeviceInfo, DeviceOptions, Ticket, devices};
 pub use error::{Error, Result};
-pub use memory::{DeviceBuffer, Location};
+pub use memory::{Activity, DeviceBuffer, Location};

@@ -1,7 +1,10 @@
-//! The harness: a device with validation on, graphs run once with poisoned outputs, tolerances, finite differences.
+//! The harness: a device with validation on, graphs run once with poisoned outputs, tolerances, finite differences; the
+//! `sgs` program as a user runs it, and tiny rooms for it.
 
+pub mod cli;
 pub mod compare;
 pub mod gpu;
+pub mod rooms;
 pub mod scenes;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};

@@ -52,9 +52,12 @@ fn difference(image: &[f32], transmittance: &[f32], truth: &Blended, channels: u
 #[test]
 fn ordinary_splats_agree_with_the_twin() {
     let gpu = Gpu::new();
-    for (size, count, degree, normals, depth) in
-        [([64, 48], 200, 3, true, true), ([61, 37], 500, 0, false, false), ([17, 3], 40, 2, false, true), ([1, 1], 20, 1, false, false)]
-    {
+    for (size, count, degree, normals, depth) in [
+        ([64, 48], 200, 3, true, true),
+        ([61, 37], 500, 0, false, false),
+        ([17, 3], 40, 2, false, true),
+        ([1, 1], 20, 1, false, false),
+    ] {
         let g = scenes::ordinary(count, degree, normals, 7);
         let (largest, doubtful, psnr) = compare(&gpu, &g, &scenes::camera(size), depth);
         println!("{size:?}: largest {largest:.2e}, doubtful {doubtful:.3}, psnr {psnr:.1}");

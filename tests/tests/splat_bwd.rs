@@ -102,13 +102,21 @@ impl Case {
             inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
         }
         // Gradients are written for visible Gaussians alone.
-        inputs.extend(groups.iter().zip(Group::ALL).filter(|(_, g)| model.has(*g)).map(|(b, group)| {
-            (*b, vec![0; 4 * (n * group.width()) as usize])
-        }));
+        inputs.extend(
+            groups
+                .iter()
+                .zip(Group::ALL)
+                .filter(|(_, g)| model.has(*g))
+                .map(|(b, group)| (*b, vec![0; 4 * (n * group.width()) as usize])),
+        );
         let out = gpu.run(g, &inputs);
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
         let all = Group::ALL.map(|group| {
-            if model.has(group) { out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec() } else { vec![] }
+            if model.has(group) {
+                out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec()
+            } else {
+                vec![]
+            }
         });
         (all.to_vec(), out.get(pose))
     }
@@ -133,12 +141,11 @@ fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
     let mut g = case.gaussians.clone();
     let mut at = |h: f64| {
         let mut x = [parameters(&mut g, group)[i]];
-        let value = finite_difference(&mut x, 0, h, |x| {
+        finite_difference(&mut x, 0, h, |x| {
             let mut moved = case.gaussians.clone();
             parameters(&mut moved, group)[i] = x[0];
             case.loss(&moved, &case.camera)
-        });
-        value
+        })
     };
     let (coarse, fine) = (at(2e-6), at(5e-7));
     ((coarse - fine).abs() <= 1e-3 * (1.0 + fine.abs())).then_some(fine)

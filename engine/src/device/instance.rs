@@ -65,9 +65,8 @@ impl Instance {
         let enables = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
         let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enables);
         let mut debug = messenger_info(&messages);
-        let mut info = vk::InstanceCreateInfo::default()
-            .application_info(&application)
-            .enabled_extension_names(&extension_names);
+        let mut info =
+            vk::InstanceCreateInfo::default().application_info(&application).enabled_extension_names(&extension_names);
         if validation {
             info = info.enabled_layer_names(&layer_names).push_next(&mut features).push_next(&mut debug);
         }
@@ -107,9 +106,7 @@ impl Drop for Instance {
 
 fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfoEXT<'static> {
     vk::DebugUtilsMessengerCreateInfoEXT::default()
-        .message_severity(
-            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
-        )
+        .message_severity(vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING)
         .message_type(
             vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
                 | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE

@@ -13,7 +13,7 @@ pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use select::{DeviceInfo, Optional};
 
 use crate::error::{Check, Error, Result};
-use crate::memory::Memory;
+use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
 
 use std::path::PathBuf;
@@ -99,20 +99,23 @@ impl Device {
         let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
             .synchronization2(true)
             .maintenance4(true)
-            .subgroup_size_control(info.optional.subgroup_size_control);
-        let mut atomics = vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default().shader_buffer_float32_atomic_add(true);
+            .subgroup_size_control(info.optional.subgroup_size_control)
+            .compute_full_subgroups(info.optional.full_subgroups);
+        let mut atomics =
+            vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default().shader_buffer_float32_atomic_add(true);
         if info.optional.memory_budget {
             extensions.push(ext::memory_budget::NAME.as_ptr());
         }
-        let mut create = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
+        let mut create =
+            vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
         if info.optional.float_atomics {
             extensions.push(ext::shader_atomic_float::NAME.as_ptr());
             create = create.push_next(&mut atomics);
         }
         let create = create.enabled_extension_names(&extensions);
         // SAFETY: the physical device belongs to the instance; every feature and extension asked for was reported by it.
-        let raw =
-            unsafe { instance.raw.create_device(chosen.physical, &create, None) }.check("vkCreateDevice", &info.name)?;
+        let raw = unsafe { instance.raw.create_device(chosen.physical, &create, None) }
+            .check("vkCreateDevice", &info.name)?;
         let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
         let semaphore = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
         // SAFETY: the device is alive and has timeline semaphores; the queue was created with it.
@@ -178,6 +181,11 @@ impl Device {
     /// Bytes of device memory in use by this device's buffers, now and at most.
     pub fn memory_use(&self) -> (u64, u64) {
         self.0.memory.usage()
+    }
+
+    /// What has been done with this device's memory so far.
+    pub fn activity(&self) -> Activity {
+        self.0.memory.activity()
     }
 
     /// Waits until everything up to `ticket` is done.

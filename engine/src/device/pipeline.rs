@@ -28,6 +28,7 @@ pub(crate) struct Pipelines {
     cache: vk::PipelineCache,
     path: Option<PathBuf>,
     subgroup_size_control: bool,
+    full_subgroups: bool,
     made: Mutex<HashMap<Key, Pipeline>>,
 }
 
@@ -36,7 +37,8 @@ impl Pipelines {
         // The driver checks the header of the data itself; the file is named after device and driver so that
         // several devices keep theirs.
         let path = folder.map(|f| {
-            let clean = |s: &str| s.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect::<String>();
+            let clean =
+                |s: &str| s.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect::<String>();
             f.join(format!("{}-{}.bin", clean(&info.name), clean(&info.driver)))
         });
         let data = path.as_ref().and_then(|p| std::fs::read(p).ok()).unwrap_or_default();
@@ -44,7 +46,8 @@ impl Pipelines {
         // SAFETY: the device is alive; invalid initial data is ignored by the driver as the specification demands.
         let cache = unsafe { device.create_pipeline_cache(&create, None) }.check("vkCreatePipelineCache", "kernels")?;
         let subgroup_size_control = info.optional.subgroup_size_control;
-        Ok(Pipelines { cache, path, subgroup_size_control, made: Mutex::default() })
+        let full_subgroups = info.optional.full_subgroups;
+        Ok(Pipelines { cache, path, subgroup_size_control, full_subgroups, made: Mutex::default() })
     }
 
     pub fn get(
@@ -60,7 +63,9 @@ impl Pipelines {
         if let Some(pipeline) = made.get(&key) {
             return Ok(*pipeline);
         }
-        let pipeline = create(device, self.cache, shader, specs, subgroup_size)?;
+        // Kernels that name their subgroup size count on every lane being there.
+        let full = self.full_subgroups && subgroup_size.is_some();
+        let pipeline = create(device, self.cache, shader, specs, subgroup_size, full)?;
         device.name(pipeline.raw, &shader.name);
         made.insert(key, pipeline);
         Ok(pipeline)
@@ -103,6 +108,7 @@ fn create(
     shader: &Shader,
     specs: &[(u32, u32)],
     subgroup_size: Option<u32>,
+    full_subgroups: bool,
 ) -> Result<Pipeline> {
     let raw = &device.raw;
     let bindings: Vec<_> = shader
@@ -136,9 +142,7 @@ fn create(
             let entries: Vec<_> = specs
                 .iter()
                 .enumerate()
-                .map(|(i, (id, _))| {
-                    vk::SpecializationMapEntry::default().constant_id(*id).offset(4 * i as u32).size(4)
-                })
+                .map(|(i, (id, _))| vk::SpecializationMapEntry::default().constant_id(*id).offset(4 * i as u32).size(4))
                 .collect();
             let values: Vec<u8> = specs.iter().flat_map(|(_, bits)| bits.to_ne_bytes()).collect();
             let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(&values);
@@ -151,6 +155,9 @@ fn create(
                 .specialization_info(&specialization);
             if subgroup_size.is_some() {
                 stage = stage.push_next(&mut required);
+            }
+            if full_subgroups {
+                stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
             }
             let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];
             // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.

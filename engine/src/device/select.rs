@@ -54,6 +54,8 @@ pub struct Optional {
     pub float_atomics: bool,
     /// Choosing a subgroup size.
     pub subgroup_size_control: bool,
+    /// Every subgroup of a workgroup has all its lanes.
+    pub full_subgroups: bool,
     /// `VK_EXT_memory_budget`.
     pub memory_budget: bool,
 }
@@ -140,6 +142,7 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
         float_atomics: has_atomics && atomics.shader_buffer_float32_atomic_add != 0,
         subgroup_size_control: v13.subgroup_size_control != 0
             && sizes.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        full_subgroups: v13.compute_full_subgroups != 0,
         memory_budget: has(ash::ext::memory_budget::NAME),
     };
     let mut fallbacks = Vec::new();
@@ -203,8 +206,11 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
 
 /// Takes the wanted device (an index or a part of a name), else the best: discrete first, then integrated, virtual, cpu.
 pub(crate) fn choose(mut all: Vec<Candidate>, wanted: Option<&str>) -> Result<Candidate> {
-    let found =
-        if all.is_empty() { "none".to_owned() } else { all.iter().map(|c| c.info.name.clone()).collect::<Vec<_>>().join(", ") };
+    let found = if all.is_empty() {
+        "none".to_owned()
+    } else {
+        all.iter().map(|c| c.info.name.clone()).collect::<Vec<_>>().join(", ")
+    };
     let none = |wanted: &str| Error::NoDevice { wanted: wanted.to_owned(), found: found.clone() };
     let rank = |c: &Candidate| match c.info.kind {
         "discrete" => 0,
@@ -230,4 +236,58 @@ pub(crate) fn choose(mut all: Vec<Candidate>, wanted: Option<&str>) -> Result<Ca
         return Err(Error::MissingFeatures { device: best.info.name, missing: best.info.missing });
     }
     Ok(best)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn candidate(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> Candidate {
+        let info = DeviceInfo {
+            index,
+            name: name.to_owned(),
+            kind,
+            driver: String::new(),
+            api: "1.3.0".to_owned(),
+            subgroup_size: 8,
+            subgroup_sizes: (8, 8),
+            max_storage_range: 1 << 27,
+            max_shared_bytes: 32768,
+            max_storage_buffers: 32,
+            max_workgroup: 256,
+            storage_alignment: 16,
+            uniform_alignment: 16,
+            timestamp_period: 1.0,
+            memory_bytes: 1 << 30,
+            missing: missing.iter().map(|m| (*m).to_owned()).collect(),
+            fallbacks: Vec::new(),
+            optional: Optional::default(),
+        };
+        Candidate { physical: vk::PhysicalDevice::null(), queue_family: Some(0), info }
+    }
+
+    fn some() -> Vec<Candidate> {
+        vec![
+            candidate(0, "llvmpipe", "cpu", &[]),
+            candidate(1, "Small GPU", "integrated", &[]),
+            candidate(2, "Old GPU", "discrete", &["scalarBlockLayout", "synchronization2"]),
+        ]
+    }
+
+    #[test]
+    fn the_best_complete_device_is_taken() {
+        assert_eq!(choose(some(), None).map(|c| c.info.index).ok(), Some(1));
+        assert_eq!(choose(some(), Some("0")).map(|c| c.info.index).ok(), Some(0));
+        assert_eq!(choose(some(), Some("PIPE")).map(|c| c.info.index).ok(), Some(0));
+    }
+
+    #[test]
+    fn refusals_name_what_is_missing() {
+        let fail = |all, wanted| choose(all, wanted).err().map(|e| e.to_string()).unwrap_or_default();
+        assert_eq!(fail(some(), Some("old")), "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2.");
+        let found = "found: llvmpipe, Small GPU, Old GPU.";
+        assert_eq!(fail(some(), Some("3")), format!("No Vulkan device matches \"3\"; {found}"));
+        assert_eq!(fail(Vec::new(), None), "No Vulkan device matches \"any device\"; found: none.");
+        assert_eq!(fail(some().split_off(2), None), "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2.");
+    }
 }

@@ -31,6 +31,20 @@ struct State {
     allocator: Option<Allocator>,
     used: u64,
     peak: u64,
+    activity: Activity,
+}
+
+/// What has been done with a device's memory since it was opened. A steady state changes none of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Activity {
+    /// Buffers that exist.
+    pub buffers: u64,
+    /// Buffers ever made.
+    pub made: u64,
+    /// Calls of [`Device::upload`].
+    pub uploads: u64,
+    /// Calls of [`Device::download`].
+    pub downloads: u64,
 }
 
 impl Memory {
@@ -54,12 +68,18 @@ impl Memory {
             bytes: 0,
             reason: e.to_string(),
         })?;
-        Ok(Memory { state: Mutex::new(State { allocator: Some(allocator), used: 0, peak: 0 }) })
+        Ok(Memory {
+            state: Mutex::new(State { allocator: Some(allocator), used: 0, peak: 0, activity: Activity::default() }),
+        })
     }
 
     pub fn usage(&self) -> (u64, u64) {
         let state = self.lock();
         (state.used, state.peak)
+    }
+
+    pub fn activity(&self) -> Activity {
+        self.lock().activity
     }
 
     /// Gives everything back; the device is about to go.
@@ -129,7 +149,11 @@ impl Device {
             requirements,
             location: memory_location,
             linear: true,
-            allocation_scheme: if own { AllocationScheme::DedicatedBuffer(raw) } else { AllocationScheme::GpuAllocatorManaged },
+            allocation_scheme: if own {
+                AllocationScheme::DedicatedBuffer(raw)
+            } else {
+                AllocationScheme::GpuAllocatorManaged
+            },
         };
         let mut state = shared.memory.lock();
         let allocated = match state.allocator.as_mut() {
@@ -155,6 +179,8 @@ impl Device {
         }
         state.used += bytes;
         state.peak = state.peak.max(state.used);
+        state.activity.buffers += 1;
+        state.activity.made += 1;
         drop(state);
         shared.name(raw, name);
         let mapped = allocation.mapped_ptr().map(|p| p.cast());
@@ -228,11 +254,12 @@ impl Drop for Inner {
         let mut state = shared.memory.lock();
         // SAFETY: executors keep the buffers of pending work alive and wait before they let go, so the device is done.
         unsafe { shared.raw.destroy_buffer(self.raw, None) };
-        if let (Some(allocator), Some(allocation)) = (state.allocator.as_mut(), self.allocation.take()) {
-            if let Err(error) = allocator.free(allocation) {
-                tracing::error!(%error, buffer = self.name, "memory could not be given back");
-            }
+        if let (Some(allocator), Some(allocation)) = (state.allocator.as_mut(), self.allocation.take())
+            && let Err(error) = allocator.free(allocation)
+        {
+            tracing::error!(%error, buffer = self.name, "memory could not be given back");
         }
         state.used -= self.bytes;
+        state.activity.buffers -= 1;
     }
 }

@@ -15,13 +15,15 @@ impl Device {
     /// If the range is outside, memory runs out or the device fails.
     pub fn upload(&self, buffer: &DeviceBuffer, offset: u64, data: &[u8]) -> Result<()> {
         buffer.check_range(offset, data.len() as u64)?;
+        self.0.memory.lock().activity.uploads += 1;
         if data.is_empty() {
             return Ok(());
         }
         let staging = self.buffer("staging (upload)", CHUNK.min(data.len() as u64), Location::Upload)?;
         for (i, piece) in data.chunks(CHUNK as usize).enumerate() {
             staging.write(0, piece)?;
-            let region = vk::BufferCopy { src_offset: 0, dst_offset: offset + i as u64 * CHUNK, size: piece.len() as u64 };
+            let region =
+                vk::BufferCopy { src_offset: 0, dst_offset: offset + i as u64 * CHUNK, size: piece.len() as u64 };
             self.copy_now(&staging, buffer, region)?;
         }
         Ok(())
@@ -33,13 +35,15 @@ impl Device {
     /// If the range is outside, memory runs out or the device fails.
     pub fn download(&self, buffer: &DeviceBuffer, offset: u64, bytes: u64) -> Result<Vec<u8>> {
         buffer.check_range(offset, bytes)?;
+        self.0.memory.lock().activity.downloads += 1;
         let mut data = vec![0; bytes as usize];
         if data.is_empty() {
             return Ok(data);
         }
         let staging = self.buffer("staging (download)", CHUNK.min(bytes), Location::Readback)?;
         for (i, piece) in data.chunks_mut(CHUNK as usize).enumerate() {
-            let region = vk::BufferCopy { src_offset: offset + i as u64 * CHUNK, dst_offset: 0, size: piece.len() as u64 };
+            let region =
+                vk::BufferCopy { src_offset: offset + i as u64 * CHUNK, dst_offset: 0, size: piece.len() as u64 };
             self.copy_now(buffer, &staging, region)?;
             staging.read(0, piece)?;
         }
@@ -104,8 +108,7 @@ impl Device {
                 .command_buffer_count(1);
             // SAFETY: the pool was just made.
             let commands = unsafe { raw.allocate_command_buffers(&info) }.check("vkAllocateCommandBuffers", what)?[0];
-            let begin =
-                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
             let all = vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST;
             let access = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
             let barrier = [vk::MemoryBarrier2::default()

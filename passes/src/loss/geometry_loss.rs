@@ -1,6 +1,6 @@
 //! `geometry_loss`: what is asked of blended normals and depths, with the gradients.
 //!
-//! The geometry terms of the first stage (`method.md`, 2.2 and 8), each a mean over **all** pixels of the view:
+//! The geometry terms of the first stage (SGS-Intrinsic), each a mean over **all** pixels of the view:
 //! * `weight_normal`: 1 - cos of the angle between the blended normal and a prior one; pixels without a prior count as
 //!   0. Both in world space.
 //! * `weight_normal_smooth`: Sobel filters (over 8, border repeated) of the unit normal, absolute, times

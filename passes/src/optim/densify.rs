@@ -1,6 +1,6 @@
 //! `densify`: Gaussians that are not needed go, those that pull hard are doubled. All on the GPU, in place.
 //!
-//! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of the method (`method.md`, 2.4). A Gaussian
+//! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of SGS-Intrinsic. A Gaussian
 //! is pruned if it is fainter than a threshold, has gathered too little blending weight, is too large, or has a number
 //! that is not finite. Of the others, one whose screen-space gradient is large on average is refined: cloned if it is
 //! small (parent and child equal), split if it is large (both halves drawn from it, scales divided by 1.6).

@@ -1,15 +1,14 @@
 //! One step of geometry training: render a view, compare, go back, update.
 
-use super::status::{Status, StatusHandles};
 use super::Step;
-use crate::loss::photometric::{Photometric, photometric, photometric_bwd};
-use crate::loss::sum::loss_sum;
+use super::status::{Status, StatusHandles};
+use crate::Tuning;
+use crate::kernel::stage;
+use crate::loss::{GeometryLoss, Photometric, geometry_loss, loss_sum, photometric, photometric_bwd};
 use crate::scene::{Gaussians, Handles};
 use crate::splat::{
     BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, intersect, project, project_bwd_adam,
 };
-use crate::Tuning;
-use crate::kernel::stage;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError};
 use sgs_engine::{Device, DeviceBuffer, Result, Ticket};
@@ -25,8 +24,6 @@ pub struct GeometryOptions {
     pub entry_capacity: u32,
     /// What is blended; normals and depth only where a loss needs them.
     pub channels: Channels,
-    /// Whether there are normal priors.
-    pub normal_prior: bool,
     /// Whether densification statistics are gathered.
     pub statistics: bool,
     /// Which backward kernel.
@@ -139,13 +136,27 @@ fn build(
     let loss = Photometric { step, image: blended.image, targets, channels, largest: o.largest };
     let partials = photometric(g, *t, &loss)?;
     photometric_bwd(g, *t, &loss, &partials, gradient.image)?;
-    let geometry = None;
-    let _ = priors;
-    g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
+    let geometry = if o.channels.normals || o.channels.depth {
+        let loss = GeometryLoss {
+            step,
+            image: blended.image,
+            channels,
+            normals: o.channels.normals.then_some(3),
+            depth: o.channels.depth.then_some(channels - 2),
+            transmittance: blended.transmittance,
+            targets,
+            priors,
+            largest: o.largest,
+        };
+        let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
+        Some((sums.sums, sums.count))
+    } else {
+        g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
+        None
+    };
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
     loss_sum(g, *t, step, (partials.sums, partials.count), geometry, stats)?;
-    let entry_gradients =
-        blend_bwd(g, t, &screen, &visible, &entries, &blended, &gradient, o.backward, o.statistics)?;
+    let entry_gradients = blend_bwd(g, t, &screen, &visible, &entries, &blended, &gradient, o.backward, o.statistics)?;
     let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics };
     project_bwd_adam(g, t, &screen, gaussians, &visible, &entry_gradients, &adam)?;
     let bindings = report::Bindings {

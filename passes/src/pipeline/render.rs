@@ -1,9 +1,9 @@
 //! From Gaussians and a camera to a picture on the host.
 
 use super::{Camera, Step};
+use crate::Tuning;
 use crate::scene::{Gaussians, Handles};
 use crate::splat::{Blended, Channels, Screen, blend, intersect, project};
-use crate::Tuning;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -135,7 +135,8 @@ impl State {
         blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
         g.copy("copy_wanted", entries.wanted, wanted_out)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
-        let buffer = |b: Buffer| device.buffer(&plan.buffers[b.index()].name, plan.buffers[b.index()].bytes, Location::Device);
+        let buffer =
+            |b: Buffer| device.buffer(&plan.buffers[b.index()].name, plan.buffers[b.index()].bytes, Location::Device);
         let (image_memory, transmittance_memory) = (buffer(image)?, buffer(transmittance)?);
         let (flags_memory, wanted_memory) = (buffer(flags)?, buffer(wanted_out)?);
         let options = ExecOptions { frames_in_flight: 1, timestamps: true, ..Default::default() };

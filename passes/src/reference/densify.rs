@@ -82,7 +82,7 @@ pub enum Origin {
     Half(usize, u32),
 }
 
-/// Decides (Kerbl et al. 2023, section 5.2; pruning by weight: `method.md`, 2.4).
+/// Decides (Kerbl et al. 2023, section 5.2; pruning by weight: SGS-Intrinsic).
 pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
     let numbers = [&c.mean[..], &c.log_scale, &c.rotation, &[c.opacity_logit], &c.sh0];
     let valid = numbers.iter().all(|n| n.iter().all(|x| x.is_finite()));

@@ -107,8 +107,8 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The losses (method.md, 2.2; smoothness: Sobel filters over 8, times exp of the photograph's, summed over the two
-/// directions).
+/// The losses (SGS-Intrinsic, stage I; smoothness: Sobel filters over 8, times exp of the photograph's, summed over the
+/// two directions).
 pub fn geometry_loss(s: &Scene) -> Terms {
     let (units, depth) = (s.unit_normals(), s.depth());
     let mut t = Terms { normal: 0.0, normal_smooth: 0.0, depth_smooth: 0.0, depth_variance: 0.0 };

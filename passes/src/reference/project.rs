@@ -100,9 +100,7 @@ fn project_one(g: &Gaussians, i: usize, camera: &Camera, sh_degree: usize, with_
     if !(p.z >= camera.near && p.z.is_finite() && opacity >= 1.0 / 255.0) {
         return None;
     }
-    let scale = DVec3::from_slice(&g.log_scales[3 * i..])
-        .clamp(DVec3::splat(-16.0), DVec3::splat(8.0))
-        .map(f64::exp);
+    let scale = DVec3::from_slice(&g.log_scales[3 * i..]).clamp(DVec3::splat(-16.0), DVec3::splat(8.0)).map(f64::exp);
     let m = rotation(&g.rotations[4 * i..4 * i + 4]) * DMat3::from_diagonal(scale);
     let q = camera.rotation * m;
     let half = DVec2::new(f64::from(camera.size[0]), f64::from(camera.size[1])) / (2.0 * camera.focal);

@@ -1,7 +1,6 @@
 //! The Gaussians' buffers, and their handles in a graph.
 
 use super::{Group, Model};
-use bytemuck::Zeroable;
 use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -220,7 +219,7 @@ impl Gaussians {
 fn work_of(count: u32) -> Work {
     let groups = count.div_ceil(256).max(1);
     let x = groups.min(65535);
-    Work { x, y: groups.div_ceil(x), z: 1, count, ..Work::zeroed() }
+    Work { x, y: groups.div_ceil(x), z: 1, count }
 }
 
 /// The Gaussians' buffers in one graph.

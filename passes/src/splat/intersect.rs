@@ -4,10 +4,10 @@
 //! by tile id alone: E pairs of as few bits as there are tiles. Cost an entry: 8 bytes written, and 24 for each pass of
 //! the sort.
 
+use super::project::group_sizes;
 use super::{Screen, Visible};
 use crate::Tuning;
 use crate::kernel::stage;
-use super::project::group_sizes;
 use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{intersect as kernel, tile_ranges};
@@ -51,16 +51,7 @@ pub fn intersect(
     let offsets = g.transient("entry_offsets", 4 * v);
     let total = g.transient("entries_total", 4);
     let wanted = g.transient("entries_wanted", 4);
-    exclusive_scan(
-        g,
-        *t,
-        "entry_scan",
-        visible.tile_counts,
-        Some(order),
-        offsets,
-        total,
-        count,
-    )?;
+    exclusive_scan(g, *t, "entry_scan", visible.tile_counts, Some(order), offsets, total, count)?;
     let works = g.transient("entries", 64);
     let overflow = Overflow { capacity, flags: flags.into(), flag: 1, wanted: wanted.into() };
     let entry_work = work(g, "entries", total, overflow, works, group_sizes(t))?;

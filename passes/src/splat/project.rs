@@ -5,10 +5,10 @@
 //! 12 bytes read and 12 written for each of its scalars.
 
 use super::{Channels, Screen};
+use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
 use crate::scene::{Group, Handles};
-use crate::Tuning;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{pose_sum, project as kernel, project_bwd as bwd, project_bwd_adam as fused, project_count};
 
@@ -61,16 +61,7 @@ pub fn project(
     let specs = project_count::Specs { workgroup: t.workgroup, subgroups: t.subgroups() };
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(n, t.workgroup))?;
-    exclusive_scan(
-        g,
-        *t,
-        "project_scan",
-        block_counts,
-        None,
-        block_offsets,
-        total,
-        Count::Host(blocks as u32),
-    )?;
+    exclusive_scan(g, *t, "project_scan", block_counts, None, block_offsets, total, Count::Host(blocks as u32))?;
     // There is always room: the flag of this count can never rise.
     let works = g.transient("visible", 64);
     let flag = g.transient("visible_flag", 4);

@@ -15,7 +15,10 @@ pub fn generate(kernels: &[Kernel], spirv_dir: &str) -> Result<String, String> {
         for s in &kernel.structs {
             match shared.iter().find(|o| o.name == s.name) {
                 Some(o) if *o != s => {
-                    return Err(format!("struct \"{}\" of kernel \"{}\" differs from its namesake", s.name, kernel.name));
+                    return Err(format!(
+                        "struct \"{}\" of kernel \"{}\" differs from its namesake",
+                        s.name, kernel.name
+                    ));
                 }
                 Some(_) => {}
                 None => shared.push(s),
@@ -46,7 +49,14 @@ fn emit_struct(out: &mut String, s: &Struct, prefix: &str) {
     );
     for f in &s.fields {
         let ty = f.ty.rust();
-        let _ = writeln!(out, "/// GLSL `{}` at byte {}.\npub {}: {},", f.name, f.offset, f.name, qualify(&ty, &f.ty, prefix));
+        let _ = writeln!(
+            out,
+            "/// GLSL `{}` at byte {}.\npub {}: {},",
+            f.name,
+            f.offset,
+            f.name,
+            qualify(&ty, &f.ty, prefix)
+        );
     }
     out.push_str("}\n");
     let _ = writeln!(
@@ -75,7 +85,10 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
     if let Some(push) = &k.push {
         emit_struct(out, push, "super::structs::");
     }
-    let _ = writeln!(out, "/// One value for each binding, by name.\n#[derive(Clone, Copy, Debug)]\npub struct Bindings<B> {{");
+    let _ = writeln!(
+        out,
+        "/// One value for each binding, by name.\n#[derive(Clone, Copy, Debug)]\npub struct Bindings<B> {{"
+    );
     for b in &k.bindings {
         let _ = writeln!(out, "/// Binding {} ({:?}).\npub {}: B,", b.number, b.access, b.name);
     }
@@ -95,7 +108,7 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
     for s in &k.specs {
         let _ = writeln!(out, "/// constant_id {}.\npub {}: {},", s.id, s.name.to_lowercase(), s.ty);
     }
-    out.push_str("}\nimpl Default for Specs {\nfn default() -> Self { Specs {");
+    out.push_str("}\n#[allow(clippy::derivable_impls)]\nimpl Default for Specs {\nfn default() -> Self { Specs {");
     for s in &k.specs {
         let value = match s.ty {
             "f32" => format!("f32::from_bits({})", s.default),
@@ -105,7 +118,11 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
         };
         let _ = write!(out, "{}: {value},", s.name.to_lowercase());
     }
-    let _ = writeln!(out, "}} }}\n}}\nimpl Specs {{\n/// Name and bits of each.\npub fn entries(self) -> [(&'static str, u32); {}] {{ [", k.specs.len());
+    let _ = writeln!(
+        out,
+        "}} }}\n}}\nimpl Specs {{\n/// Name and bits of each.\npub fn entries(self) -> [(&'static str, u32); {}] {{ [",
+        k.specs.len()
+    );
     for s in &k.specs {
         let field = s.name.to_lowercase();
         let bits = match s.ty {

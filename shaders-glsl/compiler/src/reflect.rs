@@ -202,7 +202,9 @@ fn field_type(ty: &Type, into: &mut Vec<Struct>) -> Result<(FieldType, usize), S
     let array = |t: FieldType, n: usize| FieldType::Array(Box::new(t), n);
     Ok(match ty {
         Type::Scalar(s) => (FieldType::Scalar(scalar_name(s)?), if scalar_name(s)? == "u64" { 8 } else { 4 }),
-        Type::Vector(v) => (array(FieldType::Scalar(scalar_name(&v.scalar_ty)?), v.nscalar as usize), 4 * v.nscalar as usize),
+        Type::Vector(v) => {
+            (array(FieldType::Scalar(scalar_name(&v.scalar_ty)?), v.nscalar as usize), 4 * v.nscalar as usize)
+        }
         Type::Matrix(m) => {
             let (n, k) = (m.nvector as usize, m.vector_ty.nscalar as usize);
             if m.stride != Some(4 * k) {

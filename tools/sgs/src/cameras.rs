@@ -5,7 +5,7 @@ use sgs_engine::Device;
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_scene::Splats;
 use sgs_train::{RunDirectory, Settings, gaussian_data};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The PLY behind a run directory or a file, and the run's settings if it is one.
 pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
@@ -29,9 +29,4 @@ pub fn upload(device: &Device, splats: &Splats) -> anyhow::Result<Gaussians> {
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     Ok(gaussians)
-}
-
-/// A path, as an error names it.
-pub fn shown(path: &Path) -> String {
-    PathBuf::from(path).display().to_string()
 }

@@ -10,7 +10,7 @@ pub struct Common {
     /// Device by index or part of its name (see `sgs devices`); the best by default.
     #[arg(long, global = true, value_name = "INDEX|NAME")]
     pub device: Option<String>,
-    /// Machine-readable output on standard output.
+    /// Machine-readable output on standard output, or into a file whose name ends in .json.
     #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE", require_equals = true)]
     pub json: Option<PathBuf>,
     /// More messages; twice for all.
@@ -36,9 +36,17 @@ impl Common {
         Ok(Device::open(&options)?)
     }
 
-    /// Whether standard output carries JSON.
-    pub fn json_to_stdout(&self) -> bool {
-        self.json.as_ref().is_some_and(|p| p.as_os_str() == "-")
+    /// Gives an answer as JSON where `--json` asked for it. True if it went to standard output, where nothing else may
+    /// then go.
+    pub fn answer(&self, value: &impl serde::Serialize) -> anyhow::Result<bool> {
+        let Some(path) = &self.json else { return Ok(false) };
+        let text = serde_json::to_string_pretty(value)?;
+        if path.as_os_str() == "-" {
+            println!("{text}");
+            return Ok(true);
+        }
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+        Ok(false)
     }
 }
 

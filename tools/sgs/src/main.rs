@@ -8,6 +8,8 @@ mod common;
 mod ui;
 
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+use std::path::Path;
 
 /// Turn a dozen photographs of a room into Gaussians that can be rendered, on any Vulkan device.
 #[derive(Parser)]
@@ -37,8 +39,25 @@ enum Command {
     Devices,
 }
 
+/// The arguments, with `--json FILE.json` made one: the file is optional, and without the equals sign `--json` would
+/// otherwise swallow the scene that stands behind it, or never take a file.
+fn arguments() -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for argument in std::env::args_os() {
+        let file = Path::new(&argument).extension().is_some_and(|e| e == "json");
+        match joined.last_mut() {
+            Some(last) if file && last == "--json" => {
+                last.push("=");
+                last.push(argument);
+            }
+            _ => joined.push(argument),
+        }
+    }
+    joined
+}
+
 fn main() {
-    let cli = Cli::parse();
+    let cli = Cli::parse_from(arguments());
     ui::start_logging(&cli.common);
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),

@@ -6,18 +6,22 @@ use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::prelude::*;
 
-/// Messages of the libraries, on standard error.
+/// Messages of the libraries, on standard error; `SGS_LOG` (as `info` or `sgs_train=debug`) chooses more or fewer.
 pub fn start_logging(common: &Common) {
     let level = match (common.quiet, common.verbose) {
-        (true, _) => "error",
-        (_, 0) => "warn",
-        (_, 1) => "info",
-        _ => "debug",
+        (true, _) => LevelFilter::ERROR,
+        (_, 0) => LevelFilter::WARN,
+        (_, 1) => LevelFilter::INFO,
+        _ => LevelFilter::DEBUG,
     };
-    let filter = tracing_subscriber::EnvFilter::try_from_env("SGS_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    let wanted = std::env::var("SGS_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    tracing_subscriber::registry()
+        .with(lines.with_filter(wanted.unwrap_or_else(|| Targets::new().with_default(level))))
+        .init();
 }
 
 /// A bar on a terminal; elsewhere a line every tenth of the way.
@@ -50,7 +54,7 @@ impl Bar {
     pub fn set(&mut self, done: u64, message: impl FnOnce() -> String) {
         if let Some(bar) = &self.bar {
             bar.set_position(done);
-            if done % 10 == 0 || done == self.total {
+            if done.is_multiple_of(10) || done == self.total {
                 bar.set_message(message());
             }
         } else if !self.quiet && (done >= self.next_line || done == self.total) {

@@ -16,9 +16,9 @@ use crate::trace::render::render;
 /// Mean display value aimed at.
 const TARGET: f32 = 0.52;
 /// Largest share of the values on surfaces that may clip.
-const CLIPPED_SURFACES: f32 = 0.03;
+const CLIPPED_SURFACES: f32 = 0.045;
 /// Largest share of all values that may clip, lights included.
-const CLIPPED: f32 = 0.085;
+const CLIPPED: f32 = 0.09;
 
 /// Scales the scene's lights; `seed` keys the probing samples.
 pub(crate) fn expose(scene: &mut Scene, cameras: &[Camera], seed: u64) {

@@ -112,7 +112,7 @@ impl Default for SynthOptions {
             width: 160,
             height: 120,
             seed: 1,
-            samples_per_pixel: 40,
+            samples_per_pixel: 48,
             points: 5000,
             denoise: true,
             relit: true,
@@ -131,8 +131,8 @@ impl SynthOptions {
         let limits: [(&'static str, usize, u64, u64); 6] = [
             ("the number of training views", self.views, 1, 2000),
             ("the number of test views", self.test_views, 0, 2000),
-            ("the image width", self.width, 16, 4096),
-            ("the image height", self.height, 16, 4096),
+            ("the image width", self.width, 16, 2048),
+            ("the image height", self.height, 16, 2048),
             ("the number of samples per pixel", self.samples_per_pixel, 1, 65_536),
             ("the number of points", self.points, 0, 5_000_000),
         ];

@@ -244,11 +244,11 @@ fn mistakes_are_named_in_one_sentence() {
     );
     assert_eq!(
         fail(SynthOptions { width: 0, ..base.clone() }),
-        "the image width is 0 but must lie between 16 and 4096"
+        "the image width is 0 but must lie between 16 and 2048"
     );
     assert_eq!(
         fail(SynthOptions { height: 1 << 40, ..base.clone() }),
-        "the image height is 1099511627776 but must lie between 16 and 4096"
+        "the image height is 1099511627776 but must lie between 16 and 2048"
     );
     assert_eq!(
         fail(SynthOptions { samples_per_pixel: 0, ..base.clone() }),

@@ -4,7 +4,7 @@
 
 use crate::error::{Result, TrainError};
 use safetensors::{Dtype, SafeTensors, View};
-use sgs_passes::scene::{GaussianData, Group, Model};
+use sgs_passes::scene::{GaussianData, Group, Model, STATISTICS};
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,6 +12,8 @@ use std::path::Path;
 /// What resuming starts from.
 pub(crate) struct State {
     pub step: u32,
+    /// Room for Gaussians when it was written. Densification stops at it, so that it is a part of the state.
+    pub capacity: u32,
     pub parameters: GaussianData,
     pub moments: GaussianData,
     pub statistics: Vec<f32>,
@@ -38,6 +40,7 @@ pub(crate) fn save(
     path: &Path,
     step: u32,
     model: Model,
+    capacity: u32,
     parameters: &GaussianData,
     moments: &GaussianData,
     statistics: &[f32],
@@ -53,6 +56,7 @@ pub(crate) fn save(
     let meta = HashMap::from([
         ("format".to_owned(), "sgs-geometry-1".to_owned()),
         ("step".to_owned(), step.to_string()),
+        ("capacity".to_owned(), capacity.to_string()),
     ]);
     let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -66,10 +70,11 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
     if meta.get("format").map(String::as_str) != Some("sgs-geometry-1") {
         return Err(file(path, "not a checkpoint of the geometry stage".into()));
     }
-    let step = meta
-        .get("step")
-        .and_then(|s| s.parse().ok())
-        .ok_or_else(|| file(path, "the checkpoint does not say which step it holds".into()))?;
+    let number = |name: &str| -> Result<u32> {
+        let value = meta.get(name).and_then(|s| s.parse().ok());
+        value.ok_or_else(|| file(path, format!("the checkpoint does not say its {name}")))
+    };
+    let (step, capacity) = (number("step")?, number("capacity")?);
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| file(path, format!("damaged: {e}")))?;
     let floats = |name: &str| -> Result<Vec<f32>> {
         let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
@@ -83,7 +88,11 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
     for group in Group::ALL {
         let present = tensors.tensor(group.name()).is_ok();
         if present != model.has(group) {
-            let reason = format!("the checkpoint {} \"{}\", unlike these settings", if present { "has" } else { "lacks" }, group.name());
+            let reason = format!(
+                "the checkpoint {} \"{}\", unlike these settings",
+                if present { "has" } else { "lacks" },
+                group.name()
+            );
             return Err(file(path, reason));
         }
         if present {
@@ -98,7 +107,16 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
             return Err(file(path, format!("\"{}\" does not fit {count} Gaussians", group.name())));
         }
     }
-    Ok(State { step, parameters, moments, statistics: floats("statistics")? })
+    for group in model.groups() {
+        if parameters.group(group).iter().any(|v| !v.is_finite()) {
+            return Err(file(path, format!("damaged: \"{}\" holds values that are not finite", group.name())));
+        }
+    }
+    let statistics = floats("statistics")?;
+    if statistics.len() != count * STATISTICS as usize {
+        return Err(file(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
+    }
+    Ok(State { step, capacity, parameters, moments, statistics })
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -1,5 +1,6 @@
 //! Between the scene on disk and the scene on the GPU: cameras, splats, packed pixels.
 
+use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::{GaussianData, Group, Model};
 use sgs_scene::Splats;
@@ -69,22 +70,7 @@ pub fn pack_image(image: &sgs_scene::Image) -> Vec<u32> {
     image.data.chunks_exact(image.channels as usize).map(pack).collect()
 }
 
-/// Normals, octahedral in two 16-bit numbers; 0 where there is none.
+/// Normals (world space), octahedral in two 16-bit numbers; 0 where there is none.
 pub fn pack_normals(image: &sgs_scene::Image) -> Vec<u32> {
-    image.data.chunks_exact(3).map(|n| pack_normal([n[0], n[1], n[2]])).collect()
-}
-
-fn pack_normal(n: [f32; 3]) -> u32 {
-    let sum = n[0].abs() + n[1].abs() + n[2].abs();
-    if !(sum > 0.0 && sum.is_finite()) {
-        return 0;
-    }
-    let (mut x, mut y) = (n[0] / sum, n[1] / sum);
-    if n[2] < 0.0 {
-        let fold = |a: f32, b: f32| (1.0 - b.abs()) * if a >= 0.0 { 1.0 } else { -1.0 };
-        (x, y) = (fold(x, y), fold(y, x));
-    }
-    let word = |v: f32| ((v * 0.5 + 0.5) * 65535.0 + 0.5) as u32;
-    // The corner that would be all zeros is the direction -z at its least corner; any other corner means the same.
-    (word(x) | word(y) << 16).max(1)
+    image.data.chunks_exact(3).map(|n| octahedral_encode([n[0], n[1], n[2]])).collect()
 }

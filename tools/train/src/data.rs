@@ -34,8 +34,9 @@ impl TrainingData {
         for &i in train {
             let c = camera(&scene.views[i].camera);
             largest = [largest[0].max(c.size[0]), largest[1].max(c.size[1])];
-            let first = u32::try_from(offset)
-                .map_err(|_| TrainError::Setting("The training views hold more than 2^32 pixels; use --scale.".into()))?;
+            let first = u32::try_from(offset).map_err(|_| {
+                TrainError::Setting("The training views hold more than 2^32 pixels; use --scale.".into())
+            })?;
             views.push((c, first));
             offset += u64::from(c.size[0]) * u64::from(c.size[1]);
         }

@@ -93,16 +93,23 @@ pub fn evaluate(
         let photo = scene.load_image(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
-        let nvs = Nvs {
-            psnr: metrics::psnr(&rendered.rgb, &photo, None)?,
-            ssim: metrics::ssim(&rendered.rgb, &photo)?,
+        let nvs =
+            Nvs { psnr: metrics::psnr(&rendered.rgb, &photo, None)?, ssim: metrics::ssim(&rendered.rgb, &photo)? };
+        // Without normals of their own the Gaussians still have a surface: its normals come from depth.
+        let surface;
+        let shown = match &rendered.normal {
+            Some(n) => n,
+            None => {
+                surface = normals_from_depth(&rendered.depth, &view.camera);
+                &surface
+            }
         };
-        let normal = match (&rendered.normal, truth.load(GroundTruthKind::Normal, i)?) {
-            (Some(n), Some(t)) => Some(metrics::normal_mae_deg(n, &t, mask)?),
+        let normal = match (Some(shown), truth.load(GroundTruthKind::Normal, i)?) {
+            (Some(n), Some(t)) => known(metrics::normal_mae_deg(n, &t, mask))?,
             _ => None,
         };
         let depth = match truth.load(GroundTruthKind::Depth, i)? {
-            Some(t) => Some(metrics::depth_rel(&rendered.depth, &t, mask)?),
+            Some(t) => known(metrics::depth_rel(&rendered.depth, &t, mask))?,
             None => None,
         };
         look(&view.camera.name, &rendered)?;
@@ -120,6 +127,38 @@ pub fn evaluate(
         depth_rel: some(&|v| v.depth_rel),
     };
     Ok(Evaluation { mean, views: out })
+}
+
+/// A measure in which no pixel counts (a view of the sky alone) is absent, as one without ground truth is.
+fn known(value: std::result::Result<f64, metrics::MetricError>) -> Result<Option<f64>> {
+    match value {
+        Err(metrics::MetricError::Empty { .. }) => Ok(None),
+        other => Ok(Some(other?)),
+    }
+}
+
+/// World-space unit normals of a depth image, facing the camera: the cross product of central differences of the points.
+/// Zero where there is no depth.
+pub fn normals_from_depth(depth: &Image, camera: &sgs_scene::Camera) -> Image {
+    let (w, h) = (depth.width as usize, depth.height as usize);
+    let point = |x: usize, y: usize| {
+        let z = f64::from(depth.data[y * w + x]);
+        camera.unproject(glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5), z)
+    };
+    let mut data = Vec::with_capacity(3 * w * h);
+    for y in 0..h {
+        for x in 0..w {
+            let across = point((x + 1).min(w - 1), y) - point(x.saturating_sub(1), y);
+            let down = point(x, (y + 1).min(h - 1)) - point(x, y.saturating_sub(1));
+            let mut n = across.cross(down).normalize_or_zero();
+            if n.dot(point(x, y) - camera.position()) > 0.0 {
+                n = -n;
+            }
+            let known = depth.data[y * w + x] > 0.0 && n.is_finite();
+            data.extend(if known { n.as_vec3().to_array() } else { [0.0; 3] });
+        }
+    }
+    Image { width: depth.width, height: depth.height, channels: 3, data }
 }
 
 /// A rendered view as images.

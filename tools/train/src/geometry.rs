@@ -10,10 +10,12 @@ use crate::data::TrainingData;
 use crate::error::{Result, TrainError};
 use crate::schedule::Schedule;
 use crate::settings::Settings;
-use sgs_engine::graph::exec::PassTime;
 use sgs_engine::Device;
+use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport};
+use sgs_passes::pipeline::{
+    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport,
+};
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
@@ -45,14 +47,19 @@ pub struct Geometry {
     data: TrainingData,
     gaussians: Gaussians,
     status: Status,
-    exec: GeometryStep,
+    /// Absent only while it is rebuilt: the old one's memory goes before the new one's comes.
+    exec: Option<GeometryStep>,
     densify: Option<DensifyStep>,
     reset: Option<OpacityReset>,
     options: GeometryOptions,
+    /// Densification never goes beyond this many.
+    most: u32,
     /// Last step that was submitted.
     submitted: u32,
     /// Last step whose report was seen to be clean.
     done: u32,
+    /// Last step after which densification and reset had their turn; an overflow may take steps back across it.
+    settled: u32,
 }
 
 impl Geometry {
@@ -75,27 +82,32 @@ impl Geometry {
             }
         };
         let count = start.len() as u32;
-        let capacity = if g.densify.enabled { room_for(count, g.densify.max_gaussians) } else { count };
+        let most = most_gaussians(device, model, settings, &data)?;
+        if count > most {
+            return Err(TrainError::Setting(format!(
+                "The scene starts with {count} Gaussians, but at most {most} fit into the device's memory and bindings; \
+                 use fewer points, a lower geometry.sh_degree, or a higher geometry.densify.max_mib."
+            )));
+        }
+        let capacity = if g.densify.enabled { room_for(count, most.min(g.densify.max_gaussians)) } else { count };
         let gaussians = Gaussians::new(device, model, capacity, true)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let tuning = Tuning::for_device(device.info());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         let options = GeometryOptions {
             largest: data.largest,
-            entry_capacity: first_entry_capacity(count),
+            entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { normals: model.normals, depth },
-            normal_prior: model.normals,
             statistics: g.densify.enabled,
             backward: BackwardKernel::Pixel,
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
         let status = Status::new(device)?;
-        let exec =
-            GeometryStep::new(device, &tuning, &gaussians, &data.targets, data.normals.as_ref(), &status, options)?;
         let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let most = most.min(g.densify.max_gaussians);
         let settings = settings.clone();
-        Ok(Geometry {
+        let mut training = Geometry {
             device: device.clone(),
             tuning,
             settings,
@@ -103,13 +115,17 @@ impl Geometry {
             data,
             gaussians,
             status,
-            exec,
+            exec: None,
             densify: None,
             reset: None,
             options,
+            most,
             submitted: 0,
             done: 0,
-        })
+            settled: 0,
+        };
+        training.rebuild()?;
+        Ok(training)
     }
 
     /// Steps that are done.
@@ -142,26 +158,26 @@ impl Geometry {
                 self.submit_next()?;
                 self.look(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
             }
-            let boundary = self.schedule.densify(self.submitted).is_some()
-                || self.schedule.reset(self.submitted)
-                || self.submitted == last;
-            if boundary && self.drain(&mut heard)? {
-                self.after(self.submitted, &mut heard)?;
+            let due = self.schedule.densify(self.submitted).is_some() || self.schedule.reset(self.submitted);
+            let due = due && self.settled < self.submitted;
+            if due || self.submitted == last {
+                let clean = self.drain(&mut heard)?;
+                if clean && due {
+                    self.settled = self.submitted;
+                    self.after(self.submitted, &mut heard)?;
+                }
             }
         }
-        while !self.drain(&mut heard)? {
-            // An overflow took steps back: they are repeated so that what was asked for is whole.
-            while self.submitted < self.done {
-                self.submit_next()?;
-            }
-        }
+        // Steps that an overflow took back are simply not done yet.
+        while !self.drain(&mut heard)? {}
         Ok(())
     }
 
     fn submit_next(&mut self) -> Result<()> {
         let step = self.submitted + 1;
         let (camera, offset) = self.data.views[self.schedule.view(step)];
-        self.exec.submit(&self.schedule.step(step, &camera, offset))?;
+        let values = self.schedule.step(step, &camera, offset);
+        self.exec()?.submit(&values)?;
         self.submitted = step;
         Ok(())
     }
@@ -193,18 +209,18 @@ impl Geometry {
 
     /// Waits for everything submitted and looks at it. False if an overflow took steps back.
     fn drain(&mut self, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
-        self.exec.finish()?;
+        self.exec()?.finish()?;
         self.look(self.submitted, heard)
     }
 
     /// The entries of a step did not fit. Nothing was changed from that step on: make room and go back to it.
     fn grow_entries(&mut self, step: u32) -> Result<()> {
-        self.exec.finish()?;
+        self.exec()?.finish()?;
         let mut wanted = 0;
         for s in step..=self.submitted {
             wanted = wanted.max(self.status.report(s)?.entries);
         }
-        let room = u64::from(wanted) + u64::from(wanted) / 4;
+        let room = u64::from(wanted) + u64::from(wanted) / 8;
         self.options.entry_capacity = u32::try_from(room).unwrap_or(u32::MAX);
         tracing::debug!(step, wanted, capacity = self.options.entry_capacity, "tile entries grow");
         self.rebuild()?;
@@ -216,7 +232,8 @@ impl Geometry {
     fn rebuild(&mut self) -> Result<()> {
         self.densify = None;
         self.reset = None;
-        self.exec = GeometryStep::new(
+        self.exec = None;
+        self.exec = Some(GeometryStep::new(
             &self.device,
             &self.tuning,
             &self.gaussians,
@@ -224,21 +241,31 @@ impl Geometry {
             self.data.normals.as_ref(),
             &self.status,
             self.options,
-        )?;
+        )?);
         Ok(())
+    }
+
+    /// The step, made again if an earlier attempt failed.
+    fn exec(&mut self) -> Result<&mut GeometryStep> {
+        if self.exec.is_none() {
+            self.rebuild()?;
+        }
+        self.exec.as_mut().ok_or_else(|| TrainError::Setting("The step could not be built.".into()))
     }
 
     /// What happens between steps.
     fn after(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
-        if let Some(settings) = self.schedule.densify(step) {
+        if let Some(mut settings) = self.schedule.densify(step) {
+            settings.cap = settings.cap.min(self.most);
             if self.densify.is_none() {
                 // Densification may use the step's arena: nothing in it outlives a replay.
-                let arena = self.exec.executor().arena().cloned();
+                let arena = self.exec()?.executor().arena().cloned();
                 self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, arena)?);
             }
             if let Some(densify) = &mut self.densify {
                 let stats = densify.run(&settings)?;
-                let most = self.settings.geometry.densify.max_gaussians;
+                tracing::info!(step, ?stats, "densified");
+                let most = self.most;
                 if stats.after > self.gaussians.capacity / 4 * 3 && self.gaussians.capacity < most {
                     self.densify = None;
                     self.reset = None;
@@ -274,7 +301,8 @@ impl Geometry {
     pub fn save(&self, path: &Path) -> Result<()> {
         let (moments, statistics) = self.gaussians.download_optimizer(&self.device)?;
         let parameters = self.gaussians.download(&self.device)?;
-        checkpoint::save(path, self.done, self.gaussians.model, &parameters, &moments, &statistics)
+        let (model, capacity) = (self.gaussians.model, self.gaussians.capacity);
+        checkpoint::save(path, self.done, model, capacity, &parameters, &moments, &statistics)
     }
 
     /// Goes on from what [`Geometry::save`] wrote.
@@ -284,15 +312,18 @@ impl Geometry {
     pub fn restore(&mut self, path: &Path) -> Result<()> {
         let state = checkpoint::load(path, self.gaussians.model)?;
         let count = state.parameters.len() as u32;
-        let most = self.settings.geometry.densify.max_gaussians;
-        let capacity = if self.settings.geometry.densify.enabled { room_for(count, most) } else { count };
+        // Densification stops where there is no room, so that the room has to be what it was.
+        let enabled = self.settings.geometry.densify.enabled;
+        let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
         self.gaussians = Gaussians::new(&self.device, self.gaussians.model, capacity, true)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
-        self.options.entry_capacity = self.options.entry_capacity.max(first_entry_capacity(count));
+        let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
+        self.options.entry_capacity = self.options.entry_capacity.max(first);
         self.rebuild()?;
         self.submitted = state.step;
         self.done = state.step;
+        self.settled = state.step;
         Ok(())
     }
 
@@ -301,20 +332,46 @@ impl Geometry {
     /// # Errors
     /// If the device fails.
     pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
-        self.exec.finish()?;
+        self.exec()?.finish()?;
         self.options.timestamps = on;
         self.rebuild()
     }
 
     /// Times of the passes since the last call.
     pub fn take_times(&mut self) -> Vec<PassTime> {
-        self.exec.executor().take_times()
+        self.exec.as_mut().map_or_else(Vec::new, |e| e.executor().take_times())
     }
 
     /// The step's executor, for its plan.
-    pub fn executor(&mut self) -> &mut sgs_engine::graph::exec::Executor {
-        self.exec.executor()
+    ///
+    /// # Errors
+    /// If it has to be made again and memory runs out.
+    pub fn executor(&mut self) -> Result<&mut sgs_engine::graph::exec::Executor> {
+        Ok(self.exec()?.executor())
     }
+}
+
+/// How many Gaussians memory allows: the budget less the photographs, and no binding beyond the device's range.
+fn most_gaussians(device: &Device, model: Model, settings: &Settings, data: &TrainingData) -> Result<u32> {
+    // Parameters and moments; per visible splat and per tile entry of the transients, at three entries a splat.
+    let a_gaussian = u64::from(model.width()) * 12 + 12 + 4 * u64::from(model.width().min(16)) + 3 * 100;
+    let pixels = u64::from(data.largest[0]) * u64::from(data.largest[1]);
+    let fixed = data.targets.bytes() + data.normals.as_ref().map_or(0, sgs_engine::DeviceBuffer::bytes) + 160 * pixels;
+    let budget = match settings.geometry.densify.max_mib {
+        0 => device.info().memory_bytes / 10 * 9,
+        mib => (mib << 20).min(device.info().memory_bytes),
+    };
+    if budget <= fixed {
+        return Err(TrainError::Setting(format!(
+            "The photographs and one picture need {} MiB, but only {} MiB are allowed; use --scale or --views.",
+            fixed.div_ceil(1 << 20),
+            budget >> 20
+        )));
+    }
+    let by_memory = (budget - fixed) / a_gaussian;
+    let widest = model.groups().map(|g| u64::from(g.width()) * 8).max().unwrap_or(8);
+    let by_binding = device.info().max_storage_range / widest;
+    Ok(u32::try_from(by_memory.min(by_binding)).unwrap_or(u32::MAX))
 }
 
 /// Half as many again, so that densification rarely has to grow.
@@ -323,7 +380,7 @@ fn room_for(count: u32, most: u32) -> u32 {
     (room.min(u64::from(most.max(count)))) as u32
 }
 
-/// Before anything is measured: a few tiles a splat. Wrong guesses cost one rebuild.
-fn first_entry_capacity(count: u32) -> u32 {
-    count.saturating_mul(3).clamp(1 << 14, 1 << 26)
+/// Before anything is measured: a tile a splat. A wrong guess costs a rebuild; too much room would cost memory for good.
+fn first_entry_capacity(wanted: u32, count: u32) -> u32 {
+    if wanted > 0 { wanted } else { count.clamp(1 << 14, 1 << 26) }
 }

@@ -16,7 +16,7 @@ mod settings;
 pub use convert::{camera, gaussian_data, splats};
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
-pub use evaluate::{Evaluation, Means, ViewMetrics, evaluate, render_view};
+pub use evaluate::{Evaluation, Means, ViewMetrics, evaluate, normals_from_depth, render_view};
 pub use geometry::{Geometry, Progress};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;

@@ -1,7 +1,7 @@
 //! The run directory: what training leaves, and where.
 
 use crate::error::{Result, TrainError};
-use crate::settings::Settings;
+use crate::settings::{Settings, one_line};
 use serde::Serialize;
 use sgs_passes::pipeline::StepReport;
 use std::fs::File;
@@ -60,7 +60,9 @@ impl RunDirectory {
     /// If it cannot be made.
     pub fn create(root: &Path) -> Result<RunDirectory> {
         std::fs::create_dir_all(root.join("checkpoint")).map_err(|e| error(root, format!("cannot be made: {e}")))?;
-        Ok(RunDirectory { root: root.to_owned() })
+        let run = RunDirectory { root: root.to_owned() };
+        run.sweep();
+        Ok(run)
     }
 
     /// Opens an existing run.
@@ -91,7 +93,42 @@ impl RunDirectory {
     pub fn settings(&self) -> Result<Settings> {
         let path = self.path("config.toml");
         let text = std::fs::read_to_string(&path).map_err(|e| error(&path, format!("cannot be read: {e}")))?;
-        toml::from_str(&text).map_err(|e| error(&path, format!("is not valid: {}", e.message())))
+        let table = text
+            .parse()
+            .map_err(|e: toml::de::Error| error(&path, format!("is not valid: {}", one_line(e.message()))))?;
+        Settings::from_table(table).map_err(|e| error(&path, one_line(&e.to_string())))
+    }
+
+    /// Removes what an earlier training left, so that nothing can be taken for a result of the one that begins.
+    ///
+    /// # Errors
+    /// If something cannot be removed.
+    pub fn forget(&self) -> Result<()> {
+        let names = ["scene.ply", "training.json", "metrics.json", "log.jsonl"];
+        // The checkpoint goes first: were it left with other settings, resuming would go on from it.
+        for path in std::iter::once(self.checkpoint()).chain(names.map(|n| self.path(n))) {
+            match std::fs::remove_file(&path) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(error(&path, format!("cannot be removed: {e}")));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes files that a killed training had begun to write. They are incomplete, and only take up room.
+    fn sweep(&self) {
+        for folder in [self.root.clone(), self.root.join("checkpoint")] {
+            for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+                let name = entry.file_name();
+                let name = name.to_string_lossy();
+                if name.starts_with('.') && name.ends_with(".tmp") {
+                    // One that stays does no harm.
+                    let _ = std::fs::remove_file(entry.path());
+                }
+            }
+        }
     }
 
     /// Writes the settings.

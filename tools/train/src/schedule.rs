@@ -38,6 +38,7 @@ impl Schedule {
             0 => g.sh_degree,
             interval => g.sh_degree.min((step - 1) / interval),
         };
+        let factor = g.rate_factor();
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(100.0) as f32;
         Step {
             camera: *camera,
@@ -46,13 +47,13 @@ impl Schedule {
             target_offset,
             sh_degree,
             seed: hash(self.settings.seed, u64::from(step)) as u32,
-            lr_means: (means * self.extent) as f32,
-            lr_scales: g.rates.scales as f32,
-            lr_rotations: g.rates.rotations as f32,
-            lr_opacities: g.rates.opacities as f32,
-            lr_sh0: g.rates.sh0 as f32,
-            lr_sh_rest: g.rates.sh_rest as f32,
-            lr_normals: g.rates.normals as f32,
+            lr_means: (factor * means * self.extent) as f32,
+            lr_scales: (factor * g.rates.scales) as f32,
+            lr_rotations: (factor * g.rates.rotations) as f32,
+            lr_opacities: (factor * g.rates.opacities) as f32,
+            lr_sh0: (factor * g.rates.sh0) as f32,
+            lr_sh_rest: (factor * g.rates.sh_rest) as f32,
+            lr_normals: (factor * g.rates.normals) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_l1: g.losses.l1,
@@ -61,7 +62,7 @@ impl Schedule {
             weight_normal_smooth: g.losses.normal_smooth,
             weight_depth_smooth: g.losses.depth_smooth,
             weight_depth_variance: g.losses.depth_variance * spread,
-            gather_statistics: u32::from(self.last_densification() > step),
+            gather_statistics: u32::from(self.last_densification() >= step),
         }
     }
 
@@ -74,7 +75,7 @@ impl Schedule {
     /// What densification does after a step, if anything.
     pub fn densify(&self, step: u32) -> Option<DensifySettings> {
         let d = &self.settings.geometry.densify;
-        if !d.enabled || step < d.from || step > self.last_densification() || step % d.interval != 0 {
+        if !d.enabled || step < d.from || step > self.last_densification() || !step.is_multiple_of(d.interval) {
             return None;
         }
         let after_reset = d.reset_interval > 0 && step > d.reset_interval;
@@ -92,7 +93,7 @@ impl Schedule {
     /// Whether opacities are reset after a step.
     pub fn reset(&self, step: u32) -> bool {
         let d = &self.settings.geometry.densify;
-        d.enabled && d.reset_interval > 0 && step % d.reset_interval == 0 && step < self.last_densification()
+        d.enabled && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
     }
 }
 
@@ -118,5 +119,17 @@ mod tests {
             assert_eq!(seen, (0..7).collect::<Vec<_>>());
         }
         assert_ne!(round(0), round(1));
+    }
+
+    #[test]
+    fn statistics_are_gathered_through_the_last_densification() {
+        let mut settings = Settings::default();
+        settings.geometry.steps = 10;
+        let d = &mut settings.geometry.densify;
+        (d.from, d.interval, d.until) = (1, 1, 0.6);
+        let s = Schedule::new(&settings, 1.0, 1);
+        let gathers = |step| s.step(step, &Camera::default(), 0).gather_statistics == 1;
+        assert!(s.densify(6).is_some() && gathers(6));
+        assert!(s.densify(7).is_none() && !gathers(7));
     }
 }

@@ -1,5 +1,6 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
+use crate::error::TrainError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -59,6 +60,8 @@ pub struct GeometrySettings {
     pub densify: DensifyOptions,
     /// Steps between checkpoints; 0 keeps only the last.
     pub checkpoint_interval: u32,
+    /// Room for tile entries at first; 0 guesses. It grows where it is too small, and no result depends on it.
+    pub entry_capacity: u32,
 }
 
 impl Default for GeometrySettings {
@@ -73,6 +76,7 @@ impl Default for GeometrySettings {
             losses: LossWeights::default(),
             densify: DensifyOptions::default(),
             checkpoint_interval: 1000,
+            entry_capacity: 0,
         }
     }
 }
@@ -81,6 +85,8 @@ impl Default for GeometrySettings {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rates {
+    /// Factor on all of them; 0 chooses it by the number of steps: short runs take larger steps.
+    pub factor: f64,
     /// Of means at the first step, times the scene's extent.
     pub means: f64,
     /// Of means at the last step, times the scene's extent; log-linear between.
@@ -102,6 +108,7 @@ pub struct Rates {
 impl Default for Rates {
     fn default() -> Self {
         Rates {
+            factor: 0.0,
             means: 1.6e-4,
             means_final: 1.6e-6,
             scales: 5e-3,
@@ -134,14 +141,7 @@ pub struct LossWeights {
 
 impl Default for LossWeights {
     fn default() -> Self {
-        LossWeights {
-            l1: 0.8,
-            dssim: 0.2,
-            normal: 0.05,
-            normal_smooth: 0.01,
-            depth_smooth: 0.01,
-            depth_variance: 0.02,
-        }
+        LossWeights { l1: 0.8, dssim: 0.2, normal: 0.05, normal_smooth: 0.01, depth_smooth: 0.01, depth_variance: 0.02 }
     }
 }
 
@@ -179,6 +179,8 @@ pub struct DensifyOptions {
     pub reset_interval: u32,
     /// Most Gaussians.
     pub max_gaussians: u32,
+    /// Most device memory in MiB that training may take, all in; 0 for what the device has.
+    pub max_mib: u64,
 }
 
 impl Default for DensifyOptions {
@@ -195,40 +197,94 @@ impl Default for DensifyOptions {
             prune_size: 0.5,
             reset_interval: 3000,
             max_gaussians: 2_000_000,
+            max_mib: 0,
         }
     }
 }
 
+impl GeometrySettings {
+    /// The factor on the learning rates: the given one, or one that grows as runs get shorter than the 7000 steps that
+    /// the rates are made for.
+    pub fn rate_factor(&self) -> f64 {
+        if self.rates.factor > 0.0 {
+            return self.rates.factor;
+        }
+        (7000.0 / f64::from(self.steps.max(1))).sqrt().clamp(1.0, 3.0)
+    }
+}
+
 impl Settings {
+    /// Settings from a table in which any of them may be absent.
+    ///
+    /// # Errors
+    /// A sentence that names the setting that does not exist, or whose value is of another kind.
+    pub fn from_table(table: toml::Table) -> crate::Result<Settings> {
+        let wrong = |e: toml::de::Error| TrainError::Setting(format!("A setting is wrong: {}.", one_line(e.message())));
+        let known = Settings::default().to_table()?;
+        compare("", &table, &known, &known)?;
+        toml::Value::Table(table).try_into().map_err(wrong)
+    }
+
+    /// All settings as a table.
+    ///
+    /// # Errors
+    /// If a value cannot be written as TOML.
+    pub fn to_table(&self) -> crate::Result<toml::Table> {
+        toml::Table::try_from(self).map_err(|e| TrainError::Setting(format!("The settings cannot be written: {e}.")))
+    }
+
     /// Checks what types cannot.
     ///
     /// # Errors
     /// A sentence that names the setting, its value and what it may be.
     pub fn check(&self) -> crate::Result<()> {
-        let fail = |what: String| Err(crate::TrainError::Setting(what));
+        let fail = |what: String| Err(TrainError::Setting(what));
         let g = &self.geometry;
+        if i64::try_from(self.seed).is_err() {
+            return fail(format!(
+                "seed is {}, but must be at most {}, the largest number of TOML.",
+                self.seed,
+                i64::MAX
+            ));
+        }
         if g.sh_degree > 3 {
             return fail(format!("geometry.sh_degree is {}, but must be 0 to 3.", g.sh_degree));
         }
         if !(self.scale > 0.0 && self.scale <= 1.0) {
             return fail(format!("scale is {}, but must be above 0 and at most 1.", self.scale));
         }
-        let r = &g.rates;
+        if g.background.iter().any(|v| !v.is_finite()) {
+            return fail(format!("geometry.background is {:?}, but must be three finite numbers.", g.background));
+        }
+        let (r, l, d) = (&g.rates, &g.losses, &g.densify);
         for (name, value) in [
-            ("means", r.means),
-            ("means_final", r.means_final),
-            ("scales", r.scales),
-            ("rotations", r.rotations),
-            ("opacities", r.opacities),
-            ("sh0", r.sh0),
-            ("sh_rest", r.sh_rest),
-            ("normals", r.normals),
+            ("rates.means", r.means),
+            ("rates.means_final", r.means_final),
+            ("rates.scales", r.scales),
+            ("rates.rotations", r.rotations),
+            ("rates.opacities", r.opacities),
+            ("rates.sh0", r.sh0),
+            ("rates.sh_rest", r.sh_rest),
+            ("rates.normals", r.normals),
+            ("losses.l1", f64::from(l.l1)),
+            ("losses.dssim", f64::from(l.dssim)),
+            ("losses.normal", f64::from(l.normal)),
+            ("losses.normal_smooth", f64::from(l.normal_smooth)),
+            ("losses.depth_smooth", f64::from(l.depth_smooth)),
+            ("losses.depth_variance", f64::from(l.depth_variance)),
+            ("densify.grad_threshold", f64::from(d.grad_threshold)),
+            ("densify.split_size", d.split_size),
+            ("densify.prune_opacity", f64::from(d.prune_opacity)),
+            ("densify.prune_weight", f64::from(d.prune_weight)),
+            ("densify.prune_size", d.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
-                return fail(format!("geometry.rates.{name} is {value}, but must be a finite number of at least 0."));
+                return fail(format!("geometry.{name} is {value}, but must be a finite number of at least 0."));
             }
         }
-        let d = &g.densify;
+        if !(0.0..=1.0).contains(&d.until) {
+            return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", d.until));
+        }
         if d.enabled && d.interval == 0 {
             return fail("geometry.densify.interval is 0, but must be at least 1.".into());
         }
@@ -236,5 +292,128 @@ impl Settings {
             return fail("geometry.densify.max_gaussians is 0, but must be at least 1.".into());
         }
         Ok(())
+    }
+}
+
+/// A parser's message without line breaks and a full stop.
+pub(crate) fn one_line(message: &str) -> String {
+    message.trim().trim_end_matches('.').replace('\n', " ")
+}
+
+/// Every key of `given` must be known, with a value of the same kind.
+fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, all: &toml::Table) -> crate::Result<()> {
+    use toml::Value::{Array, Float, Integer, Table};
+    let fail = |what: String| Err(TrainError::Setting(what));
+    for (key, value) in given {
+        let name = format!("{prefix}{key}");
+        let Some(expected) = known.get(key) else {
+            let hint = match nearest(&name, all) {
+                Some(near) => format!("did you mean \"{near}\"?"),
+                None => format!(
+                    "there are {}.",
+                    known.keys().map(|k| format!("{prefix}{k}")).collect::<Vec<_>>().join(", ")
+                ),
+            };
+            return fail(format!("\"{name}\" is not a setting; {hint}"));
+        };
+        match (value, expected) {
+            (Table(value), Table(expected)) => compare(&format!("{name}."), value, expected, all)?,
+            (Integer(n), Integer(_)) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),
+            (Array(values), Array(expected)) => {
+                let numbers = values.iter().all(|v| matches!(v, Integer(_) | Float(_)));
+                if values.len() != expected.len() || !numbers {
+                    return fail(format!("{name} is {value}, but must be {} numbers.", expected.len()));
+                }
+            }
+            (Integer(_), Float(_)) => {}
+            (value, expected) if value.same_type(expected) => {}
+            (value, expected) => {
+                let kind = match expected {
+                    Table(_) => "a group of settings",
+                    Integer(_) => "a whole number",
+                    Float(_) => "a number",
+                    toml::Value::Boolean(_) => "true or false",
+                    _ => "text",
+                };
+                return fail(format!("{name} is {value}, but must be {kind}."));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The setting whose name, or its last part, is closest to what was written, if any is close.
+fn nearest(name: &str, all: &toml::Table) -> Option<String> {
+    fn collect(prefix: &str, table: &toml::Table, names: &mut Vec<String>) {
+        for (key, value) in table {
+            match value {
+                toml::Value::Table(inner) => collect(&format!("{prefix}{key}."), inner, names),
+                _ => names.push(format!("{prefix}{key}")),
+            }
+        }
+    }
+    let mut names = Vec::new();
+    collect("", all, &mut names);
+    let last = |n: &str| n.rsplit('.').next().unwrap_or_default().to_owned();
+    let away = |n: &String| distance(name, n).min(distance(&last(name), &last(n)) + 1);
+    let (far, near) = names.into_iter().map(|n| (away(&n), n)).min()?;
+    (far <= 3).then_some(near)
+}
+
+/// How many letters must be changed, added or left out (Levenshtein).
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.iter().enumerate() {
+            let change = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fail(text: &str) -> String {
+        Settings::from_table(text.parse().unwrap()).and_then(|s| s.check()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn all_settings_round_trip() {
+        let mut s = Settings { seed: 7, ..Settings::default() };
+        s.geometry.rates.scales = 0.1;
+        s.geometry.background = [0.1, 0.2, 0.3];
+        assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
+        assert_eq!(Settings::from_table(toml::Table::new()).unwrap(), Settings::default());
+    }
+
+    #[test]
+    fn each_fault_has_its_sentence() {
+        assert_eq!(
+            fail("[geometry]\nstep = 1"),
+            "\"geometry.step\" is not a setting; did you mean \"geometry.steps\"?"
+        );
+        assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
+        assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
+        assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
+        assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");
+        assert_eq!(fail("[geometry]\nsteps = -4"), "geometry.steps is -4, but must be at least 0.");
+        assert_eq!(fail("geometry = 3"), "geometry is 3, but must be a group of settings.");
+        assert!(fail("[geometry]\nbackground = [1, 2]").ends_with("but must be 3 numbers."));
+        assert!(fail("[geometry]\nbackground = [1, 2, nan]").contains("three finite numbers"));
+        assert!(fail("[geometry]\nnormals = 1").ends_with("but must be true or false."));
+        assert!(fail("[geometry.losses]\nl1 = nan").contains("geometry.losses.l1 is NaN"));
+        assert!(fail("[geometry.losses]\nl1 = 1e300").contains("geometry.losses.l1 is inf"));
+        assert!(fail("[geometry.densify]\nuntil = 2").contains("geometry.densify.until is 2"));
+    }
+
+    #[test]
+    fn distances() {
+        assert_eq!((distance("", "abc"), distance("abc", "abc"), distance("kitten", "sitting")), (3, 0, 3));
     }
 }

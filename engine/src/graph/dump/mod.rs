@@ -1,14 +1,16 @@
 //! Plans for people and programs: text for reading and for snapshots, JSON for tools, DOT for pictures.
 //!
-//! All three are functions of the plan alone and equal for equal plans.
+//! These three are functions of the plan alone and equal for equal plans. A trace shows measured times.
 
 mod dot;
 mod json;
 mod text;
+mod trace;
 
 pub use dot::dot;
 pub use json::json;
 pub use text::text;
+pub use trace::{Track, trace};
 
 use super::pass::{Dispatch, Pass, PassKind, Use};
 use crate::shader::Access;

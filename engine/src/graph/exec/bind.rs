@@ -53,8 +53,7 @@ impl Executor {
     ) -> Result<vk::DescriptorSet> {
         let raw = &self.device.0.raw;
         let layouts = [pipeline.set_layout];
-        let info =
-            vk::DescriptorSetAllocateInfo::default().descriptor_pool(slot.descriptors).set_layouts(&layouts);
+        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(slot.descriptors).set_layouts(&layouts);
         // SAFETY: the pool has room for one set of every pass and was reset before recording.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }.check("vkAllocateDescriptorSets", &shader.name)?[0];
         let mut buffers = Vec::with_capacity(bindings.len());

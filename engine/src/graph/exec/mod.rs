@@ -16,6 +16,7 @@ use crate::error::{Check, Error, Result};
 use crate::memory::{DeviceBuffer, Location};
 use ash::vk;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// How a plan is run.
 #[derive(Clone, Debug)]
@@ -49,6 +50,20 @@ pub struct Executor {
     slots: Vec<Slot>,
     next: usize,
     times: time::Times,
+    host: HostTimes,
+}
+
+/// What replaying has cost the host since the executor was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HostTimes {
+    /// Replays submitted.
+    pub replays: u64,
+    /// Of these, the ones that had to be recorded first.
+    pub recorded: u64,
+    /// Spent in [`Executor::submit`], waiting excluded: uniforms, recording, the submission itself.
+    pub working: Duration,
+    /// Spent waiting for the device, in [`Executor::submit`] and [`Executor::finish`].
+    pub waiting: Duration,
 }
 
 /// What one replay in flight owns.
@@ -102,6 +117,7 @@ impl Executor {
             slots: Vec::new(),
             next: 0,
             times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
+            host: HostTimes::default(),
             plan,
             options,
         };
@@ -153,11 +169,9 @@ impl Executor {
     /// # Errors
     /// If an external buffer is not bound, or the device fails.
     pub fn submit(&mut self, uniforms: &[(Buffer, &[u8])]) -> Result<Ticket> {
+        let begin = Instant::now();
         let index = self.next;
-        if let Some(ticket) = self.slots[index].ticket.take() {
-            self.device.wait(ticket, &self.plan.name)?;
-            self.times.collect(&self.device, self.slots[index].queries)?;
-        }
+        let waited = self.retire(index)?;
         if let Some(memory) = &self.slots[index].uniforms {
             for (buffer, data) in uniforms {
                 memory.write(self.uniform_offsets[buffer.index()], data)?;
@@ -165,11 +179,14 @@ impl Executor {
         }
         if !self.slots[index].recorded {
             self.record(index)?;
+            self.host.recorded += 1;
         }
         let slot = &mut self.slots[index];
         let ticket = self.device.0.submit(slot.commands, &self.plan.name)?;
         slot.ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
+        self.host.replays += 1;
+        self.host.working += begin.elapsed().saturating_sub(waited);
         Ok(ticket)
     }
 
@@ -179,13 +196,25 @@ impl Executor {
     /// [`Error::Timeout`], [`Error::DeviceLost`].
     pub fn finish(&mut self) -> Result<()> {
         for i in 0..self.slots.len() {
-            let index = (self.next + i) % self.slots.len();
-            if let Some(ticket) = self.slots[index].ticket.take() {
-                self.device.wait(ticket, &self.plan.name)?;
-                self.times.collect(&self.device, self.slots[index].queries)?;
-            }
+            self.retire((self.next + i) % self.slots.len())?;
         }
         Ok(())
+    }
+
+    /// Waits for the replay in a slot, if there is one, and takes its times; returns how long it waited.
+    fn retire(&mut self, index: usize) -> Result<Duration> {
+        let Some(ticket) = self.slots[index].ticket.take() else { return Ok(Duration::ZERO) };
+        let begin = Instant::now();
+        self.device.wait(ticket, &self.plan.name)?;
+        let waited = begin.elapsed();
+        self.host.waiting += waited;
+        self.times.collect(&self.device, self.slots[index].queries)?;
+        Ok(waited)
+    }
+
+    /// What replaying has cost the host so far.
+    pub fn host_times(&self) -> HostTimes {
+        self.host
     }
 
     /// Nanoseconds of each pass in the replays whose end was seen since the last call (empty without timestamps).

@@ -1,12 +1,9 @@
 //! How far apart points are.
 
-use std::num::NonZero;
-
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
 /// Neighbors that the mean is taken over, and the point itself.
-const QUERY: NonZero<usize> = NonZero::new(4).unwrap();
+const QUERY: usize = 4;
 
 /// For each point the mean squared distance to its three nearest neighbors; to fewer where there are fewer, and 0 for a
 /// single point. Duplicates are neighbors at distance 0.
@@ -16,17 +13,59 @@ pub(crate) fn mean_square_distances(points: &[[f32; 3]]) -> Vec<f32> {
     }
     // In double precision, because the squares of far coordinates leave nothing of the distance in single precision.
     let points: Vec<[f64; 3]> = points.iter().map(|p| p.map(f64::from)).collect();
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&points);
+    let mut tree = points.clone();
+    let mut axes = vec![0; points.len()];
+    arrange(&mut tree, &mut axes);
+    // One of the nearest is the point itself, or a duplicate of it that is as far away.
+    let neighbors = points.len().min(QUERY) - 1;
     points
         .par_iter()
         .map(|point| {
-            let nearest = tree.nearest_n::<SquaredEuclidean>(point, QUERY);
-            // One of them is the point itself, or a duplicate of it that is as far away.
-            let neighbors = nearest.len().saturating_sub(1).max(1);
-            let sum: f64 = nearest.iter().map(|n| n.distance).sum();
-            (sum / neighbors as f64) as f32
+            let mut nearest = [f64::INFINITY; QUERY];
+            search(&tree, &axes, point, &mut nearest);
+            (nearest[..=neighbors].iter().sum::<f64>() / neighbors as f64) as f32
         })
         .collect()
+}
+
+/// Makes a k-d tree of the points: the middle one divides the others along its axis, the longest of their box.
+fn arrange(points: &mut [[f64; 3]], axes: &mut [u8]) {
+    if points.len() < 2 {
+        return;
+    }
+    let extent = |k: usize| {
+        let (low, high) =
+            points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[k]), h.max(p[k])));
+        high - low
+    };
+    let axis = (0..3).max_by(|a, b| extent(*a).total_cmp(&extent(*b))).unwrap_or(0);
+    let middle = points.len() / 2;
+    points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
+    axes[middle] = axis as u8;
+    let (low, rest) = points.split_at_mut(middle);
+    let (low_axes, rest_axes) = axes.split_at_mut(middle);
+    rayon::join(|| arrange(low, low_axes), || arrange(&mut rest[1..], &mut rest_axes[1..]));
+}
+
+/// Puts the smallest squared distances to points of the tree into `nearest`, ascending.
+fn search(tree: &[[f64; 3]], axes: &[u8], point: &[f64; 3], nearest: &mut [f64; QUERY]) {
+    if tree.is_empty() {
+        return;
+    }
+    let middle = tree.len() / 2;
+    let distance: f64 = (0..3).map(|k| (tree[middle][k] - point[k]).powi(2)).sum();
+    if distance < nearest[QUERY - 1] {
+        nearest[QUERY - 1] = distance;
+        nearest.sort_by(f64::total_cmp);
+    }
+    let axis = axes[middle] as usize;
+    let side = point[axis] - tree[middle][axis];
+    let (low, high) = ((&tree[..middle], &axes[..middle]), (&tree[middle + 1..], &axes[middle + 1..]));
+    let (near, far) = if side < 0.0 { (low, high) } else { (high, low) };
+    search(near.0, near.1, point, nearest);
+    if side * side < nearest[QUERY - 1] {
+        search(far.0, far.1, point, nearest);
+    }
 }
 
 #[cfg(test)]

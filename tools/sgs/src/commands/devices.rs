@@ -4,8 +4,7 @@ use crate::common::Common;
 
 pub fn run(common: &Common) -> anyhow::Result<()> {
     let devices = sgs_engine::devices()?;
-    if common.json_to_stdout() {
-        println!("{}", serde_json::to_string_pretty(&devices)?);
+    if common.answer(&devices)? {
         return Ok(());
     }
     if devices.is_empty() {

@@ -4,7 +4,7 @@ use super::train::{open_scene, validated};
 use crate::cameras::{splats_of, upload};
 use crate::common::Common;
 use anyhow::bail;
-use sgs_scene::write_png;
+use sgs_scene::{Image, write_png};
 use sgs_train::{Evaluation, RunDirectory, evaluate};
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ pub struct Args {
     /// Which views.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
-    /// Also write every rendered view as PNG into this directory.
+    /// Also write every view as PNG into this directory: color, normals, depth, and truth beside them.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
 }
@@ -49,11 +49,16 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let result = evaluate(&device, &scene, &gaussians, views, settings.geometry.background, |name, rendered| {
         if let Some(dir) = &a.images {
             write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+            let view = scene.views.iter().position(|v| v.camera.name == name);
+            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+            row.push(rendered.rgb.clone());
             if let Some(normal) = &rendered.normal {
                 let mut shown = normal.clone();
                 shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
                 write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+                row.push(shown);
             }
+            write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
             let mut shown = rendered.depth.clone();
             let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
             shown.data.iter_mut().for_each(|v| *v /= far);
@@ -63,18 +68,18 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     })?;
     let split = if a.split == Split::Test { "test" } else { "train" };
     record(&run, split, &result, splats.len())?;
-    if let Some(path) = &common.json {
-        let text = serde_json::to_string_pretty(&result)?;
-        if common.json_to_stdout() {
-            println!("{text}");
-        } else {
-            sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
-        }
-    }
-    if !common.json_to_stdout() {
+    if !common.answer(&result)? {
         print_table(&result);
     }
     validated(&device)
+}
+
+/// Color images of one height next to each other.
+fn beside(images: &[Image]) -> Image {
+    let (width, height) = (images.iter().map(|i| i.width).sum(), images.first().map_or(0, |i| i.height));
+    let row =
+        |y: u32| images.iter().flat_map(move |i| (0..i.width).flat_map(move |x| i.pixel(x, y)[..3].iter().copied()));
+    Image { width, height, channels: 3, data: (0..height).flat_map(row).collect() }
 }
 
 /// Puts the result into `metrics.json` beside what is there.
@@ -98,8 +103,22 @@ fn print_table(e: &Evaluation) {
     println!("{:<20} {:>8} {:>8} {:>10} {:>10}", "view", "PSNR", "SSIM", "normal °", "depth rel");
     let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     for v in &e.views {
-        println!("{:<20} {:>8.2} {:>8.4} {:>10} {:>10}", v.name, v.nvs.psnr, v.nvs.ssim, cell(v.normal_mae_deg, 2), cell(v.depth_rel, 4));
+        println!(
+            "{:<20} {:>8.2} {:>8.4} {:>10} {:>10}",
+            v.name,
+            v.nvs.psnr,
+            v.nvs.ssim,
+            cell(v.normal_mae_deg, 2),
+            cell(v.depth_rel, 4)
+        );
     }
     let m = &e.mean;
-    println!("{:<20} {:>8.2} {:>8.4} {:>10} {:>10}", "mean", m.nvs.psnr, m.nvs.ssim, cell(m.normal_mae_deg, 2), cell(m.depth_rel, 4));
+    println!(
+        "{:<20} {:>8.2} {:>8.4} {:>10} {:>10}",
+        "mean",
+        m.nvs.psnr,
+        m.nvs.ssim,
+        cell(m.normal_mae_deg, 2),
+        cell(m.depth_rel, 4)
+    );
 }

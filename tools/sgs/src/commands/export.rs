@@ -20,7 +20,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let (splats, _) = splats_of(&a.run)?;
     splats.write_ply(&a.output)?;
-    if !common.quiet {
+    if !common.answer(&serde_json::json!({"gaussians": splats.len(), "file": a.output}))? && !common.quiet {
         eprintln!("wrote {} Gaussians to {}", splats.len(), a.output.display());
     }
     Ok(())

@@ -24,9 +24,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut training = Geometry::new(&device, &scene, &s, None)?;
     let g = training.gaussians();
     let (count, model, capacity, gaussian_bytes) = (g.count(&device)?, g.model, g.capacity, g.bytes());
-    let plan = training.executor().plan().clone();
+    let plan = training.executor()?.plan().clone();
     let (now, _) = device.memory_use();
-    if common.json_to_stdout() {
+    if common.json.is_some() {
         let value = serde_json::json!({
             "views": scene.split.train.len(),
             "gaussians": count,
@@ -40,15 +40,28 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
         });
-        println!("{}", serde_json::to_string_pretty(&value)?);
-        return Ok(());
+        if common.answer(&value)? {
+            return Ok(());
+        }
     }
     let mib = |b: u64| b as f64 / f64::from(1 << 20);
-    println!("scene       {} ({} training views, {} test views)", a.scene.display(), scene.split.train.len(), scene.split.test.len());
+    println!(
+        "scene       {} ({} training views, {} test views)",
+        a.scene.display(),
+        scene.split.train.len(),
+        scene.split.test.len()
+    );
     println!("device      {}", device.info().name);
-    println!("Gaussians   {count} at first, room for {capacity} ({:.1} MiB with gradients' moments)", mib(gaussian_bytes));
+    println!(
+        "Gaussians   {count} at first, room for {capacity} ({:.1} MiB with gradients' moments)",
+        mib(gaussian_bytes)
+    );
     println!("color       spherical harmonics of degree {} (geometry.sh_degree)", model.sh_degree);
-    let why = if model.normals { "the scene has normal priors" } else { "left out: no normal priors, or they are switched off" };
+    let why = if model.normals {
+        "the scene has normal priors"
+    } else {
+        "left out: no normal priors, or they are switched off"
+    };
     println!("normals     {} ({why})", if model.normals { "one a Gaussian" } else { "none" });
     println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
     println!(

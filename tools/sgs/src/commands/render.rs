@@ -28,7 +28,14 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
     /// Color behind everything.
-    #[arg(long, value_name = "r,g,b", value_delimiter = ',', num_args = 1, default_value = "0,0,0", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "r,g,b",
+        value_delimiter = ',',
+        num_args = 1,
+        default_value = "0,0,0",
+        allow_negative_numbers = true
+    )]
     background: Vec<f32>,
 }
 
@@ -48,6 +55,9 @@ enum Format {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let [r, g, b] = a.background[..] else { bail!("--background takes three numbers, r,g,b.") };
+    if ![r, g, b].iter().all(|v| v.is_finite()) {
+        bail!("--background is {r},{g},{b}, but must be finite numbers.");
+    }
     let (splats, _) = splats_of(&a.source)?;
     let cameras = Camera::read_transforms(&a.cameras)?;
     if cameras.is_empty() {
@@ -58,23 +68,35 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let device = common.open_device()?;
     let gaussians = upload(&device, &splats)?;
-    let channels = Channels { normals: a.channels.contains(&Channel::Normal), depth: a.channels.contains(&Channel::Depth) };
+    let channels =
+        Channels { normals: a.channels.contains(&Channel::Normal), depth: a.channels.contains(&Channel::Depth) };
     let mut renderer = Renderer::new(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
-    std::fs::create_dir_all(&a.output).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
+    std::fs::create_dir_all(&a.output)
+        .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
     let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
+    let mut written = Vec::new();
     for (i, camera) in cameras.iter().enumerate() {
         let c = sgs_train::camera(camera);
         let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, [r, g, b])?;
         for channel in &a.channels {
-            write(&a.output, &camera.name, *channel, a.format, &picture, channels)?;
+            written.push(write(&a.output, &camera.name, *channel, a.format, &picture, channels)?);
         }
         bar.set(i as u64 + 1, || camera.name.clone());
     }
     bar.finish();
+    common.answer(&serde_json::json!({"gaussians": splats.len(), "files": written}))?;
     validated(&device)
 }
 
-fn write(dir: &Path, stem: &str, channel: Channel, format: Format, p: &Picture, channels: Channels) -> anyhow::Result<()> {
+/// Writes one channel of a picture; gives the file's path.
+fn write(
+    dir: &Path,
+    stem: &str,
+    channel: Channel,
+    format: Format,
+    p: &Picture,
+    channels: Channels,
+) -> anyhow::Result<PathBuf> {
     let c = p.channels as usize;
     let pixels = p.transmittance.len();
     let pick = |from: usize, count: usize| -> Vec<f32> {
@@ -87,8 +109,10 @@ fn write(dir: &Path, stem: &str, channel: Channel, format: Format, p: &Picture, 
         Channel::Depth => ("depth", &["Z"], pick(if channels.normals { 6 } else { 3 }, 1)),
     };
     let mut image = Image { width: p.size[0], height: p.size[1], channels: names.len() as u32, data };
+    let extension = if format == Format::Exr { "exr" } else { "png" };
+    let path = dir.join(format!("{stem}_{name}.{extension}"));
     match format {
-        Format::Exr => write_exr(&dir.join(format!("{stem}_{name}.exr")), &image, names)?,
+        Format::Exr => write_exr(&path, &image, names)?,
         Format::Png => {
             match channel {
                 Channel::Normal => image.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5),
@@ -99,8 +123,8 @@ fn write(dir: &Path, stem: &str, channel: Channel, format: Format, p: &Picture, 
                 _ => {}
             }
             image.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-            write_png(&dir.join(format!("{stem}_{name}.png")), &image)?;
+            write_png(&path, &image)?;
         }
     }
-    Ok(())
+    Ok(path)
 }

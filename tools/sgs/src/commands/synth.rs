@@ -46,7 +46,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(bar) = bar.into_inner().unwrap_or_else(|e| e.into_inner()) {
         bar.finish();
     }
-    if !common.quiet {
+    if !common.answer(&serde_json::json!({"scene": a.out}))? && !common.quiet {
         eprintln!("wrote {}", a.out.display());
     }
     Ok(())

@@ -3,12 +3,17 @@
 use crate::common::Common;
 use crate::ui::{Bar, interrupted};
 use anyhow::bail;
+use sgs_engine::graph::dump::{Track, trace};
+use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, SceneOptions};
 use sgs_train::{Geometry, Progress, RunDirectory, Settings, StepLog};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+
+/// Steps at the end whose passes are timed for `profile.json`.
+const TIMED: u32 = 4;
 
 /// Options that shape training; `sgs plan` takes them too.
 #[derive(clap::Args)]
@@ -60,23 +65,28 @@ enum Stage {
 
 /// Settings from file, then from `--set`, then from the options of their own.
 pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
-    let mut table = match &o.config {
+    let table = match &o.config {
         None => toml::Table::new(),
         Some(path) => {
             let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
-            text.parse().map_err(|e: toml::de::Error| anyhow::anyhow!("\"{}\": {}.", path.display(), e.message()))?
+            let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
+            text.parse().map_err(|e| anyhow::anyhow!("\"{}\": {}.", path.display(), wrong(e)))?
         }
     };
+    settings_over(table, scene, o)
+}
+
+/// The settings of a table, changed by `--set` and the options.
+fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     for pair in &o.set {
         let Some((key, value)) = pair.split_once('=') else {
             bail!("--set takes KEY=VALUE, not \"{pair}\".");
         };
         set(&mut table, key.trim(), value.trim())?;
     }
-    let mut s: Settings = toml::Value::Table(table).try_into().map_err(|e: toml::de::Error| {
-        anyhow::anyhow!("A setting is wrong: {}.", e.message().trim().trim_end_matches('.').replace('\n', " "))
-    })?;
-    s.scene = scene.to_owned();
+    let mut s = Settings::from_table(table)?;
+    // Whoever opens the run may stand in another directory.
+    s.scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     if let Some(n) = o.geometry_steps {
         s.geometry.steps = n;
     }
@@ -133,26 +143,45 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
     Ok(scene)
 }
 
+/// The settings that a run was begun with. What the command line says must agree with them, since other settings would
+/// give neither the old run nor a new one.
+fn resumed(a: &Args) -> anyhow::Result<Settings> {
+    let began = RunDirectory::open(&a.output)?.settings()?;
+    let asked = match a.options.config {
+        Some(_) => settings(&a.scene, &a.options)?,
+        None => settings_over(began.to_table()?, &a.scene, &a.options)?,
+    };
+    // The scene may have moved.
+    let began = Settings { scene: asked.scene.clone(), ..began };
+    if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
+        bail!(
+            "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
+            a.output.display()
+        );
+    }
+    Ok(began)
+}
+
+/// The first setting that differs: its name and both values.
+fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String, String, String)> {
+    a.iter().find_map(|(key, x)| match (x, b.get(key)) {
+        (toml::Value::Table(x), Some(toml::Value::Table(y))) => difference(&format!("{prefix}{key}."), x, y),
+        (x, Some(y)) if x != y => Some((format!("{prefix}{key}"), x.to_string(), y.to_string())),
+        _ => None,
+    })
+}
+
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let Stage::Geometry = a.stage;
     let resuming = a.resume && a.output.join("config.toml").is_file();
-    let settings = if resuming {
-        let mut s = RunDirectory::open(&a.output)?.settings()?;
-        s.scene.clone_from(&a.scene);
-        if let Some(n) = a.options.geometry_steps {
-            if n != s.geometry.steps {
-                bail!("The run was begun for {} steps; --geometry-steps {n} would change its schedules.", s.geometry.steps);
-            }
-        }
-        s
-    } else {
-        settings(&a.scene, &a.options)?
-    };
+    let settings = if resuming { resumed(a)? } else { settings(&a.scene, &a.options)? };
     let scene = open_scene(&settings)?;
     let device = common.open_device()?;
     let run = RunDirectory::create(&a.output)?;
     let mut training = Geometry::new(&device, &scene, &settings, None)?;
-    if resuming && run.checkpoint().is_file() {
+    if !resuming {
+        run.forget()?;
+    } else if run.checkpoint().is_file() {
         training.restore(&run.checkpoint())?;
     }
     run.write_settings(&settings)?;
@@ -168,7 +197,13 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             0 => steps,
             n => n,
         };
-        let next = ((training.step() / interval + 1) * interval).min(steps);
+        let mut next = ((training.step() / interval + 1) * interval).min(steps);
+        let timed = steps.saturating_sub(TIMED);
+        if training.step() < timed {
+            next = next.min(timed);
+        } else {
+            training.set_timestamps(true)?;
+        }
         let heard = |p: &Progress| {
             if let Progress::Step(r) = p {
                 if r.step % 10 == 0 || r.step == 1 || r.step == steps {
@@ -181,17 +216,26 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             }
         };
         training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
-        training.save(&run.checkpoint())?;
+        let step = training.step();
+        if step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
+            training.save(&run.checkpoint())?;
+        }
     }
     bar.finish();
     if let Some(e) = failure {
         tracing::warn!("log.jsonl could not be written: {e}");
     }
     if training.step() < steps {
-        eprintln!("stopped after step {}; go on with: sgs train {} -o {} --resume", training.step(), a.scene.display(), a.output.display());
+        eprintln!(
+            "stopped after step {}; go on with: sgs train {} -o {} --resume",
+            training.step(),
+            a.scene.display(),
+            a.output.display()
+        );
         std::process::exit(1);
     }
     training.splats()?.write_ply(&run.path("scene.ply"))?;
+    write_profile(&run, &training.take_times())?;
     let seconds = started.elapsed().as_secs_f64();
     let summary = serde_json::json!({
         "steps": steps,
@@ -202,12 +246,21 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         "device": device.info().name,
     });
     run.write_json("training.json", &summary)?;
-    if common.json_to_stdout() {
-        println!("{summary}");
-    } else if !common.quiet {
-        eprintln!("{} Gaussians after {steps} steps in {seconds:.0} s; wrote {}", summary["gaussians"], a.output.display());
+    if !common.answer(&summary)? && !common.quiet {
+        eprintln!(
+            "{} Gaussians after {steps} steps in {seconds:.0} s; wrote {}",
+            summary["gaussians"],
+            a.output.display()
+        );
     }
     validated(&device)
+}
+
+/// The last step as a Chrome trace.
+fn write_profile(run: &RunDirectory, times: &[PassTime]) -> anyhow::Result<()> {
+    let replay = times.iter().map(|t| t.start.len()).min().unwrap_or(0).saturating_sub(1);
+    let text = trace(&[Track { name: "geometry step", times, replay }]);
+    Ok(sgs_scene::atomic_write(&run.path("profile.json"), |f| f.write_all(text.as_bytes()))?)
 }
 
 /// In validation mode any message is a failure.

@@ -60,7 +60,7 @@ impl Surfaces {
     /// Builds the hierarchy.
     pub(crate) fn new(triangles: &[Triangle], attributes: &[Attributes]) -> Self {
         let mut elapsed = Duration::ZERO;
-        let bvh = build_cwbvh_from_tris(triangles, BvhBuildParams::medium_build(), &mut elapsed);
+        let bvh = build_cwbvh_from_tris(triangles, BvhBuildParams::slow_build(), &mut elapsed);
         // The hierarchy may hold primitives in its own order: storing triangles the same way saves an indirection.
         let order = bvh.primitive_indices.iter().map(|i| *i as usize);
         let corners = order.clone().map(|i| RtTriangle::from(&triangles[i])).collect();

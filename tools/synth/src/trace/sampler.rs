@@ -7,6 +7,9 @@ use glam::Vec2;
 
 use crate::rng::{mix32, unit};
 
+/// Decisions after these hardly profit from even coverage and get independent points, which cost less.
+const WELL_DISTRIBUTED: u32 = 10;
+
 /// The points of one sample of one pixel.
 #[derive(Debug, Clone)]
 pub(crate) struct Sampler {
@@ -25,8 +28,12 @@ impl Sampler {
     pub(crate) fn pair(&mut self) -> Vec2 {
         self.dimension += 1;
         let seed = mix32(self.key ^ self.dimension.wrapping_mul(0x9e37_79b9));
+        if self.dimension > WELL_DISTRIBUTED {
+            let x = mix32(seed ^ self.index.wrapping_mul(0x85eb_ca6b));
+            return Vec2::new(unit(x), unit(mix32(x ^ 0x27d4_eb2f)));
+        }
         // Only the low bits of the shuffled index count: the high ones are the same for all samples of a pixel.
-        let index = scramble(self.index.reverse_bits(), seed).reverse_bits() & 0xffff;
+        let index = scramble(self.index.reverse_bits(), seed).reverse_bits() & 0x3_ffff;
         let x = scramble(index, mix32(seed ^ 0x68bc_21eb));
         let y = scramble(second(index), mix32(seed ^ 0x02e5_be93));
         Vec2::new(unit(x.reverse_bits()), unit(y.reverse_bits()))

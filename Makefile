@@ -1,0 +1,43 @@
+# What people and CI run. Each target sees to the system packages first (tools/setup, quick when nothing is missing).
+
+CARGO ?= cargo
+# Where the demo leaves its pictures, and how long it trains.
+OUT ?= out/demo
+DEMO_STEPS ?= 1200
+
+.PHONY: help demo test bench lint docs check setup
+.NOTPARALLEL:
+
+help:
+	@echo "make demo    synthesize a room, train on it, leave pictures in $(OUT)"
+	@echo "make test    everything that CI checks"
+	@echo "make bench   time every pass and a whole step on this machine's device"
+	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
+	@echo "make docs    the API documentation, in target/doc"
+	@echo "make setup   install or name missing system packages"
+
+setup:
+	@tools/setup
+
+demo: setup
+	$(CARGO) build --release --locked -p sgs
+	DEMO_STEPS=$(DEMO_STEPS) tools/demo "$${CARGO_TARGET_DIR:-target}/release/sgs" "$(OUT)"
+
+# The tests include the layers, so this is lint and more.
+test: check
+	$(CARGO) test --workspace --locked
+
+lint: check
+	$(CARGO) test --locked -p sgs-tests --test layers
+
+check: setup
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
+
+docs: setup
+	$(CARGO) doc --workspace --no-deps --locked
+
+bench: setup
+	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- passes
+	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- step

@@ -1,0 +1,174 @@
+//! `engine-bench ceiling`: the most that the device does, measured on the device. Every share of other commands is a
+//! share of this.
+
+use crate::common::Common;
+use crate::harness::{Rig, bytes};
+use crate::report::Report;
+use crate::stats::Summary;
+use serde::{Deserialize, Serialize};
+use sgs_engine::Device;
+use sgs_engine::graph::{Graph, GraphError};
+use sgs_passes::kernel::{groups, stage};
+use sgs_shaders::{fill, fma_probe};
+
+/// What a device can do at best.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ceiling {
+    /// Bytes read plus bytes written, in a second: the best of a large `vkCmdCopyBuffer` and a kernel that fills.
+    pub bytes_per_second: f64,
+    /// Single-precision operations in a second, a multiply-add counting two.
+    pub operations_per_second: f64,
+    /// Of the copy alone.
+    pub copy_bytes_per_second: f64,
+    /// Of the fill kernel alone.
+    pub fill_bytes_per_second: f64,
+}
+
+/// Invocations of a workgroup of the probes.
+const WORKGROUP: u32 = 256;
+
+/// Operations of an invocation and round of `fma_probe`.
+const PROBE_OPERATIONS: f64 = 128.0;
+
+/// Repetitions at least: on a shared machine one in many runs undisturbed.
+const REPEATS: u32 = 24;
+
+/// Bytes of a copy, invocations and rounds of the arithmetic probe: some milliseconds of work, and on a processor so
+/// little that some repetitions fit between two interruptions.
+fn sizes(device: &Device) -> (u64, u32, u32) {
+    // The copy is larger than caches are, and what it copies can be bound as a whole.
+    let (bytes, invocations, rounds) =
+        if device.info().kind == "cpu" { (64 << 20, 1 << 14, 64) } else { (256 << 20, 1 << 20, 1024) };
+    (u64::min(bytes, device.info().max_storage_range / 256 * 256), invocations, rounds)
+}
+
+impl Ceiling {
+    /// Measures it: the best of some repetitions, since nothing makes a device faster than it is.
+    ///
+    /// # Errors
+    /// If the device fails, or a probe's result is wrong.
+    pub fn measure(device: &Device) -> anyhow::Result<Ceiling> {
+        let (size, invocations, rounds) = sizes(device);
+        let (warmup, repeats) = (1, REPEATS);
+        let copy_bytes_per_second = 2.0 * size as f64 / copy(device, size, warmup, repeats)?.least;
+        let fill_bytes_per_second = size as f64 / fill_kernel(device, size, warmup, repeats / 4)?.least;
+        let operations = PROBE_OPERATIONS * f64::from(invocations) * f64::from(rounds);
+        let operations_per_second = operations / multiply_adds(device, invocations, rounds, warmup, repeats)?.least;
+        Ok(Ceiling {
+            bytes_per_second: copy_bytes_per_second.max(fill_bytes_per_second),
+            operations_per_second,
+            copy_bytes_per_second,
+            fill_bytes_per_second,
+        })
+    }
+}
+
+/// Seconds of the only pass of a graph: by the device's clock, or by the host's where the device has none.
+fn seconds(rig: &mut Rig, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
+    let (times, wall) = rig.measure(warmup, repeats)?;
+    let samples = times.first().map(|t| t.nanoseconds.clone()).filter(|s| !s.is_empty()).unwrap_or(wall);
+    Ok(Summary::of(&samples).scaled(1e-9))
+}
+
+fn copy(device: &Device, size: u64, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
+    let mut g = Graph::new("copy");
+    let (from, to) = (g.input("from", size), g.external("to", size));
+    g.copy("copy", from, to)?;
+    let pattern: Vec<u32> = (0..size as u32 / 4).collect();
+    let mut rig = Rig::new(device, g, vec![(from, bytes(&pattern))], true)?;
+    let time = seconds(&mut rig, warmup, repeats)?;
+    anyhow::ensure!(rig.get::<u32>(to)? == pattern, "A copied buffer differs from its source.");
+    Ok(time)
+}
+
+fn add_fill(g: &mut Graph, name: &str, target: sgs_engine::graph::Slice, words: u32) -> Result<(), GraphError> {
+    let bindings = fill::Bindings { target };
+    let push = fill::Push { count: words, value: 7 };
+    let specs = fill::Specs { workgroup: WORKGROUP };
+    stage(g, name, &fill::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(words), WORKGROUP))
+}
+
+fn fill_kernel(device: &Device, size: u64, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
+    let mut g = Graph::new("fill");
+    let target = g.external("target", size);
+    add_fill(&mut g, "fill", target.into(), (size / 4) as u32)?;
+    let mut rig = Rig::new(device, g, vec![], true)?;
+    let time = seconds(&mut rig, warmup, repeats)?;
+    anyhow::ensure!(rig.get::<u32>(target)?.iter().all(|&w| w == 7), "The fill kernel left words out.");
+    Ok(time)
+}
+
+fn multiply_adds(device: &Device, invocations: u32, rounds: u32, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
+    let mut g = Graph::new("multiply_adds");
+    let result = g.external("result", 4 * u64::from(invocations));
+    let bindings = fma_probe::Bindings { result: result.into() };
+    // The chains run towards summand / (1 - factor) = 4, for eight lanes 32.
+    let push = fma_probe::Push { rounds, factor: 0.75, summand: 1.0 };
+    let specs = fma_probe::Specs { workgroup: WORKGROUP };
+    stage(&mut g, "fma_probe", &fma_probe::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(invocations), WORKGROUP))?;
+    let mut rig = Rig::new(device, g, vec![], true)?;
+    let time = seconds(&mut rig, warmup, repeats)?;
+    let right = rig.get::<f32>(result)?.iter().all(|&v| (v - 32.0).abs() < 1e-3);
+    anyhow::ensure!(right, "The arithmetic probe's chains did not converge.");
+    Ok(time)
+}
+
+/// Nanoseconds of a replay of so many tiny dispatches, each after the one before or all at once: the least, since it is
+/// a fixed cost that is looked for.
+fn dispatches(device: &Device, count: u32, ordered: bool, warmup: u32, repeats: u32) -> anyhow::Result<f64> {
+    let mut g = Graph::new("dispatches");
+    let target = g.external("target", 256 * u64::from(count));
+    for i in 0..count {
+        let at = if ordered { 0 } else { 256 * u64::from(i) };
+        add_fill(&mut g, &format!("fill{i}"), target.slice(at, 256), 64)?;
+    }
+    let mut rig = Rig::new(device, g, vec![], false)?;
+    let barriers = rig.plan().groups.len() as u32;
+    anyhow::ensure!(barriers == if ordered { count } else { 1 }, "The plan has {barriers} groups.");
+    let (_, wall) = rig.measure(warmup, repeats.max(REPEATS))?;
+    Ok(Summary::of(&wall).least)
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the device fails or a probe's result is wrong.
+pub fn run(common: &Common) -> anyhow::Result<()> {
+    let device = common.open_device()?;
+    let mut report = common.report("ceiling", &device);
+    let (size, invocations, rounds) = sizes(&device);
+    report.setting("copy bytes", size);
+    report.setting("probe invocations", invocations);
+    report.setting("probe rounds", rounds);
+    let (warmup, repeats) = (common.warmup, common.repeats);
+    let ceiling = Ceiling::measure(&device)?;
+    report.ceiling = Some(ceiling);
+    report.time("vkCmdCopyBuffer", "ms", copy(&device, size, warmup, repeats)?.scaled(1e3));
+    report.time("fill kernel", "ms", fill_kernel(&device, size, warmup, repeats)?.scaled(1e3));
+    let probe = multiply_adds(&device, invocations, rounds, warmup, repeats)?;
+    report.time("multiply-adds", "ms", probe.scaled(1e3));
+    report.fact("copy, GB/s read and written", ceiling.copy_bytes_per_second / 1e9);
+    report.fact("fill kernel, GB/s written", ceiling.fill_bytes_per_second / 1e9);
+    report.fact("multiply-adds, G operations/s", ceiling.operations_per_second / 1e9);
+    overheads(&device, &mut report, warmup, repeats)?;
+    report.check("copy, fill and probe left what they should");
+    common.finish(&report, &device)
+}
+
+/// A dispatch, a barrier and a submission: what is left when there is nothing to do.
+fn overheads(device: &Device, report: &mut Report, warmup: u32, repeats: u32) -> anyhow::Result<()> {
+    let (few, many) = (32, 512);
+    let slope = |ordered: bool| -> anyhow::Result<f64> {
+        let low = dispatches(device, few, ordered, warmup, repeats)?;
+        let high = dispatches(device, many, ordered, warmup, repeats)?;
+        Ok((high - low) / f64::from(many - few))
+    };
+    let (free, ordered) = (slope(false)?, slope(true)?);
+    report.fact("a dispatch, us", free / 1e3);
+    report.fact("a barrier, us", (ordered - free) / 1e3);
+    let one = dispatches(device, 1, false, warmup, repeats)?;
+    report.fact("a submission and the wait for it, us", one / 1e3);
+    Ok(())
+}

@@ -1,0 +1,359 @@
+//! `engine-bench step`: a whole training step and a whole render, pass by pass, and what they cost the host.
+
+use super::ceiling::Ceiling;
+use crate::common::{Common, parse_size};
+use crate::cost::Counts;
+use crate::harness::{add_passes, spans};
+use crate::micro::view::{Subject, overlap};
+use crate::micro::{Context, densify};
+use crate::report::Report;
+use crate::stats::Summary;
+use crate::trainer::{Run, Trainer, first_entry_capacity};
+use crate::workload::{Synthetic, Workload, directory, synthetic};
+use sgs_engine::Device;
+use sgs_engine::graph::Plan;
+use sgs_engine::graph::dump::{Track, trace};
+use sgs_engine::graph::exec::PassTime;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Renderer, StepReport};
+use sgs_passes::splat::BackwardKernel;
+use std::path::PathBuf;
+
+/// Options of the command.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Gaussians of the synthetic room; 20000 on a processor, 1000000 elsewhere.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=50_000_000))]
+    pub gaussians: Option<u32>,
+    /// Size of its views; 320x240 on a processor, 1920x1080 elsewhere.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    pub size: Option<[u32; 2]>,
+    /// A scene directory in place of the synthetic room.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["gaussians", "size"])]
+    pub scene: Option<PathBuf>,
+    /// Which step.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub stage: Stage,
+    /// Steps to measure, in place of --repeats.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: Option<u32>,
+    /// Gather the statistics of densification, and measure densification itself.
+    #[arg(long)]
+    pub densify: bool,
+    /// With normals and depth, their losses, and normal priors.
+    #[arg(long)]
+    pub normals: bool,
+    /// Degree of the spherical harmonics.
+    #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
+    pub sh_degree: u32,
+    /// Backward kernel of blending.
+    #[arg(long, value_enum, default_value = "pixel")]
+    pub backward: Backward,
+    /// Write a Chrome trace of one step and one render.
+    #[arg(long, value_name = "FILE.json")]
+    pub trace: Option<PathBuf>,
+}
+
+/// Which step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Stage {
+    /// Geometry and appearance.
+    Geometry,
+}
+
+/// Which backward kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Backward {
+    /// Lanes are pixels.
+    Pixel,
+    /// Lanes are splats.
+    Splat,
+}
+
+impl From<Backward> for BackwardKernel {
+    fn from(b: Backward) -> Self {
+        match b {
+            Backward::Pixel => BackwardKernel::Pixel,
+            Backward::Splat => BackwardKernel::Splat,
+        }
+    }
+}
+
+impl Args {
+    /// Sizes that suit a device: small on a processor, and on a GPU large enough to fill it.
+    pub fn sizes(device: &Device, gaussians: Option<u32>, size: Option<[u32; 2]>) -> (u32, [u32; 2]) {
+        let cpu = device.info().kind == "cpu";
+        let gaussians = gaussians.unwrap_or(if cpu { 20_000 } else { 1_000_000 });
+        (gaussians, size.unwrap_or(if cpu { [320, 240] } else { [1920, 1080] }))
+    }
+
+    /// The scene, and its sizes in the report.
+    ///
+    /// # Errors
+    /// If it cannot be read or made.
+    pub fn workload(&self, device: &Device, report: &mut Report) -> anyhow::Result<Workload> {
+        let workload = match &self.scene {
+            Some(path) => directory(device, path, self.normals, self.densify, self.sh_degree)?,
+            None => {
+                let (gaussians, size) = Args::sizes(device, self.gaussians, self.size);
+                let room = Synthetic {
+                    gaussians,
+                    size,
+                    normals: self.normals,
+                    densify: self.densify,
+                    sh_degree: self.sh_degree,
+                };
+                synthetic(device, &room)?
+            }
+        };
+        report.setting("scene", workload.name.clone());
+        report.setting("gaussians", workload.start.len());
+        report.setting("size", format!("{}x{}", workload.largest[0], workload.largest[1]));
+        report.setting("views", workload.views.len());
+        report.setting("degree", self.sh_degree);
+        report.setting("normals", self.normals);
+        report.setting("densify", self.densify);
+        report.setting("backward", format!("{:?}", self.backward).to_lowercase());
+        Ok(workload)
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the device fails, or what is measured is not what it should be.
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let Stage::Geometry = a.stage;
+    let device = common.open_device()?;
+    let mut report = common.report("step", &device);
+    let steps = a.steps.unwrap_or(common.repeats);
+    report.repeats = steps;
+    let ceiling = Ceiling::measure(&common.open_device()?)?;
+    report.ceiling = Some(ceiling);
+    let workload = a.workload(&device, &mut report)?;
+
+    let capacity = first_entry_capacity(workload.start.len());
+    let mut trainer = Trainer::new(&device, &workload, a.backward.into(), capacity)?;
+    // Once around the views, so that no view finds too little room later.
+    trainer.run(common.warmup.max(workload.views.len() as u32))?;
+    let plain = trainer.run(steps)?;
+    host(&mut report, &plain)?;
+    trainer.set_timestamps(true)?;
+    trainer.run(common.warmup.clamp(1, 3))?;
+    let timed = trainer.run(steps)?;
+    let plan = trainer.plan();
+    let counts = counts(&device, &workload, &trainer, &timed, &mut report)?;
+    add_passes(&mut report, &plan, &timed.times, &counts, &ceiling);
+    report.value("step on the device, timestamps on", "ms", Summary::of(&spans(&timed.times)).scaled(1e-6));
+    shape(&mut report, "step", &plan);
+    memory(&mut report, &device, &workload, &mut trainer)?;
+    losses(&mut report, &plain, &timed)?;
+    let render = render(&device, common, &workload, &trainer, &mut report, &ceiling, &counts)?;
+    if a.densify {
+        let context = Context {
+            device: &device,
+            tuning: Tuning::for_device(device.info()),
+            warmup: common.warmup,
+            repeats: common.repeats,
+            ceiling,
+            elements: 0,
+            workload: &workload,
+        };
+        densify::one(&context, &mut report)?;
+    }
+    if let Some(path) = &a.trace {
+        let replay = timed.reports.len() / 2;
+        let tracks = [
+            Track { name: &plan.name, times: &timed.times, replay },
+            Track { name: "render", times: &render, replay: 0 },
+        ];
+        let text = trace(&tracks);
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+    }
+    common.finish(&report, &device)
+}
+
+/// Means over the measured steps. How many pixels an entry meets is counted on the host in three of the views.
+fn counts(
+    device: &Device,
+    workload: &Workload,
+    trainer: &Trainer<'_>,
+    run: &Run,
+    report: &mut Report,
+) -> anyhow::Result<Counts> {
+    let mean = |f: &dyn Fn(&StepReport) -> u32| {
+        run.reports.iter().map(|r| f64::from(f(r))).sum::<f64>() / run.reports.len().max(1) as f64
+    };
+    let data = trainer.gaussians.download(device)?;
+    let tuning = Tuning::for_device(device.info());
+    let (mut tried, mut showing, mut entries) = (0.0, 0.0, 0.0);
+    for (camera, _) in workload.views.iter().step_by(workload.views.len().div_ceil(3)) {
+        let (model, channels) = (workload.model, trainer.options().channels);
+        let o = overlap(&Subject { device, tuning, model, data: &data, camera: *camera, channels })?;
+        tried += o.tried * o.entries;
+        showing += o.showing * o.entries;
+        entries += o.entries;
+    }
+    let pixels = workload.views.iter().map(|(c, _)| f64::from(c.size[0]) * f64::from(c.size[1])).sum::<f64>();
+    let counts = Counts {
+        gaussians: mean(&|r| r.gaussians),
+        visible: mean(&|r| r.visible),
+        entries: mean(&|r| r.entries),
+        pixels: pixels / workload.views.len().max(1) as f64,
+        pairs: mean(&|r| r.entries) * tried / f64::max(entries, 1.0),
+        width: f64::from(workload.model.width()),
+        ..Default::default()
+    };
+    let tile = f64::from(tuning.tile[0] * tuning.tile[1]);
+    report.fact("visible, entries in a step", format!("{:.0}, {:.0}", counts.visible, counts.entries));
+    report.fact(
+        "tile; of its pixels an entry tries, shows at",
+        format!(
+            "{}x{}; {:.1} %, {:.1} %",
+            tuning.tile[0],
+            tuning.tile[1],
+            100.0 * tried / entries.max(1.0) / tile,
+            100.0 * showing / entries.max(1.0) / tile
+        ),
+    );
+    Ok(counts)
+}
+
+/// Times by the host's clock, without timestamps, and what must not happen in a steady state.
+fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
+    let wall = Summary::of(&run.wall);
+    let host = Summary::of(&run.host);
+    report.time("step by the host's clock", "ms", wall);
+    report.value("the host's own work in a step", "ms", host);
+    if let Some(seconds) = run.cpu_seconds {
+        report.fact("processor seconds of a step, all threads", seconds / run.reports.len().max(1) as f64);
+    }
+    report.fact("the host's share of a step", host.median / wall.median);
+    let [(before, was), (after, is)] = run.memory;
+    anyhow::ensure!(
+        run.unchanged,
+        "{} steps changed the memory in use from {before} to {after} bytes, with {} buffers made, {} uploads and {} \
+         downloads.",
+        run.reports.len(),
+        is.made - was.made,
+        is.uploads - was.uploads,
+        is.downloads - was.downloads
+    );
+    report.check(format!(
+        "over {} steps no buffer was made or freed, nothing uploaded or downloaded, {before} bytes in use throughout",
+        run.reports.len()
+    ));
+    Ok(())
+}
+
+/// What a plan is made of.
+fn shape(report: &mut Report, what: &str, plan: &Plan) {
+    let passes: usize = plan.groups.iter().map(|g| g.passes.len()).sum();
+    let barriers = plan.groups.iter().filter(|g| g.barrier.is_some()).count();
+    report.fact(&format!("{what}: passes, groups, barriers"), format!("{passes}, {}, {barriers}", plan.groups.len()));
+    report.fact(
+        &format!("{what}: arena, and without sharing memory, MB"),
+        format!("{:.2}, {:.2}", plan.arena_bytes as f64 / 1e6, plan.arena_unaliased_bytes as f64 / 1e6),
+    );
+}
+
+/// Memory, in all and by Gaussian: the slope is what the same scene with half of the Gaussians would need less.
+fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &mut Trainer<'_>) -> anyhow::Result<()> {
+    let count = workload.start.len();
+    let (used, _) = device.memory_use();
+    let targets = workload.targets.bytes() + workload.normals.as_ref().map_or(0, |n| n.bytes());
+    let training = used - targets;
+    report
+        .fact("device memory, of it photographs, MB", format!("{:.2}, {:.2}", used as f64 / 1e6, targets as f64 / 1e6));
+    report.fact("device memory but photographs, bytes a Gaussian", training as f64 / count as f64);
+    let entries = trainer.options().entry_capacity;
+    let backward = trainer.options().backward;
+    let cost = |part: usize| -> anyhow::Result<u64> {
+        let less = Workload { start: part_of(workload, count / part), ..shallow(workload) };
+        let before = device.memory_use().0;
+        let _trainer = Trainer::new(device, &less, backward, entries / part as u32)?;
+        Ok(device.memory_use().0 - before)
+    };
+    let (all, half) = (cost(1)?, cost(2)?);
+    report.fact("device memory, bytes each further Gaussian", (all - half) as f64 / (count - count / 2) as f64);
+    report.fact(
+        "of these, parameters, moments and statistics",
+        trainer.gaussians.bytes() as f64 / f64::from(trainer.gaussians.capacity),
+    );
+    report.fact("room for tile entries", entries);
+    Ok(())
+}
+
+/// The first so many Gaussians.
+fn part_of(w: &Workload, count: usize) -> sgs_passes::scene::GaussianData {
+    let mut data = w.start.clone();
+    for group in w.model.groups() {
+        data.groups[group as usize].truncate(count * group.width() as usize);
+    }
+    data
+}
+
+/// The same views.
+fn shallow(w: &Workload) -> Workload {
+    Workload {
+        name: w.name.clone(),
+        start: Default::default(),
+        targets: w.targets.clone(),
+        normals: w.normals.clone(),
+        views: w.views.clone(),
+        settings: w.settings.clone(),
+        ..*w
+    }
+}
+
+/// Whether training does what it is for: a step that computes nonsense may be fast.
+fn losses(report: &mut Report, first: &Run, last: &Run) -> anyhow::Result<()> {
+    let mean = |run: &Run| {
+        run.reports.iter().map(|r| f64::from(r.losses.total)).sum::<f64>() / run.reports.len().max(1) as f64
+    };
+    let (before, after) = (mean(first), mean(last));
+    report.fact("loss, mean of the first and the last steps", format!("{before:.4}, {after:.4}"));
+    // Views differ, so that few steps may be worse by chance; but not by much.
+    let enough = if first.reports.len() >= 10 { 1.0 } else { 1.2 };
+    anyhow::ensure!(after <= enough * before, "Training makes the loss grow from {before} to {after}.");
+    report.check("every step reported finite losses and gradients, no overflow, and the loss went down");
+    Ok(())
+}
+
+/// Renders of the trained Gaussians; each pass, and the whole with the picture read back.
+fn render(
+    device: &Device,
+    common: &Common,
+    workload: &Workload,
+    trainer: &Trainer<'_>,
+    report: &mut Report,
+    ceiling: &Ceiling,
+    counts: &Counts,
+) -> anyhow::Result<Vec<PassTime>> {
+    let tuning = Tuning::for_device(device.info());
+    let gaussians = &trainer.gaussians;
+    let channels = trainer.options().channels;
+    let mut renderer = Renderer::new(device, tuning, gaussians, workload.largest, channels)?;
+    let mut wall = Vec::new();
+    let degree = workload.model.sh_degree;
+    let background = workload.settings.geometry.background;
+    for i in 0..common.warmup.max(1) + report.repeats {
+        let (camera, _) = workload.views[i as usize % workload.views.len()];
+        let begin = std::time::Instant::now();
+        let picture = renderer.render(gaussians, &camera, degree, background)?;
+        if i < common.warmup.max(1) {
+            renderer.executor().take_times();
+        } else {
+            wall.push(begin.elapsed().as_secs_f64() * 1e3);
+        }
+        let finite = picture.image.iter().chain(&picture.transmittance).all(|v| v.is_finite());
+        anyhow::ensure!(finite, "A rendered picture holds numbers that are not finite.");
+    }
+    let times = renderer.executor().take_times();
+    let plan = renderer.executor().plan().clone();
+    add_passes(report, &plan, &times, counts, ceiling);
+    report.time("render by the host's clock, read back", "ms", Summary::of(&wall));
+    report.value("render on the device", "ms", Summary::of(&spans(&times)).scaled(1e-6));
+    shape(report, "render", &plan);
+    Ok(times)
+}

@@ -1,0 +1,109 @@
+//! Options of every command, and opening the device by them.
+
+use crate::report::compare::compare;
+use crate::report::{DeviceLine, Report};
+use anyhow::Context;
+use clap::Args;
+use sgs_engine::{Device, DeviceOptions};
+use std::path::PathBuf;
+
+/// Options of every command.
+#[derive(Args, Clone, Debug)]
+pub struct Common {
+    /// Device by index or part of its name (see `sgs devices`); the best by default.
+    #[arg(long, global = true, value_name = "INDEX|NAME")]
+    pub device: Option<String>,
+    /// Write the report as JSON; to standard output, in place of the tables, without FILE.
+    #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Measured repetitions.
+    #[arg(long, global = true, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..))]
+    pub repeats: u32,
+    /// Repetitions before them that are not measured.
+    #[arg(long, global = true, value_name = "N", default_value_t = 3)]
+    pub warmup: u32,
+    /// Fail if anything is slower than in this report (of the same command) by more than the noise.
+    #[arg(long, global = true, value_name = "BASELINE.json")]
+    pub compare: Option<PathBuf>,
+    /// Slower by less than this share of the baseline is always noise.
+    #[arg(long, global = true, value_name = "SHARE", default_value_t = 0.05)]
+    pub tolerance: f64,
+    /// Run with Vulkan validation; any message is an error. Times mean little then.
+    #[arg(long, global = true, hide = true)]
+    pub validate: bool,
+}
+
+impl Common {
+    /// Opens the device that was asked for.
+    pub fn open_device(&self) -> anyhow::Result<Device> {
+        let options = DeviceOptions { select: self.device.clone(), validation: self.validate, ..Default::default() };
+        Ok(Device::open(&options)?)
+    }
+
+    /// An empty report of a command on a device.
+    pub fn report(&self, command: &str, device: &Device) -> Report {
+        let info = device.info();
+        let device = DeviceLine {
+            name: info.name.clone(),
+            kind: info.kind.to_owned(),
+            driver: info.driver.trim().to_owned(),
+            api: info.api.clone(),
+            subgroup_size: info.subgroup_size,
+        };
+        Report::new(command, device, self.repeats, self.warmup)
+    }
+
+    /// Prints the report, writes it, and sets it against the baseline.
+    ///
+    /// # Errors
+    /// If a file cannot be read or written, validation had something to say, or something is slower.
+    pub fn finish(&self, report: &Report, device: &Device) -> anyhow::Result<()> {
+        let text = serde_json::to_string_pretty(report).context("The report cannot be written as JSON.")?;
+        match &self.json {
+            Some(path) if path.as_os_str() == "-" => println!("{text}"),
+            other => {
+                print!("{}", report.text());
+                if let Some(path) = other {
+                    sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+                }
+            }
+        }
+        if let Some(first) = device.messages().take().first() {
+            anyhow::bail!("Validation reported: {first}");
+        }
+        let Some(path) = &self.compare else { return Ok(()) };
+        let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
+        let baseline: Report = serde_json::from_str(&text)
+            .map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))?;
+        let outcome = compare(&baseline, report, self.tolerance)?;
+        eprint!("{}", outcome.text());
+        anyhow::ensure!(
+            outcome.slower.is_empty(),
+            "{} of {} times are slower than in \"{}\".",
+            outcome.slower.len(),
+            outcome.compared,
+            path.display()
+        );
+        Ok(())
+    }
+}
+
+/// A size as `WIDTHxHEIGHT`.
+pub fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let side = |t: &str| t.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
+    match text.split_once(['x', 'X', '×']).map(|(w, h)| (side(w), side(h))) {
+        Some((Some(w), Some(h))) => Ok([w, h]),
+        _ => Err("a size looks like 640x480, with sides of 1 to 16384".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes() {
+        assert_eq!(parse_size("640x480"), Ok([640, 480]));
+        assert!(["640", "0x3", "3x", "-1x4", "99999x2"].iter().all(|t| parse_size(t).is_err()));
+    }
+}

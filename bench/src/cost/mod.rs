@@ -1,0 +1,131 @@
+//! What every pass must move and compute, as a function of counts: the numbers that times are set against.
+//!
+//! Bytes are those that have to come from or go to memory once if caches were perfect within a pass and empty between
+//! passes. Operations are single-precision ones, a multiply-add counting two, as in the ceiling's arithmetic rate; an
+//! exponential, root or division counts four. Both are taken from the stage's definition, with what the plan's
+//! specialization constants say about it, and not from what a kernel happens to do: a kernel that does more than it must
+//! shows a lower share.
+
+mod model;
+
+use crate::commands::ceiling::Ceiling;
+use sgs_engine::graph::{Dispatch, Pass, PassKind};
+
+/// Counts that costs depend on; means over the measured steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Counts {
+    /// Gaussians.
+    pub gaussians: f64,
+    /// Of the Gaussians, those that a view sees.
+    pub visible: f64,
+    /// Tile entries.
+    pub entries: f64,
+    /// Pixels of a view.
+    pub pixels: f64,
+    /// Pairs of entry and pixel that blending must try: every entry of a tile at each of its pixels until that pixel is
+    /// opaque.
+    pub pairs: f64,
+    /// Scalars of a Gaussian.
+    pub width: f64,
+    /// Elements of a primitive that is measured on its own.
+    pub elements: f64,
+    /// Gaussians that densification copies.
+    pub moved: f64,
+}
+
+/// What a pass costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cost {
+    /// Bytes read and written.
+    pub bytes: f64,
+    /// Arithmetic operations.
+    pub operations: f64,
+}
+
+impl Cost {
+    /// Seconds that a device takes at best, and whether memory is what takes them.
+    pub fn bound(&self, ceiling: &Ceiling) -> (f64, bool) {
+        let memory = self.bytes / ceiling.bytes_per_second;
+        let arithmetic = self.operations / ceiling.operations_per_second;
+        (memory.max(arithmetic), memory >= arithmetic)
+    }
+}
+
+/// What the plan says about a pass.
+struct Stage<'p> {
+    kernel: &'p str,
+    /// Specialization constants by name, absent ones 0.
+    specs: &'p dyn Fn(&str) -> f64,
+    /// Push constants as words.
+    push: &'p dyn Fn(usize) -> f64,
+    /// Workgroups along x, where the plan knows.
+    groups: f64,
+}
+
+/// The cost of a pass; none if the model does not know its kernel.
+pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
+    match &pass.kind {
+        PassKind::Fill { target, .. } => Some(Cost { bytes: target.bytes as f64, operations: 0.0 }),
+        PassKind::Copy { source, .. } => Some(Cost { bytes: 2.0 * source.bytes as f64, operations: 0.0 }),
+        PassKind::Compute { shader, specs, push, dispatch, .. } => {
+            let spec = |name: &str| {
+                let Some(constant) = shader.specs.iter().find(|s| s.name == name) else { return 0.0 };
+                let given = specs.iter().find(|(id, _)| *id == constant.id);
+                f64::from(given.map_or(constant.default, |(_, bits)| *bits))
+            };
+            let word = |i: usize| {
+                let bytes = push.get(4 * i..4 * i + 4).and_then(|b| b.try_into().ok());
+                f64::from(bytes.map_or(0, u32::from_le_bytes))
+            };
+            let groups = if let Dispatch::Groups([x, ..]) = dispatch { f64::from(*x) } else { 0.0 };
+            let stage = Stage { kernel: &shader.name, specs: &spec, push: &word, groups };
+            let elements = elements(&pass.name, counts);
+            model::kernel(&stage, counts, elements)
+        }
+    }
+}
+
+/// How many elements a primitive works on, by whose it is.
+fn elements(pass: &str, c: &Counts) -> f64 {
+    match pass.split('.').next().unwrap_or(pass) {
+        // One count a workgroup of 256 Gaussians.
+        "project_scan" => (c.gaussians / 256.0).ceil(),
+        "depth_sort" | "entry_scan" => c.visible,
+        "tile_sort" => c.entries,
+        owner if owner.starts_with("densify") => c.gaussians,
+        _ => c.elements,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_engine::graph::Graph;
+    use sgs_passes::Tuning;
+    use sgs_passes::prim::{Count, radix_sort};
+
+    #[test]
+    fn a_sort_moves_twenty_bytes_an_element_and_digit() {
+        let mut g = Graph::new("sort");
+        let n = 1 << 20;
+        let keys = g.input("keys", 4 * n);
+        let tuning = Tuning { subgroup_size: 32, workgroup: 256, tile: [16, 16] };
+        let sorted = radix_sort(&mut g, tuning, "sort", keys, None, 0..32, true, Count::Host(n as u32)).unwrap();
+        let out = g.external("out", 4 * n);
+        g.copy("out", sorted.values, out).unwrap();
+        let plan = g.compile(&Default::default()).unwrap();
+        let counts = Counts { elements: n as f64, ..Default::default() };
+        let passes = plan.passes.iter().filter(|p| p.name.starts_with("sort."));
+        let bytes: f64 = passes.map(|p| cost(p, &counts).unwrap_or_else(|| panic!("{}", p.name)).bytes).sum();
+        // Four digits of 20 bytes, 4 less for the values that the first one makes, and 16 for each value of the digit
+        // and block: 1 an element and digit.
+        assert!((bytes / n as f64 - (4.0 * 21.0 - 4.0)).abs() < 0.5, "{}", bytes / n as f64);
+    }
+
+    #[test]
+    fn the_higher_bound_counts() {
+        let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
+        assert_eq!(Cost { bytes: 1e9, operations: 1e9 }.bound(&ceiling), (1.0, true));
+        assert_eq!(Cost { bytes: 1e9, operations: 3e10 }.bound(&ceiling), (3.0, false));
+    }
+}

@@ -1,0 +1,112 @@
+//! The cost of each kernel. Where a number is not obvious, its line says where it comes from.
+
+use super::{Cost, Counts, Stage};
+
+/// Projecting one Gaussian: camera space 18, rotation matrix 30, its product with scales and the camera's rotation 60,
+/// the rows of the Jacobian 20, covariance and determinant 35, the triangular factor 25, four exponentials 16.
+const PROJECT: f64 = 204.0;
+
+/// Its parameters that projection reads: mean 3, log scale 3, quaternion 4, opacity 1.
+const SHAPE_BYTES: f64 = 44.0;
+
+/// Backward of the above: covariance 40, Jacobian 60, matrices 130, quaternion 50, the forward values again 204.
+const PROJECT_BWD: f64 = 484.0;
+
+/// An Adam step of one scalar: two moments 7, corrections, root and division 12.
+const ADAM: f64 = 19.0;
+
+/// A splat's footprint: mean 2, factor 3, opacity 1.
+const SPLAT_BYTES: f64 = 24.0;
+
+/// Making all harmonics up to a degree and their dot product with three channels.
+fn harmonics(degree: f64) -> f64 {
+    (degree + 1.0).powi(2) * (3.0 * 2.0 + 4.0)
+}
+
+/// Every kernel but the primitives' and densification's. `elements`: of a primitive.
+pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
+    let spec = s.specs;
+    let (n, v, e, p) = (c.gaussians, c.visible, c.entries, c.pixels);
+    let channels = spec("CHANNELS");
+    // What blending fetches for an entry: its number, its splat, footprint and features; what it leaves backward.
+    let fetched = 8.0 + SPLAT_BYTES + 4.0 * channels;
+    let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS"));
+    let (bytes, operations) = match s.kernel {
+        "project_count" => (SHAPE_BYTES * n, PROJECT * n),
+        "project" => {
+            let degree = spec("SH_DEGREE");
+            let read = 12.0 * (degree + 1.0).powi(2) + 12.0 * spec("HAS_NORMALS");
+            // Id, depth, number of tiles, footprint, features. Tiles are counted row by row: about 3 rows of 30.
+            let written = 12.0 + SPLAT_BYTES + 4.0 * channels;
+            (SHAPE_BYTES * n + (read + written) * v, PROJECT * n + (harmonics(degree) + 90.0) * v)
+        }
+        "intersect" => ((16.0 + SPLAT_BYTES) * v + 8.0 * e, 90.0 * v + 10.0 * e),
+        "tile_ranges" => (4.0 * e, 2.0 * e),
+        // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 a channel.
+        "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
+        // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 a channel.
+        "blend_bwd" | "blend_bwd_splat" => {
+            ((fetched + gradients) * e + 8.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
+        }
+        // The separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels.
+        // Pixels are interleaved: whoever reads three channels fetches all.
+        "photometric" => ((4.0 * channels + 4.0 + 36.0) * p, 3.0 * (4.0 * 11.0 * 4.0 + 60.0) * p),
+        "photometric_bwd" => ((36.0 + 4.0 * channels + 4.0 + 12.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 20.0) * p),
+        "geometry_loss" => (56.0 * p, 450.0 * p),
+        "project_bwd_adam" => {
+            // Every scalar of a visible Gaussian and both its moments, read and written.
+            let gaussian = 24.0 * c.width + 12.0 + 4.0 * channels + 24.0 * spec("STATISTICS");
+            let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
+            (gradients * e + gaussian * v, (6.0 + channels) * e + arithmetic * v)
+        }
+        "adam" => (28.0 * elements, ADAM * elements),
+        "opacity_reset" => (16.0 * n, 4.0 * n),
+        // A single workgroup, as small as it looks.
+        "loss_sum" | "report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
+        _ => return primitive(s, elements).or_else(|| densify(s, c)),
+    };
+    Some(Cost { bytes, operations })
+}
+
+/// Scans and sorts of so many elements.
+fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
+    let spec = s.specs;
+    // A block is what one workgroup takes; `radix_scatter_direct` has workgroups of one subgroup.
+    let workgroup = if spec("WORKGROUP") > 0.0 { spec("WORKGROUP") } else { spec("SUBGROUP") };
+    let blocks = (n / (workgroup * spec("ITEMS")).max(1.0)).ceil();
+    let counters = 4.0 * blocks * spec("BITS").exp2();
+    let (bytes, operations) = match s.kernel {
+        "scan_reduce" => (4.0 * n, n),
+        "scan_gather" => (12.0 * n, n),
+        "scan_down" | "scan_down_in_place" => (8.0 * n, 2.0 * n),
+        // Block sums in rows, one a workgroup; the second push constant is the size of a block.
+        "scan_spine" => {
+            let sums = s.groups * (n / (s.push)(1).max(1.0)).ceil();
+            (8.0 * sums, 2.0 * sums)
+        }
+        "radix_histogram" => (4.0 * n + counters, 3.0 * n),
+        "radix_scatter" | "radix_scatter_direct" => {
+            let read = if spec("IOTA") > 0.0 { 4.0 } else { 8.0 };
+            let written = if spec("WRITE_KEYS") > 0.0 { 8.0 } else { 4.0 };
+            ((read + written) * n + counters, 12.0 * n)
+        }
+        _ => return None,
+    };
+    Some(Cost { bytes, operations })
+}
+
+/// Densification: 68 bytes of parameters and statistics decide; flags, ranks and lists follow; then what is copied.
+fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    let n = c.gaussians;
+    let bytes = match s.kernel {
+        "densify_decide" => 72.0 * n,
+        "densify_flags" => 16.0 * n,
+        "densify_slots" => 8.0 * n + 4.0 * c.moved,
+        "densify_assign" => 16.0 * n + 20.0 * c.moved,
+        // A scalar and its moments are read once and written up to twice.
+        "densify_move" => (16.0 + 36.0 * (s.specs)("WIDTH")) * c.moved,
+        "densify_split" => 80.0 * c.moved,
+        _ => return None,
+    };
+    Some(Cost { bytes, operations: bytes / 4.0 })
+}

@@ -1,0 +1,48 @@
+//! Single stages, each with inputs made for it, timed by the device's clock, and checked against the CPU twin or an
+//! identity that only a right result satisfies. The check reads what the timed replays left.
+
+mod adam;
+mod blend;
+mod blend_bwd;
+pub mod densify;
+mod photometric;
+mod primitives;
+pub mod view;
+
+use crate::commands::ceiling::Ceiling;
+use crate::report::Report;
+use crate::workload::Workload;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+
+/// What every stage is measured with.
+pub struct Context<'c> {
+    /// The device.
+    pub device: &'c Device,
+    /// Kernel sizes for it.
+    pub tuning: Tuning,
+    /// Repetitions before the measured ones.
+    pub warmup: u32,
+    /// Measured repetitions.
+    pub repeats: u32,
+    /// What the device can do at best.
+    pub ceiling: Ceiling,
+    /// Elements of the primitives.
+    pub elements: u32,
+    /// Gaussians and views of the other stages.
+    pub workload: &'c Workload,
+}
+
+/// Measures a stage and adds what it finds.
+type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
+
+/// The stages by what `--filter` finds them by.
+pub const STAGES: [(&str, Stage); 7] = [
+    ("scan", primitives::scan),
+    ("radix_sort", primitives::sort),
+    ("project intersect blend", blend::forward),
+    ("blend_bwd", blend_bwd::both),
+    ("photometric", photometric::both),
+    ("adam", adam::one),
+    ("densify", densify::one),
+];

@@ -1,0 +1,209 @@
+//! One view of some Gaussians as a graph, projected and cut into entries, and how much blending it asks for.
+
+use crate::harness::{Rig, bytes};
+use sgs_engine::Device;
+use sgs_engine::graph::{Buffer, Graph, Slice};
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Camera, Step};
+use sgs_passes::scene::{GaussianData, Gaussians, Handles, Model};
+use sgs_passes::splat::{Channels, Entries, Screen, Visible, intersect, project};
+use sgs_shaders::structs::{Splat, Work};
+
+/// A graph under construction with everything that blending needs.
+pub struct View {
+    /// The graph.
+    pub graph: Graph,
+    /// The image side.
+    pub screen: Screen,
+    /// What the camera sees.
+    pub visible: Visible,
+    /// The entries.
+    pub entries: Entries,
+    /// Room for content that later stages add.
+    pub inputs: Vec<(Buffer, Vec<u8>)>,
+    flags: Buffer,
+    wanted: Buffer,
+}
+
+/// What a view shows, and how.
+pub struct Subject<'s> {
+    /// The device.
+    pub device: &'s Device,
+    /// Kernel sizes.
+    pub tuning: Tuning,
+    /// The Gaussians' groups.
+    pub model: Model,
+    /// The Gaussians.
+    pub data: &'s GaussianData,
+    /// The camera.
+    pub camera: Camera,
+    /// What is blended.
+    pub channels: Channels,
+}
+
+impl Subject<'_> {
+    /// Builds the view, lets `extend` add to it, and finds out how much room the entries take. The rig has run once.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn rig<T>(&self, mut extend: impl FnMut(&mut View) -> anyhow::Result<T>) -> anyhow::Result<(Rig, T)> {
+        let mut capacity = u32::try_from(self.data.len() * 4).unwrap_or(u32::MAX).max(1 << 14);
+        for _ in 0..3 {
+            let mut view = self.view(capacity)?;
+            let more = extend(&mut view)?;
+            let View { graph, inputs, flags, wanted, .. } = view;
+            let mut rig = Rig::new(self.device, graph, inputs, true)?;
+            rig.measure(1, 1)?;
+            if rig.get::<u32>(flags)?[0] == 0 {
+                return Ok((rig, more));
+            }
+            let wanted = rig.get::<u32>(wanted)?[0];
+            capacity = wanted.saturating_add(wanted / 8);
+        }
+        anyhow::bail!("There is no room for the view's tile entries.")
+    }
+
+    fn view(&self, capacity: u32) -> anyhow::Result<View> {
+        let t = self.tuning;
+        let count = self.data.len() as u32;
+        // Only for their declaration: the rig has memory of its own.
+        let gaussians = Gaussians::new(self.device, self.model, count, false)?;
+        let mut g = Graph::new("view");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest: self.camera.size, tile: t.tile };
+        let handles = gaussians.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let wanted = g.external("wanted", 4);
+        let visible = project(&mut g, &t, &screen, &handles, self.channels)?;
+        let entries = intersect(&mut g, &t, &screen, &visible, capacity, flags)?;
+        g.copy("out.wanted", entries.wanted, wanted)?;
+        let mut inputs = gaussian_inputs(&handles, self.model, self.data);
+        let mut camera = self.camera;
+        camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+        let values = Step { camera, step: 1, sh_degree: self.model.sh_degree, ..Default::default() };
+        inputs.push((step, bytes(&[values])));
+        Ok(View { graph: g, screen, visible, entries, inputs, flags, wanted })
+    }
+}
+
+impl View {
+    /// Keeps a copy of a transient for the host.
+    ///
+    /// # Errors
+    /// If the graph refuses it.
+    pub fn keep(&mut self, name: &str, what: impl Into<Slice>, bytes: u64) -> anyhow::Result<Buffer> {
+        let kept = self.graph.external(name, bytes);
+        let what: Slice = what.into();
+        self.graph.copy(format!("out.{name}"), Slice { bytes, ..what }, kept)?;
+        Ok(kept)
+    }
+}
+
+/// Contents of the Gaussians' buffers.
+pub fn gaussian_inputs(handles: &Handles, model: Model, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
+    let mut inputs = vec![(handles.work, bytes(&[work_of(data.len() as u32)]))];
+    inputs.extend(model.groups().map(|g| (handles.group(g), bytes(data.group(g)))));
+    inputs
+}
+
+/// A count with the arguments of a dispatch of 256 each.
+pub fn work_of(count: u32) -> Work {
+    let groups = count.div_ceil(256).max(1);
+    let x = groups.min(65_535);
+    Work { x, y: groups.div_ceil(x), z: 1, count }
+}
+
+/// How much blending a view asks for, an entry on average.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Overlap {
+    /// Visible splats.
+    pub visible: f64,
+    /// Entries.
+    pub entries: f64,
+    /// Pixels of an entry that are not opaque yet when it is its turn.
+    pub tried: f64,
+    /// Of these, those where it shows (alpha of at least 1/255).
+    pub showing: f64,
+}
+
+/// Pairs of entry and pixel that are walked at most; tiles are left out evenly beyond it.
+const PAIRS: u64 = 40_000_000;
+
+/// Walks the tiles of a view on the host as blending does.
+///
+/// # Errors
+/// If the device fails.
+pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
+    let (rig, [ranges, sorted, owners, splats, visible]) = s.rig(|v| {
+        let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));
+        let (tiles, entries, visible) = (u64::from(v.screen.tiles()), v.entries, v.visible);
+        Ok([
+            v.keep("tile_ranges", entries.tile_ranges, 8 * tiles)?,
+            v.keep("sorted", entries.sorted, 4 * e)?,
+            v.keep("entry_splats", entries.splats, 4 * e)?,
+            v.keep("splats", visible.splats, size_of::<Splat>() as u64 * n)?,
+            v.keep("visible", visible.work.slice, size_of::<Work>() as u64)?,
+        ])
+    })?;
+    let ranges: Vec<[u32; 2]> = rig.get(ranges)?;
+    let (sorted, owners): (Vec<u32>, Vec<u32>) = (rig.get(sorted)?, rig.get(owners)?);
+    let splats: Vec<Splat> = rig.get(splats)?;
+    let [width, height] = s.tuning.tile;
+    let across = s.camera.size[0].div_ceil(width);
+    let entries: u64 = ranges.iter().map(|r| u64::from(r[1] - r[0])).sum();
+    let every = (entries * u64::from(width * height) / PAIRS + 1) as usize;
+    let (mut walked, mut tried, mut showing) = (0_u64, 0_u64, 0_u64);
+    for (tile, range) in ranges.iter().enumerate().step_by(every) {
+        walked += u64::from(range[1] - range[0]);
+        let corner = [tile as u32 % across * width, tile as u32 / across * height];
+        let list = &sorted[range[0] as usize..range[1] as usize];
+        for pixel in 0..width * height {
+            let at = [corner[0] + pixel % width, corner[1] + pixel / width];
+            if at[0] >= s.camera.size[0] || at[1] >= s.camera.size[1] {
+                continue;
+            }
+            let order = list.iter().map(|&e| &splats[owners[e as usize] as usize]);
+            let (t, shown) = walk(order, at.map(|x| x as f32 + 0.5));
+            tried += t;
+            showing += shown;
+        }
+    }
+    let each = 1.0 / walked.max(1) as f64;
+    let visible = f64::from(rig.get::<Work>(visible)?[0].count);
+    Ok(Overlap { visible, entries: entries as f64, tried: tried as f64 * each, showing: showing as f64 * each })
+}
+
+/// Splats that a pixel tries until it is opaque, and those that show there.
+fn walk<'s>(order: impl Iterator<Item = &'s Splat>, at: [f32; 2]) -> (u64, u64) {
+    let (mut transmittance, mut tried, mut showing) = (1.0_f32, 0, 0);
+    for s in order {
+        tried += 1;
+        let (dx, dy) = (at[0] - s.mean[0], at[1] - s.mean[1]);
+        let (p, q) = (s.factor[0] * dx + s.factor[1] * dy, s.factor[2] * dy);
+        let alpha = (s.opacity * (-(p * p + q * q)).exp2()).min(0.99);
+        if alpha >= 1.0 / 255.0 {
+            showing += 1;
+            transmittance *= 1.0 - alpha;
+            if transmittance < 1e-4 {
+                break;
+            }
+        }
+    }
+    (tried, showing)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_stops_when_it_is_opaque() {
+        let splat = |x: f32| Splat { mean: [x, 0.5], factor: [1.0, 0.0, 1.0], opacity: 0.995 };
+        let far = splat(100.0);
+        let near = splat(0.5);
+        // Two splats of 0.99 leave 1e-4, which rounding may put on either side; a third one ends it for certain.
+        let (tried, showing) = walk([&far, &near, &near, &near, &near].into_iter(), [0.5, 0.5]);
+        assert!((3..=4).contains(&tried) && showing == tried - 1, "{tried} {showing}");
+        assert_eq!(walk([&far].into_iter(), [0.5, 0.5]), (1, 0));
+    }
+}

@@ -1,0 +1,252 @@
+//! Whether one run is slower than another, beyond what runs differ by on their own.
+//!
+//! A time counts as slower if its median exceeds the baseline's by more than the noise band
+//!
+//! > 3 · sqrt(σ² + σ₀²) + tolerance · median₀ + floor
+//!
+//! with σ = 1.4826 · MAD of either run's samples: the spread of single samples, not of the median, since runs at
+//! different times on a shared machine differ by more than repeats within one. The tolerance covers what clocks and
+//! caches do between processes. The floor is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
+//! is more: below it a difference is the scheduler's and matters to nobody.
+
+use super::Report;
+use crate::stats::Summary;
+use std::fmt::Write;
+
+/// Standard deviations in the band.
+const DEVIATIONS: f64 = 3.0;
+
+/// Nanoseconds below which nothing counts.
+const RESOLUTION: f64 = 2000.0;
+
+/// Share of its plan below which a pass does not count.
+const NEGLIGIBLE: f64 = 0.001;
+
+/// One time in both runs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Which.
+    pub name: String,
+    /// Median of the baseline, in `unit`.
+    pub before: f64,
+    /// Median now.
+    pub now: f64,
+    /// How much more would have been noise.
+    pub band: f64,
+    /// The unit.
+    pub unit: String,
+}
+
+/// What a comparison found.
+#[derive(Clone, Debug, Default)]
+pub struct Outcome {
+    /// Times that both runs have.
+    pub compared: usize,
+    /// Slower ones, the worst first.
+    pub slower: Vec<Difference>,
+    /// Faster ones by the same measure.
+    pub faster: Vec<Difference>,
+    /// Names that only the baseline has.
+    pub missing: Vec<String>,
+    /// Share of the baseline that is always noise.
+    tolerance: f64,
+}
+
+/// Compares two reports of one command.
+///
+/// # Errors
+/// If they are not comparable: another command, device or sizes.
+pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Result<Outcome> {
+    anyhow::ensure!(
+        baseline.command == now.command,
+        "The baseline is a report of \"{}\", this is \"{}\".",
+        baseline.command,
+        now.command
+    );
+    anyhow::ensure!(
+        baseline.device == now.device,
+        "The baseline was measured on {} ({}), this is {} ({}).",
+        baseline.device.name,
+        baseline.device.driver,
+        now.device.name,
+        now.device.driver
+    );
+    for (name, value) in &baseline.settings {
+        let other = now.settings.get(name);
+        anyhow::ensure!(
+            other == Some(value),
+            "The baseline has {name} {value}, this run {}.",
+            other.map_or("none".to_owned(), ToString::to_string)
+        );
+    }
+    let (before, after) = (times(baseline), times(now));
+    let mut outcome = Outcome { tolerance, ..Default::default() };
+    for (name, unit, old, resolution) in before {
+        let Some((_, _, new, _)) = after.iter().find(|(n, ..)| *n == name) else {
+            outcome.missing.push(name);
+            continue;
+        };
+        outcome.compared += 1;
+        let band = noise_band(&old, new, tolerance, resolution);
+        let difference = Difference { name, before: old.median, now: new.median, band, unit };
+        if new.median - old.median > band {
+            outcome.slower.push(difference);
+        } else if old.median - new.median > band {
+            outcome.faster.push(difference);
+        }
+    }
+    outcome.slower.sort_by(|a, b| (b.now / b.before).total_cmp(&(a.now / a.before)));
+    anyhow::ensure!(outcome.compared > 0, "The baseline and this run have no time in common.");
+    Ok(outcome)
+}
+
+/// By how much a median may exceed another before it counts.
+pub fn noise_band(before: &Summary, now: &Summary, tolerance: f64, resolution: f64) -> f64 {
+    DEVIATIONS * before.sigma().hypot(now.sigma()) + tolerance * before.median + resolution
+}
+
+/// Name, unit, value and floor in that unit.
+fn times(r: &Report) -> Vec<(String, String, Summary, f64)> {
+    let floor = |plan: &str| {
+        let all: f64 = r.passes.iter().filter(|p| p.plan == plan).map(|p| p.nanoseconds.median).sum();
+        RESOLUTION.max(NEGLIGIBLE * all)
+    };
+    let passes =
+        r.passes.iter().map(|p| (format!("{}/{}", p.plan, p.pass), "ns".to_owned(), p.nanoseconds, floor(&p.plan)));
+    let values = r.values.iter().filter(|v| v.compared).map(|v| {
+        let per_unit = match v.unit.as_str() {
+            "s" => 1e-9,
+            "ms" => 1e-6,
+            "us" => 1e-3,
+            _ => 1.0,
+        };
+        (v.name.clone(), v.unit.clone(), v.value, RESOLUTION * per_unit)
+    });
+    passes.chain(values).collect()
+}
+
+impl Outcome {
+    /// The comparison for people.
+    pub fn text(&self) -> String {
+        let mut out = format!(
+            "\ncompared {} times; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan\n",
+            self.compared,
+            100.0 * self.tolerance,
+            RESOLUTION / 1e3,
+            100.0 * NEGLIGIBLE
+        );
+        for (what, list) in [("SLOWER", &self.slower), ("faster", &self.faster)] {
+            for d in list {
+                let _ = writeln!(
+                    out,
+                    "{what} {}: {:.6} -> {:.6} {} ({:+.1} %, band {:.1} %)",
+                    d.name,
+                    d.before,
+                    d.now,
+                    d.unit,
+                    100.0 * (d.now / d.before - 1.0),
+                    100.0 * d.band / d.before
+                );
+            }
+        }
+        for name in &self.missing {
+            let _ = writeln!(out, "not measured now: {name}");
+        }
+        if self.slower.is_empty() {
+            out.push_str("nothing is slower\n");
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::{DeviceLine, PassRow};
+    use sgs_passes::reference::rng::Pcg;
+
+    fn device() -> DeviceLine {
+        DeviceLine { name: "a".into(), kind: "cpu".into(), driver: "b 1".into(), api: "1.3.0".into(), subgroup_size: 8 }
+    }
+
+    /// Three passes of 0.1, 1 and 10 ms with so much noise, the second one slowed down by a factor.
+    fn run(seed: u32, noise: f64, factor: f64) -> Report {
+        let mut rng = Pcg::new(seed);
+        let mut report = Report::new("step", device(), 20, 3);
+        report.setting("gaussians", 1000);
+        for (i, (name, time)) in [("small", 1e5), ("middle", 1e6), ("large", 1e7)].into_iter().enumerate() {
+            let time = if i == 1 { time * factor } else { time };
+            let samples: Vec<f64> = (0..20).map(|_| time * (1.0 + noise * rng.normal().abs())).collect();
+            report.passes.push(PassRow {
+                plan: "p".into(),
+                pass: name.into(),
+                nanoseconds: Summary::of(&samples),
+                bytes: None,
+                operations: None,
+                share: None,
+                bound: None,
+            });
+        }
+        report.time("step", "ms", Summary::of(&[11.1, 11.2, 11.0]));
+        report
+    }
+
+    #[test]
+    fn noise_is_no_slowdown() {
+        for noise in [0.0, 0.02, 0.1, 0.3] {
+            for seed in 0..50 {
+                let outcome = compare(&run(2 * seed, noise, 1.0), &run(2 * seed + 1, noise, 1.0), 0.05).unwrap();
+                assert_eq!(outcome.compared, 4);
+                assert!(outcome.slower.is_empty(), "{noise}: {}", outcome.text());
+            }
+        }
+    }
+
+    #[test]
+    fn a_planted_slowdown_is_caught_and_named() {
+        for (noise, factor) in [(0.0, 1.08), (0.02, 1.25), (0.1, 1.7)] {
+            for seed in 0..50 {
+                let (baseline, slow) = (run(2 * seed, noise, 1.0), run(2 * seed + 1, noise, factor));
+                let outcome = compare(&baseline, &slow, 0.05).unwrap();
+                let names: Vec<_> = outcome.slower.iter().map(|d| d.name.as_str()).collect();
+                assert_eq!(names, ["p/middle"], "{noise} {factor}");
+                // The other way round it is an improvement and nothing to fail for.
+                let outcome = compare(&slow, &baseline, 0.05).unwrap();
+                assert!(outcome.slower.is_empty() && outcome.faster.len() == 1, "{noise} {factor}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_clock_cannot_resolve_or_nobody_would_notice_does_not_count() {
+        // The plan takes 11.1 ms, so that 11.1 us in a pass of 0.5 us are the floor.
+        let (mut a, mut b) = (run(1, 0.0, 1.0), run(1, 0.0, 1.0));
+        a.passes[0].nanoseconds = Summary::of(&[500.0]);
+        b.passes[0].nanoseconds = Summary::of(&[11_000.0]);
+        assert!(compare(&a, &b, 0.05).unwrap().slower.is_empty());
+        b.passes[0].nanoseconds = Summary::of(&[12_000.0]);
+        assert_eq!(compare(&a, &b, 0.05).unwrap().slower.len(), 1);
+        // Alone in its plan only the clock excuses it.
+        for report in [&mut a, &mut b] {
+            report.passes.truncate(1);
+        }
+        for (now, slower) in [(2400.0, 0), (2600.0, 1)] {
+            b.passes[0].nanoseconds = Summary::of(&[now]);
+            assert_eq!(compare(&a, &b, 0.05).unwrap().slower.len(), slower);
+        }
+    }
+
+    #[test]
+    fn what_is_not_comparable_is_refused() {
+        let base = run(1, 0.0, 1.0);
+        let mut other = run(1, 0.0, 1.0);
+        other.setting("gaussians", 2000);
+        assert!(compare(&base, &other, 0.05).unwrap_err().to_string().contains("gaussians 1000"));
+        let mut other = run(1, 0.0, 1.0);
+        other.device.driver = "b 2".into();
+        assert!(compare(&base, &other, 0.05).is_err());
+        let mut other = run(1, 0.0, 1.0);
+        other.passes.remove(0);
+        assert_eq!(compare(&base, &other, 0.05).unwrap().missing, ["p/small"]);
+    }
+}

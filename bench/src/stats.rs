@@ -1,0 +1,72 @@
+//! Robust statistics: a shared machine has outliers, so medians and not means.
+
+use serde::{Deserialize, Serialize};
+
+/// What is kept of some samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Median.
+    pub median: f64,
+    /// Median absolute deviation from the median.
+    pub mad: f64,
+    /// The least.
+    pub least: f64,
+    /// How many.
+    pub samples: usize,
+}
+
+/// From a median absolute deviation to the standard deviation of a normal distribution.
+const SIGMA: f64 = 1.4826;
+
+impl Summary {
+    /// Of samples; zeros if there are none.
+    pub fn of(samples: &[f64]) -> Summary {
+        let center = median(samples);
+        let deviations: Vec<f64> = samples.iter().map(|s| (s - center).abs()).collect();
+        let least = samples.iter().copied().min_by(f64::total_cmp).unwrap_or(0.0);
+        Summary { median: center, mad: median(&deviations), least, samples: samples.len() }
+    }
+
+    /// The standard deviation that the spread speaks of.
+    pub fn sigma(&self) -> f64 {
+        SIGMA * self.mad
+    }
+
+    /// The same in another unit.
+    pub fn scaled(&self, factor: f64) -> Summary {
+        Summary { median: self.median * factor, mad: self.mad * factor, least: self.least * factor, ..*self }
+    }
+}
+
+/// The middle one, or the mean of the two in the middle; 0 of none.
+pub fn median(samples: &[f64]) -> f64 {
+    let mut sorted = samples.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_outlier_moves_nothing() {
+        let s = Summary::of(&[10.0, 12.0, 11.0, 1e9, 9.0]);
+        assert_eq!((s.median, s.mad, s.least, s.samples), (11.0, 1.0, 9.0, 5));
+        assert_eq!(Summary::of(&[1.0, 2.0]).median, 1.5);
+        assert_eq!(Summary::of(&[]), Summary::default());
+        assert_eq!(s.scaled(2.0).median, 22.0);
+    }
+
+    #[test]
+    fn sigma_is_that_of_a_normal_distribution() {
+        let mut rng = sgs_passes::reference::rng::Pcg::new(1);
+        let samples: Vec<f64> = (0..20_001).map(|_| 3.0 + 2.0 * rng.normal()).collect();
+        let s = Summary::of(&samples);
+        assert!((s.median - 3.0).abs() < 0.05 && (s.sigma() - 2.0).abs() < 0.05, "{s:?}");
+    }
+}

@@ -1,0 +1,222 @@
+//! Training steps as the trainer submits them: schedule, replay, the report of two steps before. Nothing else, so that
+//! what is measured is the step.
+
+use crate::process::cpu_seconds;
+use crate::workload::Workload;
+use sgs_engine::graph::Plan;
+use sgs_engine::graph::exec::PassTime;
+use sgs_engine::{Activity, Device};
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
+use sgs_passes::scene::Gaussians;
+use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_train::Schedule;
+use std::time::Instant;
+
+/// Replays in flight, as in training.
+const IN_FLIGHT: u32 = 2;
+
+/// Gaussians in training.
+pub struct Trainer<'w> {
+    device: Device,
+    tuning: Tuning,
+    workload: &'w Workload,
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    status: Status,
+    schedule: Schedule,
+    exec: GeometryStep,
+    options: GeometryOptions,
+    /// Last step that is done.
+    step: u32,
+}
+
+/// What some steps took.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    /// One a step.
+    pub reports: Vec<StepReport>,
+    /// Passes, one entry a step; empty without timestamps.
+    pub times: Vec<PassTime>,
+    /// Milliseconds from one submission to the next, one a step.
+    pub wall: Vec<f64>,
+    /// Milliseconds of the host's own work, one a step: schedule, uniforms, submission, report; waiting left out.
+    pub host: Vec<f64>,
+    /// Processor seconds of the whole process, of all steps.
+    pub cpu_seconds: Option<f64>,
+    /// Whether memory in use, buffers and transfers were the same before and after.
+    pub unchanged: bool,
+    /// Memory in use and what had been done with it, before and after.
+    pub memory: [(u64, Activity); 2],
+}
+
+impl<'w> Trainer<'w> {
+    /// Prepares training.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(
+        device: &Device,
+        workload: &'w Workload,
+        backward: BackwardKernel,
+        entry_capacity: u32,
+    ) -> anyhow::Result<Self> {
+        let densify = workload.settings.geometry.densify.enabled;
+        let count = workload.start.len() as u32;
+        // Room for what densification adds once.
+        let capacity = if densify { count + count / 2 } else { count };
+        let gaussians = Gaussians::new(device, workload.model, capacity, true)?;
+        gaussians.upload(device, &workload.start)?;
+        let tuning = Tuning::for_device(device.info());
+        let options = GeometryOptions {
+            largest: workload.largest,
+            entry_capacity,
+            channels: Channels { normals: workload.model.normals, depth: workload.model.normals },
+            statistics: densify,
+            backward,
+            timestamps: false,
+            frames_in_flight: IN_FLIGHT as usize,
+        };
+        let status = Status::new(device)?;
+        let exec = build(device, &tuning, workload, &gaussians, &status, options)?;
+        let schedule = Schedule::new(&workload.settings, workload.extent, workload.views.len());
+        Ok(Trainer { device: device.clone(), tuning, workload, gaussians, status, schedule, exec, options, step: 0 })
+    }
+
+    /// Trains so many steps; an overflow of the tile entries makes room and begins again.
+    ///
+    /// # Errors
+    /// If the device fails, or a step's numbers are not finite.
+    pub fn run(&mut self, steps: u32) -> anyhow::Result<Run> {
+        for _ in 0..16 {
+            let first = self.step;
+            let mut run = Run::default();
+            if self.attempt(steps, &mut run)? {
+                return Ok(run);
+            }
+            self.grow(&run)?;
+            self.step = first;
+        }
+        anyhow::bail!("The tile entries overflow again and again.")
+    }
+
+    /// Trains; false, with the reports from the overflow on, if the tile entries overflowed.
+    fn attempt(&mut self, steps: u32, run: &mut Run) -> anyhow::Result<bool> {
+        self.exec.executor().take_times();
+        // First as many steps as may be in flight: from then on each one waits for another.
+        for step in self.step + 1..=self.step + IN_FLIGHT {
+            self.submit(step)?;
+        }
+        let (first, last) = (self.step + IN_FLIGHT, self.step + IN_FLIGHT + steps);
+        let cpu = cpu_seconds();
+        run.memory[0] = self.memory();
+        for step in first + 1..=last {
+            let begin = Instant::now();
+            let before = self.exec.executor().host_times();
+            self.submit(step)?;
+            // The trainer looks at a report as soon as it is sure to be there.
+            let report = self.status.report(step - IN_FLIGHT)?;
+            let waited = self.exec.executor().host_times().waiting - before.waiting;
+            let wall = begin.elapsed();
+            run.wall.push(wall.as_secs_f64() * 1e3);
+            run.host.push(wall.saturating_sub(waited).as_secs_f64() * 1e3);
+            run.reports.push(report);
+            if report.flags != 0 {
+                return self.overflowed(step, run);
+            }
+        }
+        run.memory[1] = self.memory();
+        run.cpu_seconds = cpu.zip(cpu_seconds()).map(|(a, b)| b - a);
+        self.exec.finish()?;
+        for step in last + 1 - IN_FLIGHT..=last {
+            run.reports.push(self.status.report(step)?);
+        }
+        if run.reports.iter().any(|r| r.flags != 0) {
+            return self.overflowed(last, run);
+        }
+        for (step, report) in (first + 1 - IN_FLIGHT..).zip(&run.reports) {
+            let sound = report.step == step && report.losses.total.is_finite() && report.visible > 0;
+            anyhow::ensure!(sound, "Step {step} went wrong: {report:?}.");
+            anyhow::ensure!(report.skipped == 0, "In step {step} {} gradients were not finite.", report.skipped);
+        }
+        let filling = IN_FLIGHT as usize;
+        run.reports.drain(..filling);
+        run.unchanged = run.memory[0] == run.memory[1];
+        run.times = self.exec.executor().take_times();
+        for time in &mut run.times {
+            time.start.drain(..filling.min(time.start.len()));
+            time.nanoseconds.drain(..filling.min(time.nanoseconds.len()));
+        }
+        self.step = last;
+        Ok(true)
+    }
+
+    fn overflowed(&mut self, submitted: u32, run: &mut Run) -> anyhow::Result<bool> {
+        self.exec.finish()?;
+        run.reports = (submitted + 1 - IN_FLIGHT..=submitted)
+            .map(|step| self.status.report(step))
+            .chain(run.reports.iter().map(|r| Ok(*r)))
+            .collect::<Result<_, _>>()?;
+        Ok(false)
+    }
+
+    /// Makes room for what the steps of a run wanted.
+    fn grow(&mut self, run: &Run) -> anyhow::Result<()> {
+        let wanted = run.reports.iter().map(|r| r.entries).max().unwrap_or(0);
+        // Twice what training adds: an overflow during the measurement would spoil it.
+        self.options.entry_capacity = wanted.saturating_add(wanted / 2);
+        self.rebuild()?;
+        Ok(self.status.clear_flags(&self.device)?)
+    }
+
+    fn submit(&mut self, step: u32) -> anyhow::Result<()> {
+        let (camera, offset) = self.workload.views[self.schedule.view(step)];
+        self.exec.submit(&self.schedule.step(step, &camera, offset))?;
+        Ok(())
+    }
+
+    fn rebuild(&mut self) -> anyhow::Result<()> {
+        self.exec = build(&self.device, &self.tuning, self.workload, &self.gaussians, &self.status, self.options)?;
+        Ok(())
+    }
+
+    /// Turns timestamps on or off.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn set_timestamps(&mut self, on: bool) -> anyhow::Result<()> {
+        self.options.timestamps = on;
+        self.rebuild()
+    }
+
+    fn memory(&self) -> (u64, Activity) {
+        (self.device.memory_use().0, self.device.activity())
+    }
+
+    /// The step's plan.
+    pub fn plan(&mut self) -> std::sync::Arc<Plan> {
+        self.exec.executor().plan().clone()
+    }
+
+    /// What the step is made of.
+    pub fn options(&self) -> &GeometryOptions {
+        &self.options
+    }
+}
+
+fn build(
+    device: &Device,
+    tuning: &Tuning,
+    workload: &Workload,
+    gaussians: &Gaussians,
+    status: &Status,
+    options: GeometryOptions,
+) -> anyhow::Result<GeometryStep> {
+    let normals = workload.normals.as_ref();
+    Ok(GeometryStep::new(device, tuning, gaussians, &workload.targets, normals, status, options)?)
+}
+
+/// Room for tile entries before anything is measured.
+pub fn first_entry_capacity(gaussians: usize) -> u32 {
+    u32::try_from(gaussians).unwrap_or(u32::MAX).saturating_mul(4).clamp(1 << 14, 1 << 26)
+}

@@ -1,0 +1,102 @@
+//! What is trained while it is measured: views on the device, and Gaussians to begin with.
+
+mod room;
+mod synthetic;
+
+pub use synthetic::{Synthetic, synthetic};
+
+use sgs_engine::{Device, DeviceBuffer};
+use sgs_passes::pipeline::Camera;
+use sgs_passes::reference::project as twin;
+use sgs_passes::scene::{GaussianData, Group, Model};
+use sgs_scene::{Scene, SceneOptions, Splats};
+use sgs_train::{Settings, TrainingData, gaussian_data};
+use std::path::Path;
+
+/// A scene, ready to be trained on.
+pub struct Workload {
+    /// Where it comes from.
+    pub name: String,
+    /// Which groups the Gaussians have.
+    pub model: Model,
+    /// The Gaussians that training starts from.
+    pub start: GaussianData,
+    /// Photographs, packed.
+    pub targets: DeviceBuffer,
+    /// Normal priors, packed.
+    pub normals: Option<DeviceBuffer>,
+    /// Cameras, and the first pixel of each one's photograph.
+    pub views: Vec<(Camera, u32)>,
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+    /// The scene's size.
+    pub extent: f64,
+    /// How it is trained.
+    pub settings: Settings,
+}
+
+/// Settings of a benchmark: those of training, with everything that starts small or late there at its full size, so that
+/// every step costs the same.
+fn settings(densify: bool, sh_degree: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.sh_degree = sh_degree;
+    s.geometry.sh_interval = 0;
+    s.geometry.densify.enabled = densify;
+    s
+}
+
+/// A scene directory: its training views, and splats from its points.
+///
+/// # Errors
+/// If the scene cannot be read or memory runs out.
+pub fn directory(
+    device: &Device,
+    path: &Path,
+    normals: bool,
+    densify: bool,
+    sh_degree: u32,
+) -> anyhow::Result<Workload> {
+    let scene = Scene::open(path, &SceneOptions::default())?;
+    let data = TrainingData::load(device, &scene, normals)?;
+    anyhow::ensure!(!normals || data.normals.is_some(), "\"{}\" has no normal priors.", path.display());
+    let model = Model { sh_degree, normals: data.normals.is_some() };
+    let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
+    Ok(Workload {
+        name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+        model,
+        start: gaussian_data(&splats, model),
+        targets: data.targets,
+        normals: data.normals,
+        views: data.views,
+        largest: data.largest,
+        extent: scene.extent(),
+        settings: settings(densify, sh_degree),
+    })
+}
+
+/// Gaussians as the CPU twin takes them.
+pub fn twin_gaussians(d: &GaussianData) -> twin::Gaussians {
+    let wide = |g: Group| d.group(g).iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
+    twin::Gaussians {
+        means: wide(Group::Means),
+        log_scales: wide(Group::LogScales),
+        rotations: wide(Group::Rotations),
+        opacity_logits: wide(Group::OpacityLogits),
+        sh: [wide(Group::Sh0), wide(Group::Sh1), wide(Group::Sh2), wide(Group::Sh3)],
+        normals: wide(Group::Normals),
+    }
+}
+
+/// A camera as the CPU twin takes it.
+pub fn twin_camera(c: &Camera) -> twin::Camera {
+    let w = c.world_to_camera.map(|row| row.map(f64::from));
+    let column = |k: usize| glam::DVec3::new(w[0][k], w[1][k], w[2][k]);
+    twin::Camera {
+        rotation: glam::DMat3::from_cols(column(0), column(1), column(2)),
+        translation: column(3),
+        focal: glam::DVec2::new(f64::from(c.focal[0]), f64::from(c.focal[1])),
+        center: glam::DVec2::new(f64::from(c.center[0]), f64::from(c.center[1])),
+        size: c.size,
+        near: f64::from(c.near),
+    }
+}

@@ -1,0 +1,153 @@
+//! The deterministic room: photographs are rendered from Gaussians that are known, on the device that is measured, and
+//! training starts from other points of the same surfaces. So losses and gradients are those of a real scene.
+
+use super::{Workload, room, settings};
+use glam::{DMat3, DVec3};
+use sgs_engine::{Device, Location};
+use sgs_passes::Tuning;
+use sgs_passes::loss::octahedral_encode;
+use sgs_passes::pipeline::{Camera, Picture, Renderer};
+use sgs_passes::scene::{Gaussians, Group, Model};
+use sgs_passes::splat::Channels;
+use sgs_scene::{PointCloud, Splats};
+use sgs_train::gaussian_data;
+
+/// Views on the ring.
+const VIEWS: u32 = 12;
+
+/// Its radius, meters.
+const RING: f64 = 1.3;
+
+/// Gaussians of the truth: enough for a photograph's detail, few enough to be made at once.
+const TRUTH: std::ops::RangeInclusive<u32> = 40_000..=400_000;
+
+/// What the room is made with.
+#[derive(Clone, Copy, Debug)]
+pub struct Synthetic {
+    /// Gaussians that training starts from.
+    pub gaussians: u32,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Whether there are normals and depth, and priors for them.
+    pub normals: bool,
+    /// Whether densification is on.
+    pub densify: bool,
+    /// Degree of the spherical harmonics.
+    pub sh_degree: u32,
+}
+
+/// Makes the room.
+///
+/// # Errors
+/// If memory runs out or the device fails.
+pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
+    let views: Vec<Camera> = (0..VIEWS).map(|i| view(i, s.size)).collect();
+    let pictures = photographs(device, s, &views)?;
+    let pixels = s.size[0] * s.size[1];
+    let words = u64::from(VIEWS) * u64::from(pixels);
+    let targets = device.buffer("targets", 4 * words, Location::Device)?;
+    let normals = if s.normals { Some(device.buffer("normal_priors", 4 * words, Location::Device)?) } else { None };
+    for (i, picture) in pictures.iter().enumerate() {
+        let offset = 4 * i as u64 * u64::from(pixels);
+        let channels = picture.channels as usize;
+        let packed: Vec<u32> = picture.image.chunks_exact(channels).map(pack).collect();
+        device.upload(&targets, offset, bytemuck::cast_slice(&packed))?;
+        if let Some(normals) = &normals {
+            let packed = picture.image.chunks_exact(channels).map(|p| octahedral_encode([p[3], p[4], p[5]]));
+            device.upload(normals, offset, bytemuck::cast_slice(&packed.collect::<Vec<u32>>()))?;
+        }
+    }
+    let model = Model { sh_degree: s.sh_degree, normals: s.normals };
+    // Points as a reconstruction would give them.
+    let cloud = room::points(s.gaussians as usize, 2);
+    let start = gaussian_data(&Splats::from_points(&cloud, s.sh_degree as usize)?, model);
+    Ok(Workload {
+        name: "synthetic room".to_owned(),
+        model,
+        start,
+        targets,
+        normals,
+        views: views.into_iter().enumerate().map(|(i, c)| (c, i as u32 * pixels)).collect(),
+        largest: s.size,
+        extent: 1.1 * RING,
+        settings: settings(s.densify, s.sh_degree),
+    })
+}
+
+/// A camera on the ring that looks across the room, a little down; 75 degrees wide.
+fn view(index: u32, size: [u32; 2]) -> Camera {
+    let angle = std::f64::consts::TAU * f64::from(index) / f64::from(VIEWS);
+    let position = DVec3::new(RING * angle.cos(), 0.15, RING * angle.sin());
+    let forward = (DVec3::new(0.0, -0.35, 0.0) - position).normalize();
+    let right = forward.cross(DVec3::Y).normalize();
+    let down = forward.cross(right);
+    let rotation = DMat3::from_cols(right, down, forward).transpose();
+    let translation = -(rotation * position);
+    let row = |i: usize| {
+        let r = rotation.row(i);
+        [r.x as f32, r.y as f32, r.z as f32, translation[i] as f32]
+    };
+    let focal = 0.5 * f64::from(size[0]) / 37.5_f64.to_radians().tan();
+    Camera {
+        world_to_camera: [row(0), row(1), row(2)],
+        position: position.as_vec3().to_array(),
+        near: 0.01,
+        focal: [focal as f32; 2],
+        center: [0.5 * size[0] as f32, 0.5 * size[1] as f32],
+        size,
+        tiles: [0, 0],
+    }
+}
+
+/// Renders the truth: opaque splats, each as large as its share of the surface.
+fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Result<Vec<Picture>> {
+    let count = s.gaussians.clamp(*TRUTH.start(), *TRUTH.end());
+    let cloud = room::points(count as usize, 1);
+    let model = Model { sh_degree: 0, normals: s.normals };
+    let mut data = gaussian_data(&splats(&cloud), model);
+    let size = (0.6 * (room::area() / f64::from(count)).sqrt()).ln() as f32;
+    data.groups[Group::LogScales as usize].fill(size);
+    data.groups[Group::OpacityLogits as usize].fill(3.0);
+    let gaussians = Gaussians::new(device, model, count, false)?;
+    gaussians.upload(device, &data)?;
+    let channels = Channels { normals: s.normals, depth: false };
+    let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), &gaussians, s.size, channels)?;
+    views.iter().map(|c| Ok(renderer.render(&gaussians, c, 0, [0.0; 3])?)).collect()
+}
+
+/// Splats without a search for neighbors.
+fn splats(cloud: &PointCloud) -> Splats {
+    let n = cloud.len();
+    let colors = cloud.colors.iter().flatten().flatten();
+    Splats {
+        means: cloud.positions.clone(),
+        log_scales: vec![[0.0; 3]; n],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        opacity_logits: vec![0.0; n],
+        sh: [colors.map(|c| (c - 0.5) / sgs_scene::SH_C0).collect(), vec![], vec![], vec![]],
+        normals: cloud.normals.clone(),
+        ..Default::default()
+    }
+}
+
+fn pack(p: &[f32]) -> u32 {
+    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32;
+    byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 0xff00_0000
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_are_rigid_and_stand_on_the_ring() {
+        for i in 0..VIEWS {
+            let c = super::super::twin_camera(&view(i, [64, 48]));
+            assert!((c.rotation.determinant() - 1.0).abs() < 1e-6);
+            let at = -(c.rotation.transpose() * c.translation);
+            assert!((at.x.hypot(at.z) - RING).abs() < 1e-6 && (at.y - 0.15).abs() < 1e-6);
+            // What is above the camera lies in the upper half of the image.
+            assert!((c.rotation * DVec3::Y).y < 0.0);
+        }
+    }
+}

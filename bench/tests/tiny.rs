@@ -1,0 +1,88 @@
+//! The program at tiny sizes, with validation: every stage is right, and the comparison's verdict is the exit status.
+
+use serde_json::Value;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const TINY: [&str; 8] = ["--gaussians", "2000", "--size", "70x50", "--repeats", "3", "--warmup", "1"];
+
+fn bench(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_engine-bench"));
+    if let Ok(device) = std::env::var("SGS_TEST_DEVICE") {
+        command.args(["--device", &device]);
+    }
+    command.args(arguments).output().unwrap()
+}
+
+#[track_caller]
+fn succeeds(arguments: &[&str]) -> Value {
+    let out = bench(&[arguments, &["--json", "--validate"]].concat());
+    assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
+    serde_json::from_slice(&out.stdout).unwrap()
+}
+
+fn names(report: &Value) -> Vec<&str> {
+    report["passes"].as_array().unwrap().iter().map(|p| p["pass"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn stages_are_checked_and_none_is_without_a_model() {
+    let report = succeeds(&[&["passes", "--normals", "--elements", "5003"], &TINY[..]].concat());
+    let names = names(&report);
+    for stage in ["scan.scan_down", "project", "blend", "blend_bwd", "blend_bwd_splat", "photometric_bwd", "adam"] {
+        assert!(names.contains(&stage), "{stage} is not among {names:?}");
+    }
+    for pass in report["passes"].as_array().unwrap() {
+        assert!(pass["bytes"].is_number() && pass["operations"].is_number(), "{pass}");
+        assert!(pass["nanoseconds"]["samples"] == 3, "{pass}");
+    }
+    assert_eq!(report["checks"].as_array().unwrap().len(), 7);
+    assert!(report["device"]["driver"].as_str().is_some_and(|d| !d.is_empty()));
+}
+
+#[test]
+fn a_step_is_measured_traced_and_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let trace = path("trace.json");
+    let step = [&["step", "--normals", "--densify", "--trace", &trace], &TINY[..]].concat();
+    let mut report = succeeds(&step);
+    assert!(report["passes"].as_array().unwrap().iter().all(|p| p["bytes"].is_number()));
+    let read = |p: &str| serde_json::from_slice::<Value>(&std::fs::read(p).unwrap()).unwrap();
+    let events = read(&trace)["traceEvents"].as_array().unwrap().clone();
+    assert!(events.iter().any(|e| e["name"] == "project_bwd_adam" && e["dur"].as_f64().unwrap() > 0.0));
+
+    // Against a baseline that was a hundred times slower nothing is; against one that was faster all is.
+    for (factor, slower) in [(100.0, false), (1e-3, true)] {
+        for list in ["passes", "values"] {
+            for row in report[list].as_array_mut().unwrap() {
+                let key = if list == "passes" { "nanoseconds" } else { "value" };
+                let median = row[key]["median"].as_f64().unwrap();
+                row[key]["median"] = Value::from(factor * median);
+                row[key]["mad"] = Value::from(0.0);
+            }
+        }
+        let baseline = path("baseline.json");
+        std::fs::write(&baseline, report.to_string()).unwrap();
+        let out = bench(&[&step[..], &["--compare", &baseline]].concat());
+        let said = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert_eq!(out.status.code(), Some(i32::from(slower)), "{said}");
+        assert_eq!(said.contains("SLOWER geometry_step/"), slower, "{said}");
+    }
+}
+
+#[test]
+fn what_cannot_be_done_is_said_in_a_sentence() {
+    let missing = Path::new(env!("CARGO_MANIFEST_DIR")).join("no such folder");
+    for (arguments, code) in [
+        (vec!["passes", "--filter", "no such stage"], 1),
+        (vec!["step", "--scene", missing.to_str().unwrap()], 1),
+        (vec!["step", "--size", "0x10"], 2),
+        (vec!["ceiling", "--device", "no such device"], 1),
+    ] {
+        let out = bench(&arguments);
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(!said.contains("panicked") && (code == 2 || said.lines().count() == 1), "{said}");
+    }
+}

@@ -1,0 +1,181 @@
+//! The `sgs` program, run as a user runs it: arguments in; exit status, standard output and standard error out.
+//!
+//! Cargo gives the path of a program only to the tests of its own package. Here it is looked for beside the test
+//! programs, and built first where it is absent or older than any source, so that no test passes on yesterday's program.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant, SystemTime};
+
+/// How a run of the program ended.
+#[derive(Clone, Debug)]
+pub struct Finished {
+    /// Exit status; absent if a signal ended it.
+    pub status: Option<i32>,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+    arguments: String,
+}
+
+impl Finished {
+    /// Fails unless the program succeeded.
+    #[track_caller]
+    pub fn ok(self) -> Finished {
+        assert_eq!(self.status, Some(0), "sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
+        self
+    }
+
+    /// Fails unless the program refused with exit status 1, nothing on standard output, and one sentence on standard
+    /// error that holds all of the words. Warnings may come before it.
+    #[track_caller]
+    pub fn refused(&self, words: &[&str]) -> &Finished {
+        let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
+        assert_eq!(self.status, Some(1), "{context}");
+        assert_eq!(self.stdout, "", "{context}");
+        self.assert_no_panic();
+        let said: Vec<&str> =
+            self.stderr.lines().filter(|l| !l.trim_start().starts_with("WARN") && !l.trim().is_empty()).collect();
+        let [sentence] = said[..] else { panic!("one line was expected: {context}") };
+        assert!(sentence.starts_with("sgs: ") && sentence.len() < 700, "{context}");
+        for word in words {
+            assert!(sentence.contains(word), "\"{word}\" is missing: {context}");
+        }
+        self
+    }
+
+    /// Fails if the program panicked.
+    #[track_caller]
+    pub fn assert_no_panic(&self) {
+        for word in ["panicked", "RUST_BACKTRACE", "stack backtrace"] {
+            assert!(!self.stderr.contains(word), "sgs {}\n{}", self.arguments, self.stderr);
+        }
+    }
+
+    /// Standard output as JSON.
+    #[track_caller]
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("sgs {}: {e}\n{}", self.arguments, self.stdout))
+    }
+}
+
+/// Runs the program to its end.
+pub fn sgs<S: AsRef<str>>(arguments: &[S]) -> Finished {
+    let output = command(arguments).output().unwrap_or_else(|e| panic!("sgs cannot be run: {e}"));
+    finished(arguments, output)
+}
+
+/// Starts the program, with its output kept for [`wait`].
+pub fn start<S: AsRef<str>>(arguments: &[S]) -> Child {
+    let mut command = command(arguments);
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.spawn().unwrap_or_else(|e| panic!("sgs cannot be run: {e}"))
+}
+
+/// Waits for a program from [`start`].
+pub fn wait(child: Child) -> Finished {
+    finished(&["(started before)"], child.wait_with_output().unwrap_or_else(|e| panic!("sgs cannot be awaited: {e}")))
+}
+
+/// Runs the program from a shell that has made some preparations (limits, signals).
+pub fn sgs_after<S: AsRef<str>>(preparation: &str, arguments: &[S]) -> Finished {
+    let direct = command(arguments);
+    let mut shell = Command::new("bash");
+    shell.arg("-c").arg(format!("{preparation}; exec \"$@\"")).arg("bash").arg(direct.get_program());
+    shell.args(direct.get_args());
+    for (name, value) in direct.get_envs() {
+        match value {
+            Some(value) => shell.env(name, value),
+            None => shell.env_remove(name),
+        };
+    }
+    finished(arguments, shell.output().unwrap_or_else(|e| panic!("bash cannot be run: {e}")))
+}
+
+/// Sends a signal, by its name without SIG.
+pub fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill").arg(format!("-{name}")).arg(child.id().to_string()).status();
+    assert!(status.is_ok_and(|s| s.success()), "the signal {name} could not be sent");
+}
+
+/// Waits until something holds while a program runs; false if the program ended before.
+#[track_caller]
+pub fn until(child: &mut Child, mut holds: impl FnMut() -> bool) -> bool {
+    let begun = Instant::now();
+    loop {
+        if holds() {
+            return true;
+        }
+        if child.try_wait().is_ok_and(|s| s.is_some()) {
+            return false;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(120), "nothing happened within two minutes");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn command<S: AsRef<str>>(arguments: &[S]) -> Command {
+    let program = program();
+    let mut command = Command::new(program);
+    command.args(arguments.iter().map(AsRef::as_ref));
+    if let Ok(device) = std::env::var("SGS_TEST_DEVICE")
+        && !arguments.iter().any(|a| a.as_ref() == "--device")
+    {
+        command.args(["--device", &device]);
+    }
+    // Pipelines of one test serve the next, without touching those of the user.
+    let cache = program.with_file_name("sgs-tests-cache");
+    command.env("XDG_CACHE_HOME", cache).env("RUST_BACKTRACE", "1").env_remove("SGS_LOG").stdin(Stdio::null());
+    command
+}
+
+fn finished<S: AsRef<str>>(arguments: &[S], output: Output) -> Finished {
+    let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+    Finished {
+        status: output.status.code(),
+        stdout: text(output.stdout),
+        stderr: text(output.stderr),
+        arguments: arguments.iter().map(AsRef::as_ref).collect::<Vec<_>>().join(" "),
+    }
+}
+
+fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        let test = std::env::current_exe().unwrap_or_else(|e| panic!("where the tests are is unknown: {e}"));
+        let profile = test.parent().and_then(Path::parent).unwrap_or_else(|| panic!("{} is no test", test.display()));
+        let path = profile.join(format!("sgs{}", std::env::consts::EXE_SUFFIX));
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let built = path.metadata().and_then(|m| m.modified()).ok();
+        if built.is_none_or(|built| newest(&root) > built) {
+            let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+            let mut command = Command::new(cargo);
+            command.current_dir(&root).args(["build", "--quiet", "--package", "sgs"]);
+            if profile.file_name().is_some_and(|n| n == "release") {
+                command.arg("--release");
+            }
+            assert!(command.status().is_ok_and(|s| s.success()), "sgs could not be built");
+        }
+        path
+    })
+}
+
+/// When a source of the program last changed.
+fn newest(root: &Path) -> SystemTime {
+    let mut newest = SystemTime::UNIX_EPOCH;
+    let folders = ["engine", "passes", "shaders-glsl", "tools"];
+    let mut open: Vec<PathBuf> = folders.iter().map(|f| root.join(f)).collect();
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            match entry.metadata() {
+                Ok(m) if m.is_dir() && name != "tests" && name != "examples" => open.push(entry.path()),
+                Ok(m) if m.is_file() => newest = newest.max(m.modified().unwrap_or(newest)),
+                _ => {}
+            }
+        }
+    }
+    newest
+}

@@ -1,0 +1,189 @@
+//! A tiny room on disk: the inside of a box with smoothly painted walls, of which color, normal and depth are known at
+//! every pixel.
+
+use glam::{DMat3, DVec2, DVec3};
+use serde_json::json;
+use sgs_scene::{Camera, Image, write_exr, write_png};
+use std::path::Path;
+
+/// Half the sides of the box.
+const WALLS: DVec3 = DVec3::new(1.4, 1.0, 1.6);
+
+/// What to write.
+#[derive(Clone, Copy, Debug)]
+pub struct Room {
+    /// Views; every fourth is a test view.
+    pub views: usize,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Pixels between points, in each training view.
+    pub spacing: u32,
+    /// Whether there are priors of the normals.
+    pub priors: bool,
+    /// Whether there is ground truth of normals and depth.
+    pub truth: bool,
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Room { views: 8, size: [32, 24], spacing: 4, priors: false, truth: false }
+    }
+}
+
+/// What a ray meets.
+struct Hit {
+    depth: f64,
+    position: DVec3,
+    normal: DVec3,
+    color: DVec3,
+}
+
+impl Room {
+    /// The cameras: a walk along an arc, all looking into the same half of the room.
+    pub fn cameras(&self) -> Vec<Camera> {
+        (0..self.views)
+            .map(|i| {
+                let along = i as f64 / self.views.max(2) as f64 * 2.0 - 1.0;
+                let place = DVec3::new(0.5 * along, 0.25 * (5.0 * along).sin(), -0.7 + 0.3 * along * along);
+                let forward = (DVec3::new(-0.35 * along, 0.1 * (3.0 * along).cos(), 1.2) - place).normalize();
+                let right = DVec3::Y.cross(forward).normalize();
+                let down = forward.cross(right);
+                let rotation = DMat3::from_cols(right, down, forward).transpose();
+                let [width, height] = self.size;
+                Camera {
+                    name: format!("{i:03}"),
+                    width,
+                    height,
+                    fx: 0.7 * f64::from(width),
+                    fy: 0.7 * f64::from(width),
+                    cx: 0.5 * f64::from(width),
+                    cy: 0.5 * f64::from(height),
+                    rotation,
+                    translation: -(rotation * place),
+                }
+            })
+            .collect()
+    }
+
+    /// Names of training and test views.
+    pub fn split(&self) -> (Vec<String>, Vec<String>) {
+        let names = |test: bool| (0..self.views).filter(|i| (i % 4 == 1) == test).map(|i| format!("{i:03}")).collect();
+        (names(false), names(true))
+    }
+
+    /// Writes the scene directory.
+    pub fn write(&self, root: &Path) {
+        let cameras = self.cameras();
+        let (train, test) = self.split();
+        for folder in ["images", "priors/normal", "gt/normal", "gt/depth"] {
+            let wanted = match folder.split('/').next() {
+                Some("priors") => self.priors,
+                Some("gt") => self.truth,
+                _ => true,
+            };
+            if wanted {
+                std::fs::create_dir_all(root.join(folder)).unwrap();
+            }
+        }
+        let mut points = Vec::new();
+        for camera in &cameras {
+            let mut color = Image::new(camera.width, camera.height, 3);
+            let mut normal = Image::new(camera.width, camera.height, 3);
+            let mut depth = Image::new(camera.width, camera.height, 1);
+            for y in 0..camera.height {
+                for x in 0..camera.width {
+                    let at = (y * camera.width + x) as usize;
+                    let hit = hit(camera, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+                    color.data[3 * at..3 * at + 3].copy_from_slice(&hit.color.as_vec3().to_array());
+                    normal.data[3 * at..3 * at + 3].copy_from_slice(&hit.normal.as_vec3().to_array());
+                    depth.data[at] = hit.depth as f32;
+                    let chosen = x % self.spacing == self.spacing / 2 && y % self.spacing == self.spacing / 2;
+                    if chosen && train.contains(&camera.name) {
+                        points.push((hit.position, hit.color));
+                    }
+                }
+            }
+            let name = &camera.name;
+            write_png(&root.join(format!("images/{name}.png")), &color).unwrap();
+            if self.priors && train.contains(name) {
+                write_exr(&root.join(format!("priors/normal/{name}.exr")), &normal, &["X", "Y", "Z"]).unwrap();
+            }
+            if self.truth {
+                write_exr(&root.join(format!("gt/normal/{name}.exr")), &normal, &["X", "Y", "Z"]).unwrap();
+                write_exr(&root.join(format!("gt/depth/{name}.exr")), &depth, &["Y"]).unwrap();
+            }
+        }
+        if self.priors {
+            write_json(&root.join("priors/priors.json"), &json!({"normal": {"frame": "world"}}));
+        }
+        write_json(&root.join("split.json"), &json!({"train": train, "test": test}));
+        write_json(&root.join("transforms.json"), &transforms(&cameras));
+        let mut ply = format!("ply\nformat ascii 1.0\nelement vertex {}\n", points.len());
+        for name in ["x", "y", "z"] {
+            ply.push_str(&format!("property float {name}\n"));
+        }
+        for name in ["red", "green", "blue"] {
+            ply.push_str(&format!("property uchar {name}\n"));
+        }
+        ply.push_str("end_header\n");
+        for (p, c) in points {
+            let c = (c * 255.0).round();
+            ply.push_str(&format!("{:.6} {:.6} {:.6} {} {} {}\n", p.x, p.y, p.z, c.x, c.y, c.z));
+        }
+        std::fs::write(root.join("points.ply"), ply).unwrap();
+    }
+}
+
+/// A transforms file for these cameras; intrinsics stand with every frame.
+pub fn transforms(cameras: &[Camera]) -> serde_json::Value {
+    let frames: Vec<_> = cameras
+        .iter()
+        .map(|c| {
+            let to_world = c.rotation.transpose();
+            let (x, y, z, t) = (to_world.x_axis, -to_world.y_axis, -to_world.z_axis, c.position());
+            json!({
+                "file_path": format!("images/{}.png", c.name),
+                "w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy,
+                "transform_matrix":
+                    [[x.x, y.x, z.x, t.x], [x.y, y.y, z.y, t.y], [x.z, y.z, z.z, t.z], [0.0, 0.0, 0.0, 1.0]],
+            })
+        })
+        .collect();
+    json!({"frames": frames})
+}
+
+/// Writes JSON.
+pub fn write_json(path: &Path, value: &serde_json::Value) {
+    std::fs::write(path, value.to_string()).unwrap();
+}
+
+/// The wall that a pixel sees.
+fn hit(camera: &Camera, pixel: DVec2) -> Hit {
+    let eye = camera.position();
+    let ray = camera.unproject(pixel, 1.0) - eye;
+    let mut depth = f64::INFINITY;
+    let mut normal = DVec3::ZERO;
+    for axis in 0..3 {
+        if ray[axis] == 0.0 {
+            continue;
+        }
+        let t = (WALLS[axis] * ray[axis].signum() - eye[axis]) / ray[axis];
+        if t < depth {
+            depth = t;
+            normal = DVec3::ZERO;
+            normal[axis] = -ray[axis].signum();
+        }
+    }
+    let p = eye + ray * depth;
+    let wave = |k: DVec3, phase: f64| {
+        0.5 + 0.3 * (k.dot(p) + phase).sin() + 0.08 * (2.3 * k.dot(DVec3::new(p.y, p.z, p.x)) + phase).cos()
+    };
+    let color = DVec3::new(
+        wave(DVec3::new(2.0, 1.0, 0.6), 0.3),
+        wave(DVec3::new(-1.0, 2.2, 0.9), 1.1),
+        wave(DVec3::new(0.7, -1.3, 1.9), 2.0),
+    );
+    // Every wall has its shade, as in a lit room.
+    let shade = 0.8 + 0.15 * normal.dot(DVec3::new(0.5, 0.8, 0.3));
+    Hit { depth, position: p, normal, color: (color * shade).clamp(DVec3::ZERO, DVec3::ONE) }
+}

@@ -1,0 +1,349 @@
+//! What `sgs` refuses and how: one clear sentence, exit status 1; 2 for wrong usage; never a panic.
+
+use glam::DVec3;
+use serde_json::json;
+use sgs_scene::{Image, Splats, write_exr, write_png};
+use sgs_tests::cli::{Finished, sgs};
+use sgs_tests::rooms::{Room, transforms, write_json};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// A folder with a room in `scene`.
+struct Place(TempDir);
+
+impl Place {
+    fn new(room: Room) -> Place {
+        let place = Place(tempfile::tempdir().unwrap());
+        std::fs::create_dir(place.path("scene")).unwrap();
+        room.write(&place.path("scene"));
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.path(name).display().to_string()
+    }
+
+    fn train(&self, more: &[&str]) -> Finished {
+        let (scene, run) = (self.text("scene"), self.text("run"));
+        let mut arguments = vec!["train", &scene, "-o", &run, "--geometry-steps", "2"];
+        arguments.extend(more);
+        sgs(&arguments)
+    }
+
+    /// Three splats in `a.ply`, of which the caller may damage the bytes.
+    fn ply(&self, change: impl FnOnce(&mut Vec<u8>)) -> String {
+        let splats = Splats {
+            means: vec![[0.0, 0.0, 2.0], [0.1, 0.0, 2.0], [0.0, 0.2, 2.5]],
+            log_scales: vec![[-2.0; 3]; 3],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            opacity_logits: vec![0.0; 3],
+            sh: [vec![0.5; 9], Vec::new(), Vec::new(), Vec::new()],
+            ..Default::default()
+        };
+        splats.write_ply(&self.path("a.ply")).unwrap();
+        let mut bytes = std::fs::read(self.path("a.ply")).unwrap();
+        change(&mut bytes);
+        std::fs::write(self.path("a.ply"), bytes).unwrap();
+        self.text("a.ply")
+    }
+
+    fn render(&self, source: &str, more: &[&str]) -> Finished {
+        let (cameras, out) = (self.text("scene/transforms.json"), self.text("out"));
+        let mut arguments = vec!["render", source, "--cameras", &cameras, "-o", &out];
+        arguments.extend(more);
+        sgs(&arguments)
+    }
+}
+
+fn rename(bytes: &mut Vec<u8>, from: &str, to: &str) {
+    let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+    bytes.splice(at..at + from.len(), to.bytes());
+}
+
+#[test]
+fn scenes_that_cannot_be_trained_on_are_refused() {
+    let place = Place::new(Room::default());
+    let none = place.text("none");
+    sgs(&["train", &none, "-o", &place.text("run")]).refused(&[&none, "does not exist"]);
+    std::fs::create_dir(place.path("empty")).unwrap();
+    sgs(&["train", &place.text("empty"), "-o", &place.text("run")]).refused(&["holds no scene", "transforms.json"]);
+    sgs(&["plan", &none]).refused(&["does not exist"]);
+    assert!(!place.path("run").exists(), "a refused scene leaves no run");
+
+    // A camera of another size than its image.
+    let scene = place.path("scene");
+    let other = Image::new(31, 24, 3);
+    let image = scene.join("images/002.png");
+    let kept = std::fs::read(&image).unwrap();
+    write_png(&image, &other).unwrap();
+    place.train(&[]).refused(&["002.png", "31×24", "32×24"]);
+
+    // An image whose header is whole and whose pixels are not.
+    std::fs::write(&image, &kept[..kept.len() / 2]).unwrap();
+    place.train(&[]).refused(&["002.png", "cannot be read as PNG"]);
+    std::fs::write(&image, &kept).unwrap();
+
+    // A pose with a number that JSON has, but that is no position.
+    let text = std::fs::read_to_string(scene.join("transforms.json")).unwrap();
+    let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    value["frames"][3]["transform_matrix"][0][3] = json!(1e300);
+    write_json(&scene.join("transforms.json"), &value);
+    place.train(&[]).refused(&["transforms.json", "frame 3"]);
+    std::fs::write(scene.join("transforms.json"), text.replacen("[[", "[[NaN,", 1)).unwrap();
+    place.train(&[]).refused(&["transforms.json", "line 1"]);
+    value["frames"][3]["transform_matrix"][0] = json!([0.0, 0.0, 0.0, 0.0]);
+    write_json(&scene.join("transforms.json"), &value);
+    place.train(&[]).refused(&["transforms.json", "frame 3", "rigid"]);
+    std::fs::write(scene.join("transforms.json"), &text).unwrap();
+
+    // No view left to train on, by the split and by the default.
+    let split = std::fs::read(scene.join("split.json")).unwrap();
+    write_json(&scene.join("split.json"), &json!({"train": [], "test": ["000"]}));
+    place.train(&[]).refused(&["no training view"]);
+    write_json(&scene.join("split.json"), &json!({"train": ["000", "nobody"]}));
+    place.train(&[]).refused(&["nobody"]);
+    std::fs::remove_file(scene.join("split.json")).unwrap();
+    let mut one: serde_json::Value = serde_json::from_str(&text).unwrap();
+    one["frames"].as_array_mut().unwrap().truncate(1);
+    write_json(&scene.join("transforms.json"), &one);
+    place.train(&[]).refused(&["no training view is left", "every 8th"]);
+    std::fs::write(scene.join("split.json"), split).unwrap();
+    std::fs::write(scene.join("transforms.json"), &text).unwrap();
+    place.train(&["--views", "0"]).refused(&["at least one training view"]);
+    place.train(&["--scale", "1.5"]).refused(&["scale", "1.5"]);
+
+    // Points.
+    let points = std::fs::read_to_string(scene.join("points.ply")).unwrap();
+    std::fs::write(scene.join("points.ply"), &points[..points.len() - 40]).unwrap();
+    place.train(&[]).refused(&["points.ply", "vertex"]);
+    std::fs::write(scene.join("points.ply"), points.replace("property float y\n", "property float q\n")).unwrap();
+    place.train(&[]).refused(&["points.ply", "no property \"y\""]);
+    std::fs::write(scene.join("points.ply"), &points).unwrap();
+
+    // Nothing at all to look at.
+    std::fs::remove_dir_all(scene.join("images")).unwrap();
+    place.train(&[]).refused(&["none of the 8 frames has its image", "000.png"]);
+    assert!(!place.path("run/checkpoint/geometry.safetensors").exists());
+}
+
+#[test]
+fn damaged_linear_images_are_refused() {
+    let place = Place::new(Room::default());
+    let scene = place.path("scene");
+    let mut value = transforms(&Room::default().cameras());
+    value["frames"][2]["file_path"] = json!("images/002.exr");
+    write_json(&scene.join("transforms.json"), &value);
+    let path = scene.join("images/002.exr");
+    let mut image = Image::new(32, 24, 3);
+    image.data.iter_mut().enumerate().for_each(|(i, v)| *v = (i % 17) as f32 / 9.0);
+    write_exr(&path, &image, &["R", "G", "B"]).unwrap();
+    place.train(&[]).ok();
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &whole[..whole.len() * 2 / 3]).unwrap();
+    place.train(&[]).refused(&["002.exr", "cannot be read as EXR"]);
+    std::fs::write(&path, b"not an image").unwrap();
+    place.train(&[]).refused(&["002.exr", "cannot be read as EXR"]);
+    image.data[100] = f32::NAN;
+    write_exr(&path, &image, &["R", "G", "B"]).unwrap();
+    place.train(&[]).refused(&["002.exr", "not"]);
+}
+
+#[test]
+fn settings_that_mean_nothing_are_refused() {
+    let place = Place::new(Room::default());
+    let set = |pair: &str| place.train(&["--set", pair]);
+    set("geometry.rates.scale=0.1").refused(&["geometry.rates.scale", "did you mean \"geometry.rates.scales\"?"]);
+    set("stepz=3").refused(&["\"stepz\" is not a setting", "geometry.steps"]);
+    set("geometry.steps=many").refused(&["geometry.steps is \"many\"", "whole number"]);
+    set("geometry.steps=-3").refused(&["geometry.steps is -3"]);
+    set("geometry.normals=perhaps").refused(&["geometry.normals", "true or false"]);
+    set("geometry.background=[0,1]").refused(&["geometry.background", "3 numbers"]);
+    set("geometry.losses.l1=nan").refused(&["geometry.losses.l1 is NaN"]);
+    set("geometry.rates.means=-1").refused(&["geometry.rates.means is -1"]);
+    set("geometry.sh_degree=4").refused(&["geometry.sh_degree is 4", "0 to 3"]);
+    set("geometry.densify.interval=0").refused(&["geometry.densify.interval is 0"]);
+    set("geometry.densify.until=1.5").refused(&["geometry.densify.until is 1.5"]);
+    set("geometry.steps.more=3").refused(&["geometry.steps"]);
+    set("exposure=0").refused(&["exposure"]);
+    set("nothing").refused(&["KEY=VALUE"]);
+    set("=3").refused(&["no key"]);
+    place.train(&["--seed", "18446744073709551615"]).refused(&["seed is 18446744073709551615"]);
+
+    let config = place.text("config.toml");
+    let with = |text: &str| {
+        std::fs::write(&config, text).unwrap();
+        place.train(&["--config", &config])
+    };
+    with("[geometry]\nstep = 3\n").refused(&["geometry.step", "did you mean \"geometry.steps\"?"]);
+    with("[geometry\n").refused(&[&config]);
+    with("seed = \"seven\"\n").refused(&["seed is \"seven\"", "whole number"]);
+    place.train(&["--config", &place.text("none.toml")]).refused(&["none.toml"]);
+    assert!(!place.path("run").exists(), "refused settings leave no run");
+}
+
+#[test]
+fn ply_files_that_are_no_splats_are_refused() {
+    let place = Place::new(Room::default());
+    let whole = place.ply(|_| {});
+    place.render(&whole, &[]).ok();
+    let cut = place.ply(|b| b.truncate(b.len() - 7));
+    place.render(&cut, &[]).refused(&["a.ply", "promises 3 vertices"]);
+    for name in ["opacity", "rot_2", "f_dc_1", "scale_0"] {
+        let lacking = place.ply(|b| rename(b, &format!("property float {name}\n"), "property float other\n"));
+        place.render(&lacking, &[]).refused(&["a.ply", &format!("no property \"{name}\"")]);
+    }
+    let nan = place.ply(|b| {
+        let end = b.len();
+        b[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    });
+    place.render(&nan, &[]).refused(&["a.ply", "vertex 2", "rot_3"]);
+    let text = place.ply(|b| *b = b"solid".to_vec());
+    place.render(&text, &[]).refused(&["a.ply", "ply"]);
+    place.render(&place.text("none.ply"), &[]).refused(&["none.ply", "does not exist"]);
+    place.render(&place.text("scene"), &[]).refused(&["is not a run directory"]);
+}
+
+#[test]
+fn a_ply_without_splats_is_an_empty_picture() {
+    let place = Place::new(Room::default());
+    Splats { sh: [Vec::new(), Vec::new(), Vec::new(), Vec::new()], ..Default::default() }
+        .write_ply(&place.path("b.ply"))
+        .unwrap();
+    let finished = place
+        .render(&place.text("b.ply"), &["--format", "exr", "--background", "0.25,0.5,4", "--channels", "rgb,alpha"]);
+    finished.ok();
+    let rgb = sgs_scene::read_exr(&place.path("out/000_rgb.exr")).unwrap().image;
+    assert!(rgb.data.chunks_exact(3).all(|p| p == [0.25, 0.5, 4.0]), "{:?}", &rgb.data[..3]);
+    let alpha = sgs_scene::read_exr(&place.path("out/000_alpha.exr")).unwrap().image;
+    assert!(alpha.data.iter().all(|v| *v == 0.0));
+}
+
+#[test]
+fn renders_that_make_no_sense_are_refused() {
+    let place = Place::new(Room::default());
+    let ply = place.ply(|_| {});
+    place.render(&ply, &["--background", "1,2"]).refused(&["--background", "three numbers"]);
+    place.render(&ply, &["--background", "1,2,3,4"]).refused(&["--background", "three numbers"]);
+    place.render(&ply, &["--background", "1,nan,0"]).refused(&["--background", "finite"]);
+    place.render(&ply, &["--channels", "rgb,normal"]).refused(&["holds no normals", "--channels"]);
+    let cameras = place.path("scene/transforms.json");
+    let text = std::fs::read_to_string(&cameras).unwrap();
+    write_json(&cameras, &json!({"frames": []}));
+    place.render(&ply, &[]).refused(&["transforms.json", "empty"]);
+    write_json(&cameras, &json!({"w": 3}));
+    place.render(&ply, &[]).refused(&["transforms.json", "frames"]);
+    let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    value["frames"][1]["fl_x"] = json!(-5.0);
+    write_json(&cameras, &value);
+    place.render(&ply, &[]).refused(&["frame 1", "focal"]);
+    let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    value["frames"][1]["file_path"] = value["frames"][0]["file_path"].clone();
+    write_json(&cameras, &value);
+    place.render(&ply, &[]).refused(&["\"000\" was used before"]);
+    std::fs::remove_file(&cameras).unwrap();
+    place.render(&ply, &[]).refused(&["transforms.json"]);
+    std::fs::write(&cameras, text).unwrap();
+
+    let (out, run) = (place.text("out.splat"), place.text("scene"));
+    sgs(&["export", &ply, "-o", &out]).refused(&["out.splat", ".ply"]);
+    sgs(&["export", &run, "-o", &place.text("b.ply")]).refused(&["not a run directory"]);
+    sgs(&["export", &ply, "-o", &place.text("none/b.ply")]).refused(&["none/b.ply"]);
+    std::fs::write(place.path("out_is_a_file"), "").unwrap();
+    let file = place.text("out_is_a_file");
+    sgs(&["render", &ply, "--cameras", &place.text("scene/transforms.json"), "-o", &file]).refused(&["out_is_a_file"]);
+    sgs(&["eval", &place.text("scene")]).refused(&["not a run directory"]);
+    sgs(&["synth", &place.text("s"), "--scene", "castle"]).refused(&["castle", "livingroom"]);
+}
+
+#[test]
+fn devices_that_do_not_exist_are_refused() {
+    let place = Place::new(Room::default());
+    let ply = place.ply(|_| {});
+    place.render(&ply, &["--device", "no such device"]).refused(&[
+        "No Vulkan device matches",
+        "no such device",
+        "found",
+    ]);
+    place.train(&["--device", "77"]).refused(&["77"]);
+    let listed = sgs(&["devices", "--json"]).ok().json();
+    assert!(!listed.as_array().unwrap().is_empty());
+    for device in listed.as_array().unwrap() {
+        assert!(device["name"].is_string() && device["missing"].is_array());
+    }
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    for arguments in [
+        &["frobnicate"][..],
+        &["train"],
+        &["train", "scene"],
+        &["train", "scene", "-o", "run", "--geometry-steps", "x"],
+        &["train", "scene", "-o", "run", "--stage", "nonsense"],
+        &["render", "a.ply", "-o", "out"],
+        &["render", "a.ply", "--cameras", "c", "-o", "out", "--channels", "smell"],
+        &["render", "a.ply", "--cameras", "c", "-o", "out", "--background", "red"],
+        &["synth", "out", "--size", "big"],
+    ] {
+        let finished = sgs(arguments);
+        assert_eq!(finished.status, Some(2), "{finished:?}");
+        assert_eq!(finished.stdout, "");
+        assert!(!finished.stderr.is_empty());
+        finished.assert_no_panic();
+    }
+    for arguments in [&["--help"][..], &["--version"], &["train", "--help"]] {
+        assert!(!sgs(arguments).ok().stdout.is_empty());
+    }
+}
+
+/// Every command's answer is one JSON value, on standard output or in the file that was named.
+#[test]
+fn json_is_valid_and_complete() {
+    let place = Place::new(Room { priors: true, truth: true, ..Room::default() });
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let plan = sgs(&["plan", &scene, "--json"]).ok().json();
+    assert_eq!(plan["views"], 6);
+    assert!(plan["gaussians"].as_u64().unwrap() > 100 && plan["passes"].as_u64().unwrap() > 10, "{plan}");
+    let trained = place.train(&["--json"]).ok().json();
+    assert_eq!(trained["steps"], 2);
+    let eval = sgs(&["--json", "eval", &run]).ok().json();
+    assert_eq!(eval["views"].as_array().unwrap().len(), 2);
+    // `--json FILE`, as documented, and with an equals sign.
+    for (name, joined) in [("m.json", false), ("n.json", true)] {
+        let file = place.text(name);
+        let option = if joined { vec![format!("--json={file}")] } else { vec!["--json".to_owned(), file.clone()] };
+        let mut arguments = vec!["eval".to_owned(), run.clone()];
+        arguments.extend(option);
+        assert!(sgs(&arguments).ok().stdout.contains("PSNR"), "the table is for people");
+        let written: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+        assert_eq!(written, eval);
+    }
+    let exported = sgs(&["export", &run, "-o", &place.text("b.ply"), "--json"]).ok().json();
+    assert_eq!(exported["gaussians"], trained["gaussians"]);
+    let rendered = place.render(&run, &["--json", "--channels", "rgb,depth,normal"]).ok().json();
+    let files = rendered["files"].as_array().unwrap();
+    assert_eq!(files.len(), 3 * 8);
+    assert!(files.iter().all(|f| Path::new(f.as_str().unwrap()).is_file()));
+}
+
+/// An exported run, and the run itself, are the same splats to a viewer.
+#[test]
+fn an_export_renders_as_the_run_does() {
+    let place = Place::new(Room::default());
+    place.train(&[]).ok();
+    let run = place.text("run");
+    sgs(&["export", &run, "-o", &place.text("b.ply")]).ok();
+    let rgb = |source: &str| {
+        place.render(source, &["--format", "exr"]).ok();
+        std::fs::read(place.path("out/003_rgb.exr")).unwrap()
+    };
+    let (a, b) = (rgb(&run), rgb(&place.text("b.ply")));
+    assert!(a == b, "the pictures differ");
+    let image = sgs_scene::read_exr(&place.path("out/003_rgb.exr")).unwrap().image;
+    let mean: DVec3 = image.data.chunks_exact(3).map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())).sum();
+    assert!(mean.length() > 1.0, "the picture is black");
+}

@@ -1,0 +1,488 @@
+//! Training as a whole: that it learns, that the result depends on scene, settings and seed alone whatever interrupts
+//! it, and that nothing which happens to the disk loses an earlier checkpoint.
+
+use sgs_engine::{Device, DeviceOptions};
+use sgs_scene::{Scene, SceneOptions};
+use sgs_tests::Gpu;
+use sgs_tests::cli::{Finished, sgs, sgs_after, signal, start, until, wait};
+use sgs_tests::rooms::Room;
+use sgs_train::{Evaluation, Geometry, Progress, Settings, evaluate};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use tempfile::TempDir;
+
+/// A folder with a room in `scene`, and runs beside it.
+struct Place(TempDir);
+
+impl Place {
+    fn new(room: Room) -> Place {
+        let place = Place(tempfile::tempdir().unwrap());
+        std::fs::create_dir(place.path("scene")).unwrap();
+        room.write(&place.path("scene"));
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.path(name).display().to_string()
+    }
+
+    /// Arguments of a training into `run`, with densification and resets in a few steps.
+    fn arguments(&self, run: &str, steps: u32, more: &[&str]) -> Vec<String> {
+        let mut all: Vec<String> = ["train", &self.text("scene"), "-o", &self.text(run)].map(String::from).to_vec();
+        all.extend(["--geometry-steps".into(), steps.to_string()]);
+        for pair in [
+            "geometry.densify.from=5",
+            "geometry.densify.interval=5",
+            "geometry.densify.reset_interval=12",
+            "geometry.densify.grad_threshold=0.00005",
+            "geometry.densify.max_gaussians=3000",
+            "geometry.entry_capacity=300",
+            "geometry.checkpoint_interval=7",
+        ] {
+            all.extend(["--set".into(), pair.into()]);
+        }
+        all.extend(more.iter().map(|s| (*s).to_owned()));
+        all
+    }
+
+    fn resume(&self, run: &str) -> Finished {
+        sgs(&["train", &self.text("scene"), "-o", &self.text(run), "--resume"])
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+    }
+
+    /// The steps in the log of a run; fails unless every line is JSON.
+    fn logged(&self, run: &str) -> Vec<u64> {
+        let text = std::fs::read_to_string(self.path(run).join("log.jsonl")).unwrap_or_default();
+        // A line may be in the making while the run goes on.
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let lines =
+            whole.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap_or_else(|e| panic!("{e}: {l}")));
+        lines.map(|l| l["step"].as_u64().unwrap()).collect()
+    }
+
+    #[track_caller]
+    fn assert_same(&self, a: &str, b: &str) {
+        for file in ["scene.ply", "log.jsonl"] {
+            let (x, y) = (self.read(&format!("{a}/{file}")), self.read(&format!("{b}/{file}")));
+            assert!(x == y, "{file} of {a} and {b} differ");
+        }
+    }
+}
+
+fn settings(steps: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = steps;
+    let d = &mut s.geometry.densify;
+    (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 12, 5e-5, 3000);
+    s
+}
+
+fn device() -> Device {
+    let select = std::env::var("SGS_TEST_DEVICE").ok();
+    Device::open(&DeviceOptions { select, ..Default::default() }).unwrap()
+}
+
+#[test]
+fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
+    let place = Place::new(Room::default());
+    let steps = 110;
+    sgs(&place.arguments("straight", steps, &[])).ok();
+    let steps_logged = place.logged("straight");
+    assert_eq!(steps_logged, std::iter::once(1).chain((1..=11).map(|i| 10 * i)).collect::<Vec<_>>());
+
+    // Twice interrupted, as with Ctrl-C.
+    let mut child = start(&place.arguments("interrupted", steps, &[]));
+    assert!(until(&mut child, || place.logged("interrupted").last() >= Some(&30)), "it was too fast to interrupt");
+    signal(&child, "INT");
+    let stopped = wait(child);
+    assert_eq!(stopped.status, Some(1), "{stopped:?}");
+    assert!(stopped.stderr.contains("stopped after step") && stopped.stderr.contains("--resume"), "{stopped:?}");
+    assert!(!place.path("interrupted/scene.ply").exists());
+    sgs(&["export", &place.text("interrupted"), "-o", &place.text("x.ply")]).refused(&["no scene.ply yet", "--resume"]);
+    let scene = place.text("scene");
+    let mut child = start(&["train", &scene, "-o", &place.text("interrupted"), "--resume"]);
+    assert!(until(&mut child, || place.logged("interrupted").last() >= Some(&80)), "it was too fast to interrupt");
+    signal(&child, "TERM");
+    assert_eq!(wait(child).status, Some(1));
+    place.resume("interrupted").ok();
+    place.assert_same("straight", "interrupted");
+
+    // Killed again and again, at whatever it was doing.
+    let mut child = start(&place.arguments("killed", steps, &[]));
+    for step in [10, 40, 70] {
+        let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
+        assert!(there, "it ended before it was killed");
+        signal(&child, "KILL");
+        assert_eq!(wait(child).status, None);
+        child = start(&["train", &scene, "-o", &place.text("killed"), "--resume"]);
+    }
+    wait(child).ok();
+    place.assert_same("straight", "killed");
+    let left = |folder: &str| -> Vec<String> {
+        let names = std::fs::read_dir(place.path(folder)).unwrap().map(|e| e.unwrap().file_name());
+        names.map(|n| n.to_string_lossy().into_owned()).filter(|n| n.ends_with(".tmp")).collect()
+    };
+    assert!(left("killed").is_empty() && left("killed/checkpoint").is_empty(), "half-written files are left");
+
+    // A finished run has nothing to resume, and stays as it is.
+    place.resume("killed").ok();
+    place.assert_same("straight", "killed");
+}
+
+#[test]
+fn settings_and_seed_decide() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("a", 40, &["--seed", "3"])).ok();
+    sgs(&place.arguments("b", 40, &["--seed", "3"])).ok();
+    place.assert_same("a", "b");
+    let config = place.text("a/config.toml");
+    let again = ["train", &place.text("scene"), "-o", &place.text("c"), "--config", &config];
+    sgs(&again).ok();
+    place.assert_same("a", "c");
+    assert_eq!(place.read("a/config.toml"), place.read("c/config.toml"));
+    sgs(&place.arguments("d", 40, &["--seed", "4"])).ok();
+    assert_ne!(place.read("a/scene.ply"), place.read("d/scene.ply"), "the seed changes nothing");
+
+    // Resuming with other settings would give neither run.
+    let other = ["train", &place.text("scene"), "-o", &place.text("a"), "--resume", "--seed", "9"];
+    sgs(&other).refused(&["seed = 3", "9", "resume"]);
+    place.assert_same("a", "b");
+    // Training into an old run forgets it: what is killed before its first checkpoint resumes as itself.
+    let mut child = start(&place.arguments("d", 4000, &["--seed", "3", "--set", "geometry.checkpoint_interval=0"]));
+    let begun = until(&mut child, || place.logged("d").last() == Some(&10));
+    signal(&child, "KILL");
+    wait(child);
+    assert!(begun && !place.path("d/scene.ply").exists() && !place.path("d/checkpoint/geometry.safetensors").exists());
+}
+
+/// Room for one entry, for almost all, and for more than enough: overflows, growth and repeated steps leave no trace,
+/// not even when they happen beside densification, resets and resuming.
+#[test]
+fn the_first_room_for_entries_does_not_matter() {
+    let place = Place::new(Room::default());
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let train = |capacity: u32, resumed_at: Option<u32>| {
+        let mut s = settings(32);
+        s.geometry.entry_capacity = capacity;
+        let mut reports = Vec::new();
+        let mut heard = |p: &Progress| match p {
+            Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
+            Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
+        };
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        if let Some(at) = resumed_at {
+            let file = place.path("state");
+            training.train(at, &mut heard, || true).unwrap();
+            training.save(&file).unwrap();
+            training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+            training.restore(&file).unwrap();
+        }
+        training.train(32, &mut heard, || true).unwrap();
+        (training.splats().unwrap(), reports)
+    };
+    let (splats, reports) = train(1 << 20, None);
+    let entries: Vec<u32> = reports.iter().filter(|r| r.0 < 1000).map(|r| r.2).collect();
+    let most = *entries.iter().max().unwrap();
+    assert!(reports.iter().filter(|r| r.0 > 1000).count() >= 4, "densification was to happen: {reports:?}");
+    let first = entries[0];
+    for (capacity, resumed_at) in
+        [(1, None), (first, None), (first / 3, Some(10)), (most - 1, Some(15)), (1, Some(20)), (1 << 20, Some(13))]
+    {
+        let (other, heard) = train(capacity, resumed_at);
+        assert_eq!(heard, reports, "capacity {capacity}, resumed at {resumed_at:?}");
+        assert!(other == splats, "capacity {capacity}, resumed at {resumed_at:?}: the splats differ");
+    }
+}
+
+/// Room for Gaussians grows with their number; where it stood before must not decide who is refined.
+#[test]
+fn the_room_for_gaussians_does_not_matter() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    assert!((12_000..20_000).contains(&scene.points.len()), "{} points", scene.points.len());
+    let device = device();
+    let mut s = settings(12);
+    s.geometry.sh_degree = 0;
+    // At first some are too faint and the rest is refined: the number stays about what it was, but not the room that
+    // would be made for it. Then all are refined until there is no room.
+    (s.geometry.densify.grad_threshold, s.geometry.densify.interval) = (0.0, 1);
+    (s.geometry.densify.max_gaussians, s.geometry.densify.prune_weight) = (100_000, 0.0);
+    s.geometry.densify.prune_opacity = 0.16;
+    let train = |resumed_at: Option<u32>| {
+        let mut after = Vec::new();
+        let mut heard = |p: &Progress| {
+            if let Progress::Densified { stats, .. } = p {
+                after.push((stats.before, stats.after, stats.refused));
+            }
+        };
+        let mut training = Geometry::new(&device, &scene, &s, None).unwrap();
+        if let Some(at) = resumed_at {
+            let file = place.path("state");
+            training.train(at, &mut heard, || true).unwrap();
+            training.save(&file).unwrap();
+            training = Geometry::new(&device, &scene, &s, None).unwrap();
+            training.restore(&file).unwrap();
+        }
+        training.train(12, &mut heard, || true).unwrap();
+        (training.splats().unwrap(), after)
+    };
+    let (straight, after) = train(None);
+    println!("{} points, then {after:?}", scene.points.len());
+    assert!(after[1..].iter().any(|a| a.2 > 0), "room was to matter: {after:?}");
+    for at in [5, 6, 8] {
+        let (resumed, again) = train(Some(at));
+        assert_eq!(after, again, "resumed at {at}");
+        assert!(straight == resumed, "resumed at {at}: the splats differ");
+    }
+}
+
+/// A small file system that is gone with the value.
+struct SmallDisk(PathBuf);
+
+impl SmallDisk {
+    /// None where mounting is not permitted.
+    fn mount(at: &Path, size: &str) -> Option<SmallDisk> {
+        std::fs::create_dir_all(at).unwrap();
+        let mounted =
+            Command::new("mount").args(["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs"]).arg(at).output();
+        mounted.is_ok_and(|o| o.status.success()).then(|| SmallDisk(at.to_owned()))
+    }
+
+    fn grow(&self, size: &str) {
+        let done = Command::new("mount").args(["-o", &format!("remount,size={size}")]).arg(&self.0).status();
+        assert!(done.is_ok_and(|s| s.success()));
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(&self.0).status();
+    }
+}
+
+const FIXED: [&str; 3] = ["--no-densify", "--set", "geometry.sh_degree=0"];
+
+#[test]
+fn a_full_disk_leaves_the_earlier_checkpoint() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("straight", 30, &FIXED)).ok();
+    let checkpoint = place.read("straight/checkpoint/geometry.safetensors").len();
+    // Room for one checkpoint and the small files, not for a second one beside it.
+    let Some(disk) = SmallDisk::mount(&place.path("full"), &format!("{}k", checkpoint * 3 / 2 / 1024 + 12)) else {
+        println!("skipped: mounting is not permitted");
+        return;
+    };
+    let failed = sgs(&place.arguments("full", 30, &FIXED));
+    failed.assert_no_panic();
+    assert_eq!(failed.status, Some(1), "{failed:?}");
+    let sentence = failed.stderr.lines().last().unwrap();
+    assert!(sentence.starts_with("sgs: ") && sentence.contains("No space left"), "{failed:?}");
+    let earlier = place.read("full/checkpoint/geometry.safetensors");
+    // Resuming goes on from it, and fails the same way while the disk is full.
+    let again = place.resume("full");
+    assert_eq!(again.status, Some(1), "{again:?}");
+    again.assert_no_panic();
+    assert!(place.read("full/checkpoint/geometry.safetensors") == earlier, "the checkpoint has changed");
+    disk.grow("4m");
+    place.resume("full").ok();
+    place.assert_same("straight", "full");
+    drop(disk);
+}
+
+#[test]
+fn a_kill_in_the_middle_of_a_save_leaves_the_earlier_checkpoint() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("straight", 30, &FIXED)).ok();
+    let file = "killed/checkpoint/geometry.safetensors";
+    let mut child = start(&place.arguments("killed", 30, &FIXED));
+    assert!(until(&mut child, || place.path(file).exists()), "no checkpoint was written");
+    signal(&child, "KILL");
+    wait(child);
+    let earlier = place.read(file);
+    let resume = ["train", &place.text("scene"), "-o", &place.text("killed"), "--resume"];
+    // The system kills a program that writes more than it may: here 16 KiB, which is in the middle of a checkpoint.
+    let killed = sgs_after("ulimit -f 16", &resume);
+    assert_ne!(killed.status, Some(0), "{killed:?}");
+    assert!(place.read(file) == earlier, "the checkpoint has changed");
+    // The same as an error instead of a signal.
+    let refused = sgs_after("trap '' XFSZ; ulimit -f 16", &resume);
+    refused.assert_no_panic();
+    assert_eq!(refused.status, Some(1), "{refused:?}");
+    assert!(refused.stderr.lines().last().unwrap().contains("geometry.safetensors"), "{refused:?}");
+    assert!(place.read(file) == earlier, "the checkpoint has changed");
+    place.resume("killed").ok();
+    place.assert_same("straight", "killed");
+}
+
+#[test]
+fn damaged_checkpoints_are_refused() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("run", 14, &FIXED)).ok();
+    let path = place.path("run/checkpoint/geometry.safetensors");
+    let whole = std::fs::read(&path).unwrap();
+    let with = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        place.resume("run")
+    };
+    with(&whole[..whole.len() - 9]).refused(&["geometry.safetensors"]);
+    with(&whole[..20]).refused(&["geometry.safetensors"]);
+    with(b"").refused(&["geometry.safetensors"]);
+    let mut nan = whole.clone();
+    let end = nan.len();
+    nan[end / 2..end].fill(0xff);
+    with(&nan).refused(&["geometry.safetensors", "not finite"]);
+    std::fs::write(&path, &whole).unwrap();
+    let config = place.path("run/config.toml");
+    let text = std::fs::read_to_string(&config).unwrap();
+    std::fs::write(&config, text.replace("sh_degree = 0", "sh_degree = 2")).unwrap();
+    place.resume("run").refused(&["geometry.safetensors", "sh1"]);
+    std::fs::write(&config, "scene = 3").unwrap();
+    place.resume("run").refused(&["config.toml", "scene is 3"]);
+    std::fs::write(&config, text).unwrap();
+    place.resume("run").ok();
+}
+
+/// Trains by the library and measures at the test views.
+fn learn(place: &Place, s: &Settings) -> (Vec<f32>, Evaluation) {
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let device = device();
+    let mut training = Geometry::new(&device, &scene, s, None).unwrap();
+    let mut losses = Vec::new();
+    let heard = |p: &Progress| {
+        if let Progress::Step(r) = p {
+            losses.push(r.losses.total);
+        }
+    };
+    training.train(s.geometry.steps, heard, || true).unwrap();
+    let background = s.geometry.background;
+    let views = &scene.split.test;
+    let result = evaluate(&device, &scene, training.gaussians(), views, background, |_, _| Ok(())).unwrap();
+    (losses, result)
+}
+
+#[test]
+fn training_learns_the_room_and_its_normals() {
+    let place = Place::new(Room { size: [48, 36], spacing: 3, priors: true, truth: true, ..Room::default() });
+    let mut s = settings(300);
+    (s.geometry.densify.from, s.geometry.densify.interval, s.geometry.densify.reset_interval) = (100, 50, 0);
+    s.geometry.sh_degree = 1;
+    let (losses, guided) = learn(&place, &s);
+    let mean = |l: &[f32]| l.iter().sum::<f32>() / l.len() as f32;
+    let (first, last) = (mean(&losses[..6]), mean(&losses[losses.len() - 12..]));
+    let degrees = guided.mean.normal_mae_deg.unwrap();
+    println!("loss {first} to {last}; PSNR {:.2}; normals {degrees:.2}°", guided.mean.nvs.psnr);
+    assert!(last < 0.4 * first, "the loss went from {first} to {last}");
+    assert!(guided.mean.nvs.psnr > 24.0, "PSNR {}", guided.mean.nvs.psnr);
+    assert!(degrees < 15.0, "normals are {degrees} degrees off");
+    assert!(guided.mean.depth_rel.unwrap() < 0.15);
+
+    // Without the prior the surface's own normals are all there is, and they are rough.
+    s.geometry.normals = false;
+    let (_, without) = learn(&place, &s);
+    let rough = without.mean.normal_mae_deg.unwrap();
+    println!("without the prior: PSNR {:.2}; normals {rough:.2}°", without.mean.nvs.psnr);
+    assert!(degrees < 0.6 * rough, "{degrees} degrees with the prior, {rough} without");
+    assert!(without.mean.nvs.psnr > 24.0, "PSNR {}", without.mean.nvs.psnr);
+}
+
+/// What has no ground truth is absent from the metrics, not zero.
+#[test]
+fn metrics_hold_what_is_known() {
+    for (priors, truth) in [(true, true), (true, false), (false, true)] {
+        let place = Place::new(Room { priors, truth, ..Room::default() });
+        let short = ["--set", "geometry.sh_degree=1"];
+        sgs(&place.arguments("run", 20, &short)).ok();
+        let run = place.text("run");
+        sgs(&["eval", &run]).ok();
+        sgs(&["eval", &run, "--split", "train"]).ok();
+        let metrics: serde_json::Value = serde_json::from_slice(&place.read("run/metrics.json")).unwrap();
+        for (split, count) in [("test", 2), ("train", 6)] {
+            let views = metrics[split]["views"].as_array().unwrap();
+            assert_eq!(views.len(), count);
+            for entry in views.iter().chain([&metrics[split]["mean"]]) {
+                let entry = entry.as_object().unwrap();
+                for key in ["psnr", "ssim"] {
+                    assert!(entry["nvs"][key].as_f64().unwrap() > 0.0, "{entry:?}");
+                }
+                assert_eq!(entry.contains_key("depth_rel"), truth, "{entry:?}");
+                assert_eq!(entry.contains_key("normal_mae_deg"), truth, "{entry:?}");
+                assert!(entry.values().all(|v| !v.is_null() && v != 0.0), "{entry:?}");
+            }
+        }
+        for key in ["gaussians", "seconds", "steps_per_second", "peak_device_bytes"] {
+            assert!(metrics[key].as_f64().unwrap() > 0.0, "{key}: {metrics}");
+        }
+        for key in ["pbr", "albedo", "relit"] {
+            assert!(metrics.get(key).is_none());
+        }
+        assert_eq!(place.logged("run"), [1, 10, 20]);
+    }
+}
+
+/// Ground truth of a view in which nothing is known is like none.
+#[test]
+fn truth_without_a_single_pixel_is_absent() {
+    let place = Place::new(Room { priors: true, truth: true, ..Room::default() });
+    let empty = sgs_scene::Image::new(32, 24, 3);
+    let (_, test) = Room::default().split();
+    let path = place.path("scene/gt/normal").join(format!("{}.exr", test[0]));
+    sgs_scene::write_exr(&path, &empty, &["X", "Y", "Z"]).unwrap();
+    sgs(&place.arguments("run", 10, &[])).ok();
+    let metrics = sgs(&["eval", &place.text("run"), "--json"]).ok().json();
+    assert!(metrics["views"][0].get("normal_mae_deg").is_none(), "{metrics}");
+    assert_eq!(metrics["views"][1]["normal_mae_deg"], metrics["mean"]["normal_mae_deg"]);
+}
+
+#[test]
+fn a_run_under_validation_is_silent() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let run = sgs(&place.arguments("run", 30, &["--validate"]));
+    if run.stderr.contains("validation layer is not installed") {
+        println!("skipped: there is no validation layer");
+        return;
+    }
+    run.ok();
+    sgs(&["eval", &place.text("run"), "--validate"]).ok();
+}
+
+/// The relative path of a scene is that of the training, not of whoever measures.
+#[test]
+fn a_run_remembers_where_its_scene_is() {
+    let place = Place::new(Room::default());
+    let scene = place.text("scene");
+    let run = place.text("run");
+    let preparation = format!("cd '{}'", place.0.path().display());
+    let short = ["train", "scene", "-o", "run", "--geometry-steps", "1"];
+    sgs_after(&preparation, &short).ok();
+    sgs(&["eval", &run]).ok();
+    let moved = place.text("elsewhere");
+    std::fs::rename(&scene, &moved).unwrap();
+    sgs(&["eval", &run]).refused(&["does not exist"]);
+    sgs(&["eval", &run, "--scene", &moved]).ok();
+}
+
+/// The furnished room, where it lies beside the repository: real textures, noisy priors.
+#[test]
+fn the_furnished_room_is_learned() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/whiteroom");
+    if !scene.is_dir() {
+        println!("skipped: {} is absent", scene.display());
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run").display().to_string();
+    let scene = scene.display().to_string();
+    sgs(&["train", &scene, "-o", &run, "--geometry-steps", "100", "--scale", "0.5", "--no-densify"]).ok();
+    let metrics = sgs(&["eval", &run, "--json"]).ok().json();
+    println!("{}", metrics["mean"]);
+    assert!(metrics["mean"]["nvs"]["psnr"].as_f64().unwrap() > 15.0, "{}", metrics["mean"]);
+    assert!(metrics["mean"]["normal_mae_deg"].as_f64().unwrap() < 60.0, "{}", metrics["mean"]);
+}
