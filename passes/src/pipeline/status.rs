@@ -8,6 +8,9 @@ use sgs_shaders::structs::StepReport;
 /// Reports that the ring holds.
 pub const RING: u32 = 64;
 
+/// The flag's bit that the host sets itself.
+const HELD: u32 = 1 << 31;
+
 /// Buffers that outlive the executors of a training run.
 #[derive(Debug)]
 pub struct Status {
@@ -41,6 +44,14 @@ impl Status {
             device.fill(buffer, 0)?;
         }
         Ok(Status { flags, skipped, reports })
+    }
+
+    /// Puts the flag up: steps from now on change no parameter until it is cleared.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn hold(&self, device: &Device) -> Result<()> {
+        device.fill(&self.flags, HELD)
     }
 
     /// Takes the flag down, after the cause was removed.

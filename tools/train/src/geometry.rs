@@ -9,7 +9,7 @@ use crate::convert::{gaussian_data, splats};
 use crate::data::TrainingData;
 use crate::error::{Result, TrainError};
 use crate::schedule::Schedule;
-use crate::settings::Settings;
+use crate::settings::{Backward, Settings};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
@@ -23,6 +23,9 @@ use std::path::Path;
 
 /// Replays in flight.
 const IN_FLIGHT: usize = 2;
+
+/// Steps after which the device has seen enough to be timed.
+const WARM: u32 = 16;
 
 /// What the caller hears of while training.
 #[derive(Clone, Debug)]
@@ -99,14 +102,18 @@ impl Geometry {
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { normals: model.normals, depth },
             statistics: g.densify.enabled,
-            backward: BackwardKernel::Pixel,
+            backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, scene.extent(), data.views.len());
         let most = most.min(g.densify.max_gaussians);
-        let settings = settings.clone();
+        let mut settings = settings.clone();
+        // Processors run lanes one after the other: engine-bench shows the pixel kernel ahead on them by far.
+        if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
+            settings.geometry.backward = Backward::Pixel;
+        }
         let mut training = Geometry {
             device: device.clone(),
             tuning,
@@ -154,6 +161,9 @@ impl Geometry {
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
         while self.done < last && go_on() {
+            if self.settings.geometry.backward == Backward::Auto && self.done >= WARM && self.drain(&mut heard)? {
+                self.choose_backward()?;
+            }
             if self.submitted < last {
                 self.submit_next()?;
                 self.look(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
@@ -284,6 +294,49 @@ impl Geometry {
             }
         }
         Ok(())
+    }
+
+    /// Times both backward kernels on the step as it is, with parameters held, and takes the faster one. The splat
+    /// kernel has to win clearly, so that noise does not decide between runs.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn choose_backward(&mut self) -> Result<()> {
+        self.status.hold(&self.device)?;
+        self.options.timestamps = true;
+        let pixel = self.time_backward(BackwardKernel::Pixel)?;
+        let splat = self.time_backward(BackwardKernel::Splat)?;
+        let (kernel, name) = if splat < 0.85 * pixel {
+            (BackwardKernel::Splat, Backward::Splat)
+        } else {
+            (BackwardKernel::Pixel, Backward::Pixel)
+        };
+        tracing::info!(pixel_ns = pixel, splat_ns = splat, chosen = ?name, "backward kernel");
+        self.options.timestamps = false;
+        self.options.backward = kernel;
+        self.settings.geometry.backward = name;
+        self.rebuild()?;
+        Ok(self.status.clear_flags(&self.device)?)
+    }
+
+    /// Least nanoseconds of a backward kernel over a few views.
+    fn time_backward(&mut self, kernel: BackwardKernel) -> Result<f64> {
+        self.options.backward = kernel;
+        self.rebuild()?;
+        for step in 1..=5 {
+            let (camera, offset) = self.data.views[self.schedule.view(step)];
+            let values = self.schedule.step(step, &camera, offset);
+            self.exec()?.submit(&values)?;
+        }
+        self.exec()?.finish()?;
+        let times = self.take_times();
+        let backward = times.iter().filter(|t| t.name.starts_with("blend_bwd"));
+        Ok(backward.flat_map(|t| t.nanoseconds.iter().copied()).fold(f64::INFINITY, f64::min))
+    }
+
+    /// The settings, with what was chosen along the way.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
     }
 
     /// The Gaussians as they are.

@@ -58,6 +58,8 @@ pub struct GeometrySettings {
     pub losses: LossWeights,
     /// Densification.
     pub densify: DensifyOptions,
+    /// Which kernel takes the picture's gradients to the splats.
+    pub backward: Backward,
     /// Steps between checkpoints; 0 keeps only the last.
     pub checkpoint_interval: u32,
     /// Room for tile entries at first; 0 guesses. It grows where it is too small, and no result depends on it.
@@ -75,10 +77,23 @@ impl Default for GeometrySettings {
             rates: Rates::default(),
             losses: LossWeights::default(),
             densify: DensifyOptions::default(),
+            backward: Backward::Auto,
             checkpoint_interval: 1000,
             entry_capacity: 0,
         }
     }
+}
+
+/// The backward kernel of blending; both give the same gradients up to rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backward {
+    /// Measured on the device after a few steps; the outcome is written into the run's settings.
+    Auto,
+    /// Lanes are pixels.
+    Pixel,
+    /// Lanes are splats.
+    Splat,
 }
 
 /// Learning rates of Adam by group (Kerbl et al. 2023).
@@ -190,7 +205,7 @@ impl Default for DensifyOptions {
             from: 500,
             until: 0.8,
             interval: 100,
-            grad_threshold: 2e-4,
+            grad_threshold: 4e-4,
             split_size: 0.01,
             prune_opacity: 0.005,
             prune_weight: 1e-4,

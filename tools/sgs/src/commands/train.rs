@@ -184,7 +184,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     } else if run.checkpoint().is_file() {
         training.restore(&run.checkpoint())?;
     }
-    run.write_settings(&settings)?;
+    run.write_settings(training.settings())?;
     let steps = settings.geometry.steps;
     let mut log = run.log(training.step())?;
     let mut bar = Bar::new(common, "training", u64::from(steps), u64::from(training.step()));
@@ -216,6 +216,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             }
         };
         training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
+        // What was chosen by measurement belongs to the run.
+        run.write_settings(training.settings())?;
         let step = training.step();
         if step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
             training.save(&run.checkpoint())?;
