@@ -65,7 +65,7 @@ impl<'w> Trainer<'w> {
         let count = workload.start.len() as u32;
         // Room for what densification adds once.
         let capacity = if densify { count + count / 2 } else { count };
-        let gaussians = Gaussians::new(device, workload.model, capacity, true)?;
+        let gaussians = Gaussians::with(device, workload.model, capacity, true, densify)?;
         gaussians.upload(device, &workload.start)?;
         let tuning = Tuning::for_device(device.info());
         let options = GeometryOptions {
@@ -163,8 +163,8 @@ impl<'w> Trainer<'w> {
     /// Makes room for what the steps of a run wanted.
     fn grow(&mut self, run: &Run) -> anyhow::Result<()> {
         let wanted = run.reports.iter().map(|r| r.entries).max().unwrap_or(0);
-        // Twice what training adds: an overflow during the measurement would spoil it.
-        self.options.entry_capacity = wanted.saturating_add(wanted / 2);
+        // As training grows; the warm-up sees every view, so that no overflow spoils the measurement.
+        self.options.entry_capacity = wanted.saturating_add(wanted / 8);
         self.rebuild()?;
         Ok(self.status.clear_flags(&self.device)?)
     }
@@ -216,7 +216,7 @@ fn build(
     Ok(GeometryStep::new(device, tuning, gaussians, &workload.targets, normals, status, options)?)
 }
 
-/// Room for tile entries before anything is measured.
+/// Room for tile entries before anything is measured, as training has it.
 pub fn first_entry_capacity(gaussians: usize) -> u32 {
-    u32::try_from(gaussians).unwrap_or(u32::MAX).saturating_mul(4).clamp(1 << 14, 1 << 26)
+    u32::try_from(gaussians).unwrap_or(u32::MAX).clamp(1 << 14, 1 << 26)
 }

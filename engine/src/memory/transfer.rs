@@ -6,7 +6,7 @@ use crate::error::{Check, Result};
 use ash::vk;
 
 /// Staging memory is reused in pieces of this size.
-const CHUNK: u64 = 16 << 20;
+const CHUNK: u64 = 4 << 20;
 
 impl Device {
     /// Writes `data` into a device buffer and waits.

@@ -53,6 +53,14 @@ impl Gaussians {
     /// # Errors
     /// If memory runs out.
     pub fn new(device: &Device, model: Model, capacity: u32, training: bool) -> Result<Gaussians> {
+        Gaussians::with(device, model, capacity, training, training)
+    }
+
+    /// As [`Gaussians::new`]; without `statistics` there is no densification and nothing is kept for it.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with(device: &Device, model: Model, capacity: u32, training: bool, statistics: bool) -> Result<Gaussians> {
         let capacity = capacity.max(1);
         // A group that is absent is bound to a word that specialized kernels never touch.
         let scalars = |g: Group| if model.has(g) { u64::from(capacity) * u64::from(g.width()) } else { 4 };
@@ -66,7 +74,7 @@ impl Gaussians {
         let parameters = make("", 4)?;
         let moments = if training { Some(make("_moments", 8)?) } else { None };
         let statistics = if training {
-            let bytes = u64::from(capacity) * u64::from(STATISTICS) * 4;
+            let bytes = if statistics { u64::from(capacity) * u64::from(STATISTICS) * 4 } else { 4 };
             Some(device.buffer("statistics", bytes, Location::Device)?)
         } else {
             None
@@ -115,7 +123,9 @@ impl Gaussians {
             for g in self.model.groups() {
                 data.groups[g as usize] = device.download_as(&moments[g as usize], 2 * count * g.width() as usize)?;
             }
-            statistics = device.download_as(buffer, count * STATISTICS as usize)?;
+            if self.has_statistics() {
+                statistics = device.download_as(buffer, count * STATISTICS as usize)?;
+            }
         }
         Ok((data, statistics))
     }
@@ -139,7 +149,8 @@ impl Gaussians {
     /// # Errors
     /// If memory runs out.
     pub fn grown(&self, device: &Device, capacity: u32) -> Result<Gaussians> {
-        let larger = Gaussians::new(device, self.model, capacity.max(self.capacity), self.moments.is_some())?;
+        let training = self.moments.is_some();
+        let larger = Gaussians::with(device, self.model, capacity.max(self.capacity), training, self.has_statistics())?;
         let pairs = |a: &Gaussians| {
             let mut all: Vec<DeviceBuffer> = a.parameters.to_vec();
             all.extend(a.moments.iter().flatten().cloned());
@@ -159,6 +170,11 @@ impl Gaussians {
     /// If the device fails.
     pub fn count(&self, device: &Device) -> Result<u32> {
         Ok(device.download_as::<Work>(&self.work, 1)?[0].count)
+    }
+
+    fn has_statistics(&self) -> bool {
+        let bytes = u64::from(self.capacity) * u64::from(STATISTICS) * 4;
+        self.statistics.as_ref().is_some_and(|s| s.bytes() >= bytes)
     }
 
     /// Bytes of device memory.

@@ -113,7 +113,8 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
         }
     }
     let statistics = floats("statistics")?;
-    if statistics.len() != count * STATISTICS as usize {
+    // Without densification there are none.
+    if !statistics.is_empty() && statistics.len() != count * STATISTICS as usize {
         return Err(file(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
     }
     Ok(State { step, capacity, parameters, moments, statistics })

@@ -93,7 +93,7 @@ impl Geometry {
             )));
         }
         let capacity = if g.densify.enabled { room_for(count, most.min(g.densify.max_gaussians)) } else { count };
-        let gaussians = Gaussians::new(device, model, capacity, true)?;
+        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let tuning = Tuning::for_device(device.info());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
@@ -368,7 +368,7 @@ impl Geometry {
         // Densification stops where there is no room, so that the room has to be what it was.
         let enabled = self.settings.geometry.densify.enabled;
         let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
-        self.gaussians = Gaussians::new(&self.device, self.gaussians.model, capacity, true)?;
+        self.gaussians = Gaussians::with(&self.device, self.gaussians.model, capacity, true, enabled)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);

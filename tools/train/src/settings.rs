@@ -71,7 +71,7 @@ impl Default for GeometrySettings {
         GeometrySettings {
             steps: 7000,
             sh_degree: 3,
-            sh_interval: 1000,
+            sh_interval: 0,
             background: [0.0; 3],
             normals: true,
             rates: Rates::default(),
