@@ -73,6 +73,7 @@ impl<'w> Trainer<'w> {
             entry_capacity,
             channels: Channels { normals: workload.model.normals, depth: workload.model.normals },
             statistics: densify,
+            dense_adam: false,
             backward,
             timestamps: false,
             frames_in_flight: IN_FLIGHT as usize,

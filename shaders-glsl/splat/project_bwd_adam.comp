@@ -16,6 +16,7 @@ layout(constant_id = 4) const bool HAS_NORMALS = false;
 layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool STATISTICS = false;
+layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -46,6 +47,7 @@ INOUT(vec2, sh3_moments);
 INOUT(vec2, normals_moments);
 INOUT(float, statistics); // grad_sum, grad_count, weight_sum of each Gaussian
 INOUT(uint, skipped);     // splats whose gradients were not finite
+OUT(uint, seen);          // by Gaussian: whether it was updated here
 
 #include "splat_sum.glsl"
 
@@ -80,6 +82,7 @@ void main() {
         atomicAdd(skipped[0], 1u);
         return;
     }
+    if (MARK_SEEN) seen[i] = 1u;
     uint degree = min(SH_DEGREE, params.step.sh_degree);
     float basis[16];
     sh_basis(s.direction, degree, basis);

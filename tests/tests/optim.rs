@@ -180,3 +180,60 @@ fn adam_check_can_fail() {
         .collect();
     assert_close("parameters", &expected, &parameters, Tolerance::new(1e-8, 2e-7));
 }
+
+/// Dense Adam's other half: what was seen stays as it is, what was not decays by the reference, what never had a
+/// gradient does not move, and a raised flag stops everything.
+#[test]
+fn unseen_gaussians_follow_the_reference_and_nothing_else_moves() {
+    use sgs_passes::optim::{AdamUnseen, adam_unseen};
+    let gpu = Gpu::new();
+    for (width, live, flag) in [(3usize, 700usize, 0u32), (21, 333, 0), (1, 5, 0), (4, 300, 8)] {
+        let mut group = Group::random(width, live, live + 9, 5);
+        group.moments[..width].fill([0.0; 2]);
+        let seen: Vec<u32> = (0..group.capacity as u32).map(|i| i % 3 / 2).collect();
+        let mut g = Graph::new("adam_unseen");
+        let words = 4 * (width * group.capacity) as u64;
+        let a = AdamUnseen {
+            step: g.uniform("step", size_of::<Step>() as u64),
+            live: g.input("live", size_of::<Work>() as u64),
+            flags: g.input("flags", 4),
+            seen: g.input("seen", 4 * group.capacity as u64),
+            width: width as u32,
+            rate: Rate::Scales,
+            parameters: g.external("parameters", words),
+            moments: g.external("moments", 2 * words),
+        };
+        adam_unseen(&mut g, &gpu.tuning(), "adam_unseen", &a).unwrap();
+        let rates = twin::Rates::at(0.25, 4);
+        let step = Step {
+            lr_scales: rates.lr as f32,
+            correction1: rates.correction1 as f32,
+            correction2: rates.correction2 as f32,
+            ..Default::default()
+        };
+        let work = Work { x: (live as u32).div_ceil(256), y: 1, z: 1, count: live as u32 };
+        let inputs = [
+            (a.step, bytes(&[step])),
+            (a.live, bytes(&[work])),
+            (a.flags, bytes(&[flag])),
+            (a.seen, bytes(&seen)),
+            (a.parameters, bytes(&group.parameters)),
+            (a.moments, bytes(&group.moments)),
+        ];
+        let out = gpu.run(g, &inputs);
+        let (parameters, moments) = (out.get::<f32>(a.parameters), out.get::<[f32; 2]>(a.moments));
+        let mut expected = Vec::new();
+        for (j, (p, m)) in group.parameters.iter().zip(&group.moments).enumerate() {
+            let i = j / width;
+            if flag != 0 || i >= live || seen[i] != 0 || *m == [0.0; 2] {
+                assert_eq!((parameters[j].to_bits(), moments[j]), (p.to_bits(), *m), "scalar {j} was touched");
+                expected.push(f64::from(*p));
+            } else {
+                let (p, m) = twin::adam(f64::from(*p), m.map(f64::from), 0.0, rates);
+                assert_close("moments", &m, &moments[j], Tolerance::new(1e-12, 1e-6));
+                expected.push(p);
+            }
+        }
+        assert_close("parameters", &expected, &parameters, Tolerance::new(1e-6, 1e-5));
+    }
+}

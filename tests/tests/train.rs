@@ -453,6 +453,35 @@ fn a_run_under_validation_is_silent() {
     sgs(&["eval", &place.text("run"), "--validate"]).ok();
 }
 
+/// Dense Adam moves what a step did not see, in silence, and repeats bit for bit.
+#[test]
+fn dense_adam_is_another_run_and_repeats() {
+    let place = Place::new(Room::default());
+    let dense = ["--validate", "--set", "geometry.dense_adam=true"];
+    sgs(&place.arguments("sparse", 20, &[])).ok();
+    sgs(&place.arguments("dense", 20, &dense)).ok();
+    assert_ne!(place.read("sparse/scene.ply"), place.read("dense/scene.ply"));
+    sgs(&place.arguments("again", 20, &dense)).ok();
+    assert_eq!(place.read("again/scene.ply"), place.read("dense/scene.ply"));
+}
+
+/// Choosing the backward kernel times both on the scene, and leaves every parameter as it was.
+#[test]
+fn choosing_the_backward_kernel_changes_no_parameter() {
+    let place = Place::new(Room::default());
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let device = device();
+    let mut training = Geometry::new(&device, &scene, &settings(12), None).unwrap();
+    training.train(6, |_| (), || true).unwrap();
+    let before = training.splats().unwrap();
+    training.choose_backward().unwrap();
+    assert_ne!(training.settings().geometry.backward, sgs_train::Backward::Auto);
+    assert_eq!(training.splats().unwrap(), before);
+    training.train(12, |_| (), || true).unwrap();
+    assert_eq!(training.step(), 12);
+    assert_ne!(training.splats().unwrap(), before);
+}
+
 /// The relative path of a scene is that of the training, not of whoever measures.
 #[test]
 fn a_run_remembers_where_its_scene_is() {

@@ -33,7 +33,7 @@ pub enum Rate {
 }
 
 impl Rate {
-    fn index(self) -> u32 {
+    pub(super) fn index(self) -> u32 {
         match self {
             Rate::Means => 0,
             Rate::Scales => 1,

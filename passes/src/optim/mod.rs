@@ -1,9 +1,11 @@
 //! What follows the gradients: the optimizer, and the number of Gaussians.
 
 pub mod adam;
+pub mod adam_unseen;
 pub mod densify;
 pub mod opacity_reset;
 
 pub use adam::{Adam, Rate, adam};
+pub use adam_unseen::{AdamUnseen, adam_unseen};
 pub use densify::{Densify, densify};
 pub use opacity_reset::opacity_reset;

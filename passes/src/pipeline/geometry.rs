@@ -5,7 +5,8 @@ use super::status::{Status, StatusHandles};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{GeometryLoss, Photometric, geometry_loss, loss_sum, photometric, photometric_bwd};
-use crate::scene::{Gaussians, Handles};
+use crate::optim::{AdamUnseen, Rate, adam_unseen};
+use crate::scene::{Gaussians, Group, Handles};
 use crate::splat::{
     BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, intersect, project, project_bwd_adam,
 };
@@ -26,6 +27,8 @@ pub struct GeometryOptions {
     pub channels: Channels,
     /// Whether densification statistics are gathered.
     pub statistics: bool,
+    /// Whether Adam also moves what a step did not see.
+    pub dense_adam: bool,
     /// Which backward kernel.
     pub backward: BackwardKernel,
     /// Timestamps around every pass.
@@ -109,6 +112,19 @@ impl GeometryStep {
     }
 }
 
+/// The learning rate that a group follows.
+fn rate(group: Group) -> Rate {
+    match group {
+        Group::Means => Rate::Means,
+        Group::LogScales => Rate::Scales,
+        Group::Rotations => Rate::Rotations,
+        Group::OpacityLogits => Rate::Opacities,
+        Group::Sh0 => Rate::Sh0,
+        Group::Sh1 | Group::Sh2 | Group::Sh3 => Rate::ShRest,
+        Group::Normals => Rate::Normals,
+    }
+}
+
 fn build(
     g: &mut Graph,
     t: &Tuning,
@@ -157,8 +173,27 @@ fn build(
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
     loss_sum(g, *t, step, (partials.sums, partials.count), geometry, stats)?;
     let entry_gradients = blend_bwd(g, t, &screen, &visible, &entries, &blended, &gradient, o.backward, o.statistics)?;
-    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics };
+    let seen = o.dense_adam.then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
+    if let Some(seen) = seen {
+        g.fill("clear_seen", seen, 0)?;
+    }
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen };
     project_bwd_adam(g, t, &screen, gaussians, &visible, &entry_gradients, &adam)?;
+    if let (Some(seen), Some(moments)) = (seen, gaussians.moments) {
+        for group in gaussians.model.groups() {
+            let rest = AdamUnseen {
+                step,
+                live: gaussians.work,
+                flags: status.flags,
+                seen,
+                width: group.width(),
+                rate: rate(group),
+                parameters: gaussians.group(group),
+                moments: moments[group as usize],
+            };
+            adam_unseen(g, t, &format!("adam_unseen.{}", group.name()), &rest)?;
+        }
+    }
     let bindings = report::Bindings {
         params: step.into(),
         gaussians: gaussians.work.into(),

@@ -214,6 +214,8 @@ pub struct FusedAdam {
     pub skipped: Buffer,
     /// Whether densification statistics are gathered.
     pub statistics: bool,
+    /// A word a Gaussian that is set where it was updated, for dense Adam; cleared by the caller.
+    pub seen: Option<Buffer>,
 }
 
 /// Backward of [`project`] and Adam in one pass.
@@ -233,6 +235,7 @@ pub fn project_bwd_adam(
         unreachable!("invariant: training declares moments and statistics");
     };
     let m = |group: Group| moments[group as usize].into();
+    let seen = adam.seen.unwrap_or_else(|| g.transient("seen", 4));
     let bindings = fused::Bindings {
         params: screen.step.into(),
         visible: visible.work.slice,
@@ -262,6 +265,7 @@ pub fn project_bwd_adam(
         normals_moments: m(Group::Normals),
         statistics: statistics.into(),
         skipped: adam.skipped.into(),
+        seen: seen.into(),
     };
     let specs = fused::Specs {
         workgroup: t.workgroup,
@@ -271,6 +275,7 @@ pub fn project_bwd_adam(
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
         statistics: adam.statistics,
+        mark_seen: adam.seen.is_some(),
     };
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

@@ -102,6 +102,7 @@ impl Geometry {
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { normals: model.normals, depth },
             statistics: g.densify.enabled,
+            dense_adam: g.dense_adam,
             backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
             timestamps: false,
             frames_in_flight: IN_FLIGHT,

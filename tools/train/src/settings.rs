@@ -54,6 +54,9 @@ pub struct GeometrySettings {
     pub normals: bool,
     /// Learning rates.
     pub rates: Rates,
+    /// Whether Adam also moves Gaussians that a step did not see, by their moments, as 3DGS does. It costs time, and
+    /// results differ slightly.
+    pub dense_adam: bool,
     /// Weights of the losses.
     pub losses: LossWeights,
     /// Densification.
@@ -75,6 +78,7 @@ impl Default for GeometrySettings {
             background: [0.0; 3],
             normals: true,
             rates: Rates::default(),
+            dense_adam: false,
             losses: LossWeights::default(),
             densify: DensifyOptions::default(),
             backward: Backward::Auto,
