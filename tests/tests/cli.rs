@@ -347,3 +347,15 @@ fn an_export_renders_as_the_run_does() {
     let mean: DVec3 = image.data.chunks_exact(3).map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())).sum();
     assert!(mean.length() > 1.0, "the picture is black");
 }
+
+/// A file leaves some choices to measurement; that they were made since is no disagreement.
+#[test]
+fn a_run_is_resumed_by_the_file_that_it_was_begun_with() {
+    let place = Place::new(Room::default());
+    let file = place.text("settings.toml");
+    std::fs::write(&file, "seed = 3\n").unwrap();
+    place.train(&["--config", &file]).ok();
+    place.train(&["--config", &file, "--resume"]).ok();
+    std::fs::write(&file, "seed = 4\n").unwrap();
+    place.train(&["--config", &file, "--resume"]).refused(&["seed = 3", "not 4"]);
+}

@@ -20,4 +20,4 @@ pub use evaluate::{Evaluation, Means, ViewMetrics, evaluate, normals_from_depth,
 pub use geometry::{Geometry, Progress};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;
-pub use settings::{Backward, DensifyOptions, GeometrySettings, LossWeights, Rates, Settings, Statistic};
+pub use settings::{Backward, DensifyOptions, GeometrySettings, LossWeights, Rates, Settings};

@@ -164,14 +164,6 @@ impl Default for LossWeights {
     }
 }
 
-/// Which gradient decides where Gaussians are added.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Statistic {
-    /// That of all losses, as one pass gives it.
-    Sum,
-}
-
 /// Densification (Kerbl et al. 2023, section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

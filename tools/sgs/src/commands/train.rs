@@ -6,7 +6,7 @@ use anyhow::bail;
 use sgs_engine::graph::dump::{Track, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, SceneOptions};
-use sgs_train::{Geometry, Progress, RunDirectory, Settings, StepLog};
+use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -147,10 +147,14 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
 /// give neither the old run nor a new one.
 fn resumed(a: &Args) -> anyhow::Result<Settings> {
     let began = RunDirectory::open(&a.output)?.settings()?;
-    let asked = match a.options.config {
+    let mut asked = match a.options.config {
         Some(_) => settings(&a.scene, &a.options)?,
         None => settings_over(began.to_table()?, &a.scene, &a.options)?,
     };
+    // What was left to measurement has been measured.
+    if asked.geometry.backward == Backward::Auto {
+        asked.geometry.backward = began.geometry.backward;
+    }
     // The scene may have moved.
     let began = Settings { scene: asked.scene.clone(), ..began };
     if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
