@@ -57,6 +57,34 @@ pub enum Error {
         /// The device's limit.
         limit: u64,
     },
+    /// An image of a size that the device does not have.
+    #[error("Image \"{what}\" would be {} x {} texels, but a side has 1 to {limit} on this device.", size[0], size[1])]
+    ImageSize {
+        /// The image.
+        what: String,
+        /// Width and height.
+        size: [u32; 2],
+        /// The device's limit.
+        limit: u32,
+    },
+    /// Texels that do not fill an image.
+    #[error("Image \"{image}\" is given {given} bytes, but its texels take {expected}.")]
+    ImageBytes {
+        /// The image.
+        image: String,
+        /// Bytes given.
+        given: u64,
+        /// Bytes of the packed image.
+        expected: u64,
+    },
+    /// An image bound as a storage image that cannot be one.
+    #[error("Image \"{image}\" of format {format} cannot be read or written by kernels on this device.")]
+    NotStorageImage {
+        /// The image.
+        image: String,
+        /// Its format.
+        format: crate::ImageFormat,
+    },
     /// The device is gone.
     #[error("The device was lost in {0}.")]
     DeviceLost(String),

@@ -5,10 +5,12 @@
 
 pub mod device;
 mod error;
+mod format;
 pub mod graph;
 pub mod memory;
 pub mod shader;
 
 pub use device::{Device, DeviceInfo, DeviceOptions, Ticket, devices};
 pub use error::{Error, Result};
-pub use memory::{Activity, DeviceBuffer, Location};
+pub use format::ImageFormat;
+pub use memory::{Activity, DeviceBuffer, DeviceImage, Location};

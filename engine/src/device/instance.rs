@@ -131,8 +131,11 @@ unsafe extern "system" fn on_message(
     // which outlives the messenger.
     let (text, messages) = unsafe { ((*data).message_as_c_str(), &*user.cast::<Messages>()) };
     let text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    // Images are used in the general layout on purpose (docs/adr/0010-images-and-layouts.md).
+    let layout_advice =
+        kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE) && text.contains("InvalidImageLayout");
     // The loader speaks of absent drivers and layers through GENERAL: not about our use of Vulkan.
-    if kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::GENERAL) {
+    if layout_advice || kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::GENERAL) {
         tracing::debug!("{text}");
     } else {
         messages.push(text);

@@ -2,6 +2,7 @@
 
 use super::instance::Instance;
 use crate::error::{Check, Error, Result};
+use crate::format::ImageFormat;
 use ash::vk;
 use serde::Serialize;
 
@@ -34,6 +35,10 @@ pub struct DeviceInfo {
     pub storage_alignment: u64,
     /// Uniform buffer offset alignment.
     pub uniform_alignment: u64,
+    /// Texels that an image may have along a side.
+    pub max_image_size: u32,
+    /// Formats of images that kernels can read and write.
+    pub storage_formats: Vec<ImageFormat>,
     /// Nanoseconds of a timestamp tick; 0 where there are none.
     pub timestamp_period: f32,
     /// Device-local memory in bytes.
@@ -191,6 +196,8 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
         max_workgroup: limits.max_compute_work_group_invocations,
         storage_alignment: limits.min_storage_buffer_offset_alignment,
         uniform_alignment: limits.min_uniform_buffer_offset_alignment,
+        max_image_size: limits.max_image_dimension2_d,
+        storage_formats: storage_formats(instance, physical),
         timestamp_period: if timestamps { limits.timestamp_period } else { 0.0 },
         memory_bytes: heaps
             .iter()
@@ -202,6 +209,16 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
         optional,
     };
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+}
+
+/// Formats of which the device has storage images.
+fn storage_formats(instance: &Instance, physical: vk::PhysicalDevice) -> Vec<ImageFormat> {
+    let has = |format: &ImageFormat| {
+        // SAFETY: the physical device comes from this instance.
+        let properties = unsafe { instance.raw.get_physical_device_format_properties(physical, format.raw()) };
+        properties.optimal_tiling_features.contains(vk::FormatFeatureFlags::STORAGE_IMAGE)
+    };
+    ImageFormat::EACH.into_iter().filter(has).collect()
 }
 
 /// Takes the wanted device (an index or a part of a name), else the best: discrete first, then integrated, virtual, cpu.
@@ -257,6 +274,8 @@ mod tests {
             max_workgroup: 256,
             storage_alignment: 16,
             uniform_alignment: 16,
+            max_image_size: 4096,
+            storage_formats: Vec::new(),
             timestamp_period: 1.0,
             memory_bytes: 1 << 30,
             missing: missing.iter().map(|m| (*m).to_owned()).collect(),

@@ -1,9 +1,12 @@
-//! Buffers and the memory behind them.
+//! Buffers, images, and the memory behind them.
 //!
 //! Promises: a buffer lives as long as its last handle and names itself in errors; usage is counted. Leaves lifetimes of
 //! transients to the plan, which places them all in one arena buffer.
 
+pub(crate) mod image;
 mod transfer;
+
+pub use image::DeviceImage;
 
 use crate::device::{Device, DeviceInfo, Shared};
 use crate::error::{Check, Error, Result};
@@ -34,12 +37,21 @@ struct State {
     activity: Activity,
 }
 
+impl State {
+    fn add(&mut self, bytes: u64) {
+        self.used += bytes;
+        self.peak = self.peak.max(self.used);
+    }
+}
+
 /// What has been done with a device's memory since it was opened. A steady state changes none of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Activity {
     /// Buffers that exist.
     pub buffers: u64,
-    /// Buffers ever made.
+    /// Images that exist.
+    pub images: u64,
+    /// Buffers and images ever made.
     pub made: u64,
     /// Calls of [`Device::upload`].
     pub uploads: u64,
@@ -89,6 +101,16 @@ impl Memory {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    fn count_image(&self, made: bool) {
+        let activity = &mut self.lock().activity;
+        if made {
+            activity.images += 1;
+            activity.made += 1;
+        } else {
+            activity.images -= 1;
+        }
     }
 }
 
@@ -177,8 +199,7 @@ impl Device {
             }
             return fail(result.to_string());
         }
-        state.used += bytes;
-        state.peak = state.peak.max(state.used);
+        state.add(bytes);
         state.activity.buffers += 1;
         state.activity.made += 1;
         drop(state);

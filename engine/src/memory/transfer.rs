@@ -95,7 +95,7 @@ impl Device {
     }
 
     /// Records, submits and waits, ordered after all work before it and before all work after it.
-    fn run_now(&self, what: &str, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
+    pub(super) fn run_now(&self, what: &str, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
         let shared = &self.0;
         let raw = &shared.raw;
         let pool = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
