@@ -23,10 +23,8 @@ IN(uint, sorted_entries);
 IN(uint, entry_splats);
 IN(Splat, splats);
 IN(float, features);
-IN(float, image);
-IN(float, transmittance);
 IN(float, grad_image);
-IN(float, grad_transmittance);
+IN(float, debt);
 OUT(float, entry_gradients); // [entries * GRADIENTS]
 
 void main() {
@@ -45,11 +43,9 @@ void main() {
         bool inside = all(lessThan(pixel, camera.size));
         uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
         T[k] = inside ? 1.0 : -1.0;
-        R[k] = inside ? transmittance[at] * grad_transmittance[at] : 0.0;
+        R[k] = inside ? debt[at] : 0.0;
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
-            float gradient = inside ? grad_image[at * CHANNELS + c] : 0.0;
-            g[k * CHANNELS + c] = gradient;
-            R[k] += inside ? image[at * CHANNELS + c] * gradient : 0.0;
+            g[k * CHANNELS + c] = inside ? grad_image[at * CHANNELS + c] : 0.0;
         }
     }
     for (uint batch = begin; batch < end; batch += SUBGROUP) {

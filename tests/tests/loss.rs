@@ -2,7 +2,7 @@
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
-use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd};
+use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd, photometric_bwd_in_place};
 use sgs_passes::reference::photometric as twin;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
@@ -207,6 +207,50 @@ fn photometric_gradient_is_the_finite_difference_of_the_reference() {
         let fd = (along(1e-6) - along(-1e-6)) / 2e-6;
         let dot: f64 = direction.iter().zip(&gradient).map(|(d, &g)| d * f64::from(g)).sum();
         assert_close("direction", &[fd], &[dot as f32], Tolerance::new(2e-5, 1e-4));
+    }
+}
+
+/// The same numbers as beside the image, bit for bit, nothing behind the view touched, and the debt of every pixel.
+#[test]
+fn photometric_in_place_is_the_same_gradient_and_its_debt() {
+    let gpu = Gpu::new();
+    for (shape, largest) in [([26, 19], [26, 19]), ([1, 1], [3, 2]), ([67, 35], [70, 40])]
+        .map(|([w, h], largest)| (Shape { width: w, height: h, channels: 3 }, largest))
+    {
+        let (image, targets) = random_case(shape, 17);
+        for tuning in tunings(&gpu) {
+            let (expected, _) = run_photometric(&gpu, tuning, shape, largest, &image, &targets);
+            let mut g = Graph::new("in_place");
+            let uniform = g.uniform("step", size_of::<Step>() as u64);
+            let pixels = u64::from(largest[0]) * u64::from(largest[1]);
+            let image_buffer = g.external("image", 12 * pixels);
+            let target_buffer = g.input("targets", 4 * (OFFSET + targets.len() + SPARE) as u64);
+            let args = Photometric { step: uniform, image: image_buffer, targets: target_buffer, channels: 3, largest };
+            let partials = photometric(&mut g, tuning, &args).unwrap();
+            let gradients = photometric_bwd_in_place(&mut g, tuning, &args, &partials).unwrap();
+            let debt = g.external("debt_out", 4 * pixels);
+            g.copy("debt_out", gradients.debt, debt).unwrap();
+            assert_eq!(gradients.image, image_buffer);
+            let spare = pixels as usize - shape.pixels();
+            let inputs = [
+                (uniform, bytes(&[step(shape)])),
+                (image_buffer, bytes(&padded(0, &image, 3 * spare, f32::NAN))),
+                (target_buffer, bytes(&padded(OFFSET, &targets, SPARE, 0x0012_3456))),
+            ];
+            let out = gpu.run(g, &inputs);
+            let found: Vec<f32> = out.get(image_buffer);
+            let n = 3 * shape.pixels();
+            for (i, (x, y)) in found[..n].iter().zip(&expected).enumerate() {
+                assert_eq!(x.to_bits(), y.to_bits(), "{shape:?}: element {i} is {x}, beside the image {y}");
+            }
+            assert!(found[n..].iter().all(|x| x.to_bits() == f32::NAN.to_bits()), "the spare pixels were touched");
+            let debt: Vec<f32> = out.get(debt);
+            let owed: Vec<f64> = (0..shape.pixels())
+                .map(|p| (3 * p..3 * p + 3).map(|i| f64::from(image[i]) * f64::from(expected[i])).sum())
+                .collect();
+            let scale = owed.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            assert_close("debt", &owed, &debt[..shape.pixels()], Tolerance::new(1e-6 * scale, 1e-6));
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model};
 use sgs_passes::splat::{
-    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, intersect, project, project_bwd,
+    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, blend_debt, intersect, project, project_bwd,
 };
 use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, finite_difference};
@@ -71,7 +71,8 @@ impl Case {
             image: g.input("grad_image", 4 * c * screen.pixels()),
             transmittance: g.input("grad_transmittance", 4 * screen.pixels()),
         };
-        let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &blended, &gradient, which, true).unwrap();
+        let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
+        let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
         let groups = Group::ALL.map(|group| {
             let count = if model.has(group) { u64::from(n * group.width()) } else { 1 };
             g.external(format!("grad_{}", group.name()), 4 * count.max(3))

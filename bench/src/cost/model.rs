@@ -46,11 +46,13 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
         // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 a channel.
         "blend_bwd" | "blend_bwd_splat" => {
-            ((fetched + gradients) * e + 8.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
+            ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
         }
         // The separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels.
         // Pixels are interleaved: whoever reads three channels fetches all.
         "photometric" => ((4.0 * channels + 4.0 + 36.0) * p, 3.0 * (4.0 * 11.0 * 4.0 + 60.0) * p),
+        "blend_debt" => ((8.0 * (channels + 1.0) + 4.0) * p, 2.0 * (channels + 1.0) * p),
+        "photometric_bwd_in_place" => ((36.0 + 12.0 + 4.0 + 12.0 + 4.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 22.0) * p),
         "photometric_bwd" => ((36.0 + 4.0 * channels + 4.0 + 12.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 20.0) * p),
         "geometry_loss" => (56.0 * p, 450.0 * p),
         "project_bwd_adam" => {

@@ -12,7 +12,7 @@ use crate::report::Report;
 use crate::stats::Summary;
 use sgs_engine::graph::Buffer;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::splat::{BackwardKernel, Blended, blend, blend_bwd};
+use sgs_passes::splat::{BackwardKernel, Blended, blend, blend_bwd, blend_debt};
 use sgs_shaders::structs::Work;
 
 /// Relative error of the identity: sums of millions of single-precision products.
@@ -75,8 +75,8 @@ fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Res
             image: v.graph.input("grad_image", 4 * channels * pixels),
             transmittance: v.graph.input("grad_transmittance", 4 * pixels),
         };
-        let sums =
-            blend_bwd(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &into, &gradient, which, false)?;
+        let owed = blend_debt(&mut v.graph, &c.tuning, &v.screen, s.channels.count(), &into, &gradient)?;
+        let sums = blend_bwd(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &owed, which, false)?;
         v.inputs.push((gradient.image, bytes(&image_gradient(channels * pixels))));
         let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));
         let (entries, visible) = (v.entries, v.visible);

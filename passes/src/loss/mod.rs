@@ -7,5 +7,5 @@ pub mod sum;
 
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
 pub use octahedral::{octahedral_decode, octahedral_encode};
-pub use photometric::{Partials, Photometric, photometric, photometric_bwd};
+pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photometric_bwd_in_place};
 pub use sum::loss_sum;

@@ -1,4 +1,4 @@
-//! `photometric`, `photometric_bwd`: `weight_l1 * L1 + weight_dssim * (1 - SSIM)` against a photograph, and its gradient.
+//! `photometric`, `photometric_bwd` (and in place): `weight_l1 * L1 + weight_dssim * (1 - SSIM)` against a photograph, and its gradient.
 //!
 //! SSIM after Wang et al. 2004 with the constants of 3D Gaussian splatting (Kerbl et al. 2023, section 5): 11 x 11
 //! Gaussian window of sigma 1.5, zero padding, C1 = 1e-4, C2 = 9e-4, mean over pixels and the three channels.
@@ -8,14 +8,15 @@
 //! is complete, and the addition of the workgroups' sums to [`super::sum`].
 //!
 //! Cost a pixel. Device memory: 4 C + 4 read, 36 written (`photometric`); 36 + 4 C + 4 read, 12 written, in a pixel of
-//! 4 C (`photometric_bwd`): 104 bytes for C = 3. A tile's margins make that 2.1 times as much from the caches.
+//! 4 C (`photometric_bwd`; in place 4 more are written): 104 bytes for C = 3. A tile's margins make that 2.1 times as much from the caches.
 //! Arithmetic: a window takes 11 multiply-adds a value, columns are filtered 2.4 times (both margins) and rows 1.9
 //! times: 3 channels x 11 x (4 + 3) values x 4.3 = 990 multiply-adds, and 3 x 40 for SSIM.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
+use crate::splat::PixelGradients;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{photometric as forward, photometric_bwd as backward};
+use sgs_shaders::{photometric as forward, photometric_bwd as backward, photometric_bwd_in_place as in_place};
 
 /// What the loss works on.
 #[derive(Clone, Copy, Debug)]
@@ -116,4 +117,36 @@ pub fn photometric_bwd(
     };
     stage(g, "photometric_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(partials.count), 1))
+}
+
+/// As [`photometric_bwd`] for an image of color alone: the image becomes its own gradient, so that a picture is in memory
+/// once, and what blending's backward starts from is complete.
+///
+/// # Errors
+/// If a buffer does not belong to the graph, is too small to be bound, or the image has not three channels.
+pub fn photometric_bwd_in_place(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Photometric,
+    partials: &Partials,
+) -> Result<PixelGradients, GraphError> {
+    debug_assert_eq!(a.channels, 3, "a loss of color alone");
+    let debt = g.transient("debt", 4 * u64::from(a.largest[0]) * u64::from(a.largest[1]));
+    let bindings = in_place::Bindings {
+        params: a.step.into(),
+        image: a.image.into(),
+        targets: a.targets.into(),
+        partials: partials.partials.into(),
+        debt: debt.into(),
+    };
+    let specs = in_place::Specs {
+        workgroup: workgroup(tuning),
+        tile_x: TILE[0],
+        tile_y: TILE[1],
+        run: run(tuning),
+        channels: 3,
+    };
+    stage(g, "photometric_bwd_in_place", &in_place::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(u64::from(partials.count), 1))?;
+    Ok(PixelGradients { image: a.image, debt })
 }

@@ -4,11 +4,14 @@ use super::Step;
 use super::status::{Status, StatusHandles};
 use crate::Tuning;
 use crate::kernel::stage;
-use crate::loss::{GeometryLoss, Photometric, geometry_loss, loss_sum, photometric, photometric_bwd};
+use crate::loss::{
+    GeometryLoss, Photometric, geometry_loss, loss_sum, photometric, photometric_bwd, photometric_bwd_in_place,
+};
 use crate::optim::{AdamUnseen, Rate, adam_unseen};
 use crate::scene::{Gaussians, Group, Handles};
 use crate::splat::{
-    BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, intersect, project, project_bwd_adam,
+    BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, blend_debt, intersect, project,
+    project_bwd_adam,
 };
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError};
@@ -145,14 +148,14 @@ fn build(
         transmittance: g.transient("transmittance", 4 * pixels),
     };
     blend(g, t, &screen, &visible, &entries, &blended)?;
-    let gradient = Blended {
-        image: g.transient("grad_image", 4 * u64::from(channels) * pixels),
-        transmittance: g.transient("grad_transmittance", 4 * pixels),
-    };
     let loss = Photometric { step, image: blended.image, targets, channels, largest: o.largest };
     let partials = photometric(g, *t, &loss)?;
-    photometric_bwd(g, *t, &loss, &partials, gradient.image)?;
-    let geometry = if o.channels.normals || o.channels.depth {
+    let (gradient, geometry) = if o.channels.normals || o.channels.depth {
+        let gradient = Blended {
+            image: g.transient("grad_image", 4 * u64::from(channels) * pixels),
+            transmittance: g.transient("grad_transmittance", 4 * pixels),
+        };
+        photometric_bwd(g, *t, &loss, &partials, gradient.image)?;
         let loss = GeometryLoss {
             step,
             image: blended.image,
@@ -165,14 +168,13 @@ fn build(
             largest: o.largest,
         };
         let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
-        Some((sums.sums, sums.count))
+        (blend_debt(g, t, &screen, channels, &blended, &gradient)?, Some((sums.sums, sums.count)))
     } else {
-        g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
-        None
+        (photometric_bwd_in_place(g, *t, &loss, &partials)?, None)
     };
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
     loss_sum(g, *t, step, (partials.sums, partials.count), geometry, stats)?;
-    let entry_gradients = blend_bwd(g, t, &screen, &visible, &entries, &blended, &gradient, o.backward, o.statistics)?;
+    let entry_gradients = blend_bwd(g, t, &screen, &visible, &entries, &gradient, o.backward, o.statistics)?;
     let seen = o.dense_adam.then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;

@@ -1,15 +1,15 @@
-//! `blend` and `blend_bwd`: any number of channels in one go, one subgroup a tile.
+//! `blend`, `blend_debt` and `blend_bwd`: any number of channels in one go, one subgroup a tile.
 //!
 //! Cost: every entry's record is fetched once a tile (28 + 4 C bytes); a pixel evaluates about 12 + C multiply-adds and
 //! one exponential for each entry of its tile until it is opaque, backward about 30 + 2 C. Pixels write 4 (C + 1) bytes;
-//! backward reads twice that, and writes 4 (6 + C) bytes an entry.
+//! the debt reads twice that and writes 4; backward reads 4 (C + 1), and writes 4 (6 + C) bytes an entry.
 
 use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::blend as kernel;
+use sgs_shaders::{blend as kernel, blend_debt as blend_debt_kernel};
 
 /// A blended view.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +63,43 @@ pub fn blend(
         .dispatch(groups(u64::from(screen.tiles()), 1))
 }
 
+/// What backward starts from.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelGradients {
+    /// `[pixels * channels]`: of the loss by the picture.
+    pub image: Buffer,
+    /// `[pixels]`: picture times gradient, summed over channels and transmittance.
+    pub debt: Buffer,
+}
+
+/// Works out the debt of every pixel from the picture and its gradients. A loss of color alone does that by itself
+/// ([`crate::loss::photometric_bwd_in_place`]).
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn blend_debt(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    channels: u32,
+    blended: &Blended,
+    gradient: &Blended,
+) -> Result<PixelGradients, GraphError> {
+    let debt = g.transient("debt", 4 * screen.pixels());
+    let bindings = blend_debt_kernel::Bindings {
+        params: screen.step.into(),
+        image: blended.image.into(),
+        transmittance: blended.transmittance.into(),
+        grad_image: gradient.image.into(),
+        grad_transmittance: gradient.transmittance.into(),
+        debt: debt.into(),
+    };
+    let specs = blend_debt_kernel::Specs { workgroup: t.workgroup, channels };
+    stage(g, "blend_debt", &blend_debt_kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(screen.pixels(), t.workgroup))?;
+    Ok(PixelGradients { image: gradient.image, debt })
+}
+
 /// Backward of [`blend`]: gradients of every entry from those of the picture.
 ///
 /// # Errors
@@ -73,8 +110,7 @@ pub fn blend_bwd(
     screen: &Screen,
     visible: &Visible,
     entries: &Entries,
-    blended: &Blended,
-    gradient: &Blended,
+    gradient: &PixelGradients,
     which: BackwardKernel,
     weights: bool,
 ) -> Result<EntryGradients, GraphError> {
@@ -90,10 +126,8 @@ pub fn blend_bwd(
                 entry_splats: entries.splats.into(),
                 splats: visible.splats.into(),
                 features: visible.features.into(),
-                image: blended.image.into(),
-                transmittance: blended.transmittance.into(),
                 grad_image: gradient.image.into(),
-                grad_transmittance: gradient.transmittance.into(),
+                debt: gradient.debt.into(),
                 entry_gradients: gradients.into(),
             };
             let specs = $kernel::Specs {

@@ -8,7 +8,7 @@ mod blend;
 mod intersect;
 mod project;
 
-pub use blend::{BackwardKernel, Blended, blend, blend_bwd};
+pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
 pub use intersect::{Entries, intersect};
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
 

@@ -1,0 +1,25 @@
+// What the loss owes to the splats behind each pixel, before the first of them (see blend_bwd.glsl): one number, so that
+// the picture itself is not needed any more when blending goes backward.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const uint CHANNELS = 3;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(float, image);
+IN(float, transmittance);
+IN(float, grad_image);
+IN(float, grad_transmittance);
+OUT(float, debt); // [pixels]
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (pixel >= size.x * size.y) return;
+    float sum = transmittance[pixel] * grad_transmittance[pixel];
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) sum += image[pixel * CHANNELS + c] * grad_image[pixel * CHANNELS + c];
+    debt[pixel] = sum;
+}
