@@ -89,12 +89,12 @@ pub enum Error {
     #[error("The device was lost in {0}.")]
     DeviceLost(String),
     /// The GPU did not answer in time.
-    #[error("Work submitted as \"{what}\" did not finish within {seconds} s.")]
+    #[error("Work submitted as \"{what}\" did not finish within {} s.", limit.as_secs_f64())]
     Timeout {
         /// What was waited for.
         what: String,
         /// How long.
-        seconds: u64,
+        limit: std::time::Duration,
     },
     /// A plan's external buffer has no memory bound to it.
     #[error("Buffer \"{buffer}\" of plan \"{plan}\" is not bound to any memory.")]

@@ -1,6 +1,8 @@
 //! The Vulkan instance, and the messages that validation sends.
 
-use crate::error::{Check, Error, Result};
+use super::fault::Gate;
+use super::objects::{ObjectKind, Objects};
+use crate::error::{Error, Result};
 use ash::{ext, vk};
 use std::ffi::{CStr, c_void};
 use std::sync::{Arc, Mutex};
@@ -31,21 +33,21 @@ pub(crate) struct Instance {
     pub validation: bool,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     pub debug_utils: bool,
+    objects: Objects,
 }
 
 impl Instance {
-    pub fn new(validation: bool) -> Result<Arc<Instance>> {
+    pub fn new(validation: bool, gate: &Gate) -> Result<Arc<Instance>> {
         // SAFETY: loading the system's Vulkan loader runs its initializers, which are sound by the platform's contract.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::Loader(e.to_string()))?;
-        // SAFETY: the entry is loaded; both calls only enumerate.
-        let (layers, extensions) = unsafe {
-            (
-                entry.enumerate_instance_layer_properties().check("vkEnumerateInstanceLayerProperties", "instance")?,
-                entry
-                    .enumerate_instance_extension_properties(None)
-                    .check("vkEnumerateInstanceExtensionProperties", "instance")?,
-            )
-        };
+        // SAFETY: the entry is loaded; the call only enumerates.
+        let layers = gate.call("vkEnumerateInstanceLayerProperties", "instance", || unsafe {
+            entry.enumerate_instance_layer_properties()
+        })?;
+        // SAFETY: as above.
+        let extensions = gate.call("vkEnumerateInstanceExtensionProperties", "instance", || unsafe {
+            entry.enumerate_instance_extension_properties(None)
+        })?;
         let has_layer = layers.iter().any(|l| l.layer_name_as_c_str() == Ok(LAYER));
         if validation && !has_layer {
             return Err(Error::NoValidation);
@@ -71,24 +73,36 @@ impl Instance {
             info = info.enabled_layer_names(&layer_names).push_next(&mut features).push_next(&mut debug);
         }
         // SAFETY: every pointer in `info` outlives the call; layers and extensions were found above.
-        let raw = unsafe { entry.create_instance(&info, None) }.check("vkCreateInstance", "sgs")?;
+        let raw = gate
+            .make(ObjectKind::Instance, "vkCreateInstance", "sgs", || unsafe { entry.create_instance(&info, None) })?;
         let messenger = if validation {
             let api = ext::debug_utils::Instance::new(&entry, &raw);
             // SAFETY: the instance is alive and has the extension; the sink outlives the messenger, which is destroyed
             // before the last reference to the sink that this struct holds goes away.
-            let made = unsafe { api.create_debug_utils_messenger(&messenger_info(&messages), None) };
+            let made = gate.make(ObjectKind::Messenger, "vkCreateDebugUtilsMessengerEXT", "validation", || unsafe {
+                api.create_debug_utils_messenger(&messenger_info(&messages), None)
+            });
             match made {
                 Ok(m) => Some((api, m)),
-                Err(result) => {
+                Err(error) => {
                     // SAFETY: nothing was made from the instance yet.
                     unsafe { raw.destroy_instance(None) };
-                    return Err(result).check("vkCreateDebugUtilsMessengerEXT", "validation");
+                    gate.gone(ObjectKind::Instance);
+                    return Err(error);
                 }
             }
         } else {
             None
         };
-        Ok(Arc::new(Instance { raw, _entry: entry, messages, validation, messenger, debug_utils }))
+        Ok(Arc::new(Instance {
+            raw,
+            _entry: entry,
+            messages,
+            validation,
+            messenger,
+            debug_utils,
+            objects: gate.objects.clone(),
+        }))
     }
 }
 
@@ -98,9 +112,11 @@ impl Drop for Instance {
         unsafe {
             if let Some((api, messenger)) = self.messenger.take() {
                 api.destroy_debug_utils_messenger(messenger, None);
+                self.objects.remove(ObjectKind::Messenger);
             }
             self.raw.destroy_instance(None);
         }
+        self.objects.remove(ObjectKind::Instance);
     }
 }
 

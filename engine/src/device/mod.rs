@@ -3,18 +3,23 @@
 //! Promises: everything made from it keeps it alive; work is ordered by one timeline semaphore; nothing waits for the
 //! whole device. Leaves the order of passes to the graph.
 
+pub mod fault;
 mod instance;
+mod objects;
 mod pipeline;
 mod select;
 
+pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
+pub use objects::{ObjectKind, Objects};
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use select::{DeviceInfo, Optional};
 
-use crate::error::{Check, Error, Result};
+use crate::error::{Error, Result};
 use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
+use fault::Gate;
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -31,11 +36,22 @@ pub struct DeviceOptions {
     pub pipeline_cache: Option<PathBuf>,
     /// After how long a wait gives up.
     pub timeout: Duration,
+    /// Failures on purpose, from the first call of opening on; nothing is planned by default.
+    pub faults: Faults,
+    /// Where live objects are counted.
+    pub objects: Objects,
 }
 
 impl Default for DeviceOptions {
     fn default() -> Self {
-        DeviceOptions { select: None, validation: false, pipeline_cache: None, timeout: Duration::from_secs(300) }
+        DeviceOptions {
+            select: None,
+            validation: false,
+            pipeline_cache: None,
+            timeout: Duration::from_secs(300),
+            faults: Faults::default(),
+            objects: Objects::default(),
+        }
     }
 }
 
@@ -57,6 +73,7 @@ pub(crate) struct Shared {
     pub pipelines: pipeline::Pipelines,
     pub labels: Option<ext::debug_utils::Device>,
     timeout: Duration,
+    pub gate: Gate,
     // Last, so that it is dropped after everything made from it.
     pub instance: Arc<Instance>,
 }
@@ -71,8 +88,9 @@ struct Queue {
 /// # Errors
 /// If the loader is missing or the instance cannot be made.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
-    let instance = Instance::new(false)?;
-    Ok(select::candidates(&instance)?.into_iter().map(|c| c.info).collect())
+    let gate = Gate::default();
+    let instance = Instance::new(false, &gate)?;
+    Ok(select::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
 }
 
 impl Device {
@@ -81,8 +99,9 @@ impl Device {
     /// # Errors
     /// If there is no loader, no matching device, or the device lacks a required feature (named).
     pub fn open(options: &DeviceOptions) -> Result<Device> {
-        let instance = Instance::new(options.validation)?;
-        let chosen = select::choose(select::candidates(&instance)?, options.select.as_deref())?;
+        let gate = Gate::new(options.faults.clone(), options.objects.clone());
+        let instance = Instance::new(options.validation, &gate)?;
+        let chosen = select::choose(select::candidates(&instance, &gate)?, options.select.as_deref())?;
         let info = chosen.info;
         let queue_family = chosen.queue_family.ok_or_else(|| Error::MissingFeatures {
             device: info.name.clone(),
@@ -114,39 +133,21 @@ impl Device {
         }
         let create = create.enabled_extension_names(&extensions);
         // SAFETY: the physical device belongs to the instance; every feature and extension asked for was reported by it.
-        let raw = unsafe { instance.raw.create_device(chosen.physical, &create, None) }
-            .check("vkCreateDevice", &info.name)?;
-        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let semaphore = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        // SAFETY: the device is alive and has timeline semaphores; the queue was created with it.
-        let (timeline, queue) =
-            unsafe { (raw.create_semaphore(&semaphore, None), raw.get_device_queue(queue_family, 0)) };
-        let memory = Memory::new(&instance, &raw, chosen.physical, &info);
-        let pipelines = pipeline::Pipelines::new(&raw, &info, options.pipeline_cache.clone());
-        let (timeline, memory, pipelines) = match (timeline, memory, pipelines) {
-            (Ok(t), Ok(m), Ok(p)) => (t, m, p),
-            (t, m, p) => {
-                // Whatever was made is given back before the first failure is reported.
-                let timeline = t.check("vkCreateSemaphore", "timeline");
-                if let Ok(p) = &p {
-                    p.destroy(&raw);
-                }
-                if let Ok(m) = &m {
-                    m.shut_down();
-                }
-                // SAFETY: nothing made from the device is left but the semaphore, destroyed here.
-                unsafe {
-                    if let Ok(t) = &timeline {
-                        raw.destroy_semaphore(*t, None);
-                    }
-                    raw.destroy_device(None);
-                }
-                timeline?;
-                m?;
-                p?;
-                return Err(Error::DeviceLost("device creation".into()));
+        let raw = gate.make(ObjectKind::Device, "vkCreateDevice", &info.name, || unsafe {
+            instance.raw.create_device(chosen.physical, &create, None)
+        })?;
+        let parts = parts(&instance, &raw, &gate, chosen.physical, &info, options.pipeline_cache.clone());
+        let (timeline, memory, pipelines) = match parts {
+            Ok(parts) => parts,
+            Err(error) => {
+                // SAFETY: nothing made from the device is left.
+                unsafe { raw.destroy_device(None) };
+                gate.gone(ObjectKind::Device);
+                return Err(error);
             }
         };
+        // SAFETY: the queue was created with the device.
+        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, "device opened");
         Ok(Device(Arc::new(Shared {
@@ -159,6 +160,7 @@ impl Device {
             pipelines,
             labels,
             timeout: options.timeout,
+            gate,
             instance,
         })))
     }
@@ -188,6 +190,16 @@ impl Device {
         self.0.memory.activity()
     }
 
+    /// The plan of failures that the device was opened with.
+    pub fn faults(&self) -> &Faults {
+        &self.0.gate.faults
+    }
+
+    /// Counts of live Vulkan objects by kind.
+    pub fn objects(&self) -> &Objects {
+        &self.0.gate.objects
+    }
+
     /// Waits until everything up to `ticket` is done.
     ///
     /// # Errors
@@ -202,8 +214,10 @@ impl Device {
     /// [`Error::DeviceLost`].
     pub fn is_done(&self, ticket: Ticket) -> Result<bool> {
         // SAFETY: the semaphore belongs to this device.
-        let value = unsafe { self.0.raw.get_semaphore_counter_value(self.0.timeline) };
-        Ok(value.check("vkGetSemaphoreCounterValue", "timeline")? >= ticket.0)
+        let value = self.0.gate.call("vkGetSemaphoreCounterValue", "timeline", || unsafe {
+            self.0.raw.get_semaphore_counter_value(self.0.timeline)
+        })?;
+        Ok(value >= ticket.0)
     }
 
     /// The last submission so far.
@@ -223,10 +237,24 @@ impl Shared {
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
         let timeout = u64::try_from(self.timeout.as_nanos()).unwrap_or(u64::MAX);
         // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
-        match unsafe { self.raw.wait_semaphores(&info, timeout) } {
-            Err(vk::Result::TIMEOUT) => Err(Error::Timeout { what: what.to_owned(), seconds: self.timeout.as_secs() }),
-            other => other.check("vkWaitSemaphores", what),
+        match self.gate.call("vkWaitSemaphores", what, || unsafe { self.raw.wait_semaphores(&info, timeout) }) {
+            Err(Error::Vulkan { result: vk::Result::TIMEOUT, .. }) => {
+                Err(Error::Timeout { what: what.to_owned(), limit: self.timeout })
+            }
+            other => other,
         }
+    }
+
+    /// Waits for everything submitted. Goes past the gate: on a lost device, or one that was declared lost on purpose, it
+    /// still has to be known that nothing runs any more. False if something does.
+    fn settle(&self) -> bool {
+        let semaphores = [self.timeline];
+        let values = [self.queue().submitted];
+        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        let timeout = u64::try_from(self.timeout.as_nanos()).unwrap_or(u64::MAX);
+        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
+        // A device that is really lost runs nothing.
+        matches!(unsafe { self.raw.wait_semaphores(&info, timeout) }, Ok(()) | Err(vk::Result::ERROR_DEVICE_LOST))
     }
 
     /// Submits one recorded command buffer; its end is the returned ticket.
@@ -241,7 +269,9 @@ impl Shared {
         let submit = [vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals)];
         // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first); the queue is
         // locked; the timeline only grows.
-        unsafe { self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null()) }.check("vkQueueSubmit2", what)?;
+        self.gate.call("vkQueueSubmit2", what, || unsafe {
+            self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null())
+        })?;
         queue.submitted = value;
         Ok(Ticket(value))
     }
@@ -252,24 +282,58 @@ impl Shared {
         let Ok(name) = std::ffi::CString::new(name) else { return };
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
         // SAFETY: the handle was made from this device. A failure only loses the name.
-        let _ = unsafe { api.set_debug_utils_object_name(&info) };
+        let _lost_name = self
+            .gate
+            .call("vkSetDebugUtilsObjectNameEXT", "name", || unsafe { api.set_debug_utils_object_name(&info) });
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        let last = Ticket(self.queue().submitted);
-        if self.wait(last, "closing the device").is_err() {
+        if !self.settle() {
             // Freeing what the GPU may still use is worse than leaking it.
             tracing::error!("the device did not finish its work; its objects are leaked");
             return;
         }
-        self.pipelines.destroy(&self.raw);
+        self.pipelines.destroy(&self.raw, &self.gate);
         self.memory.shut_down();
         // SAFETY: all work is done and everything made from the device is destroyed.
         unsafe {
             self.raw.destroy_semaphore(self.timeline, None);
             self.raw.destroy_device(None);
         }
+        self.gate.gone(ObjectKind::Semaphore);
+        self.gate.gone(ObjectKind::Device);
     }
+}
+
+/// What every device has: its timeline, its memory, its pipelines.
+fn parts(
+    instance: &Instance,
+    raw: &ash::Device,
+    gate: &Gate,
+    physical: vk::PhysicalDevice,
+    info: &DeviceInfo,
+    cache: Option<PathBuf>,
+) -> Result<(vk::Semaphore, Memory, pipeline::Pipelines)> {
+    let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+    let semaphore = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+    // SAFETY: the device is alive and has timeline semaphores.
+    let timeline = gate.make(ObjectKind::Semaphore, "vkCreateSemaphore", "timeline", || unsafe {
+        raw.create_semaphore(&semaphore, None)
+    })?;
+    let rest = pipeline::Pipelines::new(raw, gate, info, cache).and_then(|pipelines| {
+        match Memory::new(instance, raw, physical, info) {
+            Ok(memory) => Ok((timeline, memory, pipelines)),
+            Err(error) => {
+                pipelines.destroy(raw, gate);
+                Err(error)
+            }
+        }
+    });
+    rest.inspect_err(|_| {
+        // SAFETY: the semaphore was made above and nothing uses it.
+        unsafe { raw.destroy_semaphore(timeline, None) };
+        gate.gone(ObjectKind::Semaphore);
+    })
 }

@@ -1,7 +1,9 @@
 //! Compute pipelines, made once for each kernel and specialization, and their cache on disk.
 
 use super::DeviceInfo;
-use crate::error::{Check, Result};
+use super::fault::Gate;
+use super::objects::ObjectKind;
+use crate::error::Result;
 use crate::shader::{BindingKind, Shader};
 use ash::vk;
 use std::collections::HashMap;
@@ -33,7 +35,7 @@ pub(crate) struct Pipelines {
 }
 
 impl Pipelines {
-    pub fn new(device: &ash::Device, info: &DeviceInfo, folder: Option<PathBuf>) -> Result<Pipelines> {
+    pub fn new(device: &ash::Device, gate: &Gate, info: &DeviceInfo, folder: Option<PathBuf>) -> Result<Pipelines> {
         // The driver checks the header of the data itself; the file is named after device and driver so that
         // several devices keep theirs.
         let path = folder.map(|f| {
@@ -44,7 +46,9 @@ impl Pipelines {
         let data = path.as_ref().and_then(|p| std::fs::read(p).ok()).unwrap_or_default();
         let create = vk::PipelineCacheCreateInfo::default().initial_data(&data);
         // SAFETY: the device is alive; invalid initial data is ignored by the driver as the specification demands.
-        let cache = unsafe { device.create_pipeline_cache(&create, None) }.check("vkCreatePipelineCache", "kernels")?;
+        let cache = gate.make(ObjectKind::PipelineCache, "vkCreatePipelineCache", "kernels", || unsafe {
+            device.create_pipeline_cache(&create, None)
+        })?;
         let subgroup_size_control = info.optional.subgroup_size_control;
         let full_subgroups = info.optional.full_subgroups;
         Ok(Pipelines { cache, path, subgroup_size_control, full_subgroups, made: Mutex::default() })
@@ -72,11 +76,13 @@ impl Pipelines {
     }
 
     /// Writes the cache and destroys every pipeline.
-    pub fn destroy(&self, device: &ash::Device) {
+    pub fn destroy(&self, device: &ash::Device, gate: &Gate) {
         let mut made = self.made.lock().unwrap_or_else(|e| e.into_inner());
         if let (Some(path), false) = (&self.path, made.is_empty()) {
             // SAFETY: the cache is alive.
-            if let Ok(data) = unsafe { device.get_pipeline_cache_data(self.cache) } {
+            let data = gate
+                .call("vkGetPipelineCacheData", "kernels", || unsafe { device.get_pipeline_cache_data(self.cache) });
+            if let Ok(data) = data {
                 // Losing the cache costs time, never a result, so failures are not errors.
                 let temporary = path.with_extension(format!("{}.tmp", std::process::id()));
                 let written = path
@@ -96,9 +102,13 @@ impl Pipelines {
                 device.destroy_pipeline_layout(p.layout, None);
                 device.destroy_descriptor_set_layout(p.set_layout, None);
             }
+            gate.gone(ObjectKind::Pipeline);
+            gate.gone(ObjectKind::PipelineLayout);
+            gate.gone(ObjectKind::SetLayout);
         }
         // SAFETY: as above; nothing is made from the cache any more.
         unsafe { device.destroy_pipeline_cache(self.cache, None) };
+        gate.gone(ObjectKind::PipelineCache);
     }
 }
 
@@ -111,6 +121,8 @@ fn create(
     full_subgroups: bool,
 ) -> Result<Pipeline> {
     let raw = &device.raw;
+    let gate = &device.gate;
+    let name = &shader.name;
     let bindings: Vec<_> = shader
         .bindings
         .iter()
@@ -124,64 +136,83 @@ fn create(
         .collect();
     let set_info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
     // SAFETY: the device is alive and `bindings` outlives the call.
-    let set_layout = unsafe { raw.create_descriptor_set_layout(&set_info, None) }
-        .check("vkCreateDescriptorSetLayout", &shader.name)?;
+    let set_layout = gate.make(ObjectKind::SetLayout, "vkCreateDescriptorSetLayout", name, || unsafe {
+        raw.create_descriptor_set_layout(&set_info, None)
+    })?;
+    let made = layout(device, shader, set_layout).and_then(|layout| {
+        compile(device, cache, shader, specs, subgroup_size, full_subgroups, layout)
+            .map(|pipeline| Pipeline { raw: pipeline, layout, set_layout })
+            .inspect_err(|_| {
+                // SAFETY: nothing was made with the layout.
+                unsafe { raw.destroy_pipeline_layout(layout, None) };
+                gate.gone(ObjectKind::PipelineLayout);
+            })
+    });
+    made.inspect_err(|_| {
+        // SAFETY: nothing made with the layout is left.
+        unsafe { raw.destroy_descriptor_set_layout(set_layout, None) };
+        gate.gone(ObjectKind::SetLayout);
+    })
+}
+
+fn layout(device: &super::Shared, shader: &Shader, set_layout: vk::DescriptorSetLayout) -> Result<vk::PipelineLayout> {
     let sets = [set_layout];
     let push = [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(shader.push_bytes)];
-    let mut layout_info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
+    let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
     if shader.push_bytes > 0 {
-        layout_info = layout_info.push_constant_ranges(&push);
+        info = info.push_constant_ranges(&push);
     }
-    // SAFETY: as above.
-    let layout = unsafe { raw.create_pipeline_layout(&layout_info, None) };
+    // SAFETY: the device and the set layout are alive.
+    device.gate.make(ObjectKind::PipelineLayout, "vkCreatePipelineLayout", &shader.name, || unsafe {
+        device.raw.create_pipeline_layout(&info, None)
+    })
+}
+
+fn compile(
+    device: &super::Shared,
+    cache: vk::PipelineCache,
+    shader: &Shader,
+    specs: &[(u32, u32)],
+    subgroup_size: Option<u32>,
+    full_subgroups: bool,
+    layout: vk::PipelineLayout,
+) -> Result<vk::Pipeline> {
+    let raw = &device.raw;
+    let gate = &device.gate;
     let module_info = vk::ShaderModuleCreateInfo::default().code(&shader.spirv);
     // SAFETY: the SPIR-V is a module compiled for Vulkan 1.3.
-    let module = unsafe { raw.create_shader_module(&module_info, None) };
-    let made = match (layout, module) {
-        (Ok(layout), Ok(module)) => {
-            let entries: Vec<_> = specs
-                .iter()
-                .enumerate()
-                .map(|(i, (id, _))| vk::SpecializationMapEntry::default().constant_id(*id).offset(4 * i as u32).size(4))
-                .collect();
-            let values: Vec<u8> = specs.iter().flat_map(|(_, bits)| bits.to_ne_bytes()).collect();
-            let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(&values);
-            let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
-                .required_subgroup_size(subgroup_size.unwrap_or(0));
-            let mut stage = vk::PipelineShaderStageCreateInfo::default()
-                .stage(vk::ShaderStageFlags::COMPUTE)
-                .module(module)
-                .name(c"main")
-                .specialization_info(&specialization);
-            if subgroup_size.is_some() {
-                stage = stage.push_next(&mut required);
-            }
-            if full_subgroups {
-                stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
-            }
-            let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];
-            // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.
-            let pipelines = unsafe { raw.create_compute_pipelines(cache, &info, None) };
-            match pipelines {
-                Ok(p) => Ok(Pipeline { raw: p[0], layout, set_layout }),
-                Err((_, result)) => Err(result),
-            }
-        }
-        (Err(result), _) | (_, Err(result)) => Err(result),
-    };
-    // SAFETY: a module is not needed once pipelines are made; on failure everything made so far is given back.
-    unsafe {
-        if let Ok(module) = module {
-            raw.destroy_shader_module(module, None);
-        }
-        if made.is_err() {
-            if let Ok(layout) = layout {
-                raw.destroy_pipeline_layout(layout, None);
-            }
-            raw.destroy_descriptor_set_layout(set_layout, None);
-        }
+    let module = gate.make(ObjectKind::ShaderModule, "vkCreateShaderModule", &shader.name, || unsafe {
+        raw.create_shader_module(&module_info, None)
+    })?;
+    let entries: Vec<_> = specs
+        .iter()
+        .enumerate()
+        .map(|(i, (id, _))| vk::SpecializationMapEntry::default().constant_id(*id).offset(4 * i as u32).size(4))
+        .collect();
+    let values: Vec<u8> = specs.iter().flat_map(|(_, bits)| bits.to_ne_bytes()).collect();
+    let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(&values);
+    let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
+        .required_subgroup_size(subgroup_size.unwrap_or(0));
+    let mut stage = vk::PipelineShaderStageCreateInfo::default()
+        .stage(vk::ShaderStageFlags::COMPUTE)
+        .module(module)
+        .name(c"main")
+        .specialization_info(&specialization);
+    if subgroup_size.is_some() {
+        stage = stage.push_next(&mut required);
     }
-    made.check("vkCreateComputePipelines", &shader.name)
+    if full_subgroups {
+        stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
+    }
+    let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];
+    // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.
+    let made = gate.make(ObjectKind::Pipeline, "vkCreateComputePipelines", &shader.name, || unsafe {
+        raw.create_compute_pipelines(cache, &info, None).map(|p| p[0]).map_err(|(_, result)| result)
+    });
+    // SAFETY: a module is not needed once its pipeline is made.
+    unsafe { raw.destroy_shader_module(module, None) };
+    gate.gone(ObjectKind::ShaderModule);
+    made
 }
 
 pub(crate) fn descriptor_type(kind: BindingKind) -> vk::DescriptorType {

@@ -1,7 +1,8 @@
 //! Which devices there are, what each lacks, and which one is taken.
 
+use super::fault::Gate;
 use super::instance::Instance;
-use crate::error::{Check, Error, Result};
+use crate::error::{Error, Result};
 use crate::format::ImageFormat;
 use ash::vk;
 use serde::Serialize;
@@ -71,14 +72,14 @@ pub(crate) struct Candidate {
     pub info: DeviceInfo,
 }
 
-pub(crate) fn candidates(instance: &Instance) -> Result<Vec<Candidate>> {
+pub(crate) fn candidates(instance: &Instance, gate: &Gate) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
     let physicals =
-        unsafe { instance.raw.enumerate_physical_devices() }.check("vkEnumeratePhysicalDevices", "instance")?;
-    physicals.into_iter().enumerate().map(|(index, p)| describe(instance, index, p)).collect()
+        gate.call("vkEnumeratePhysicalDevices", "instance", || unsafe { instance.raw.enumerate_physical_devices() })?;
+    physicals.into_iter().enumerate().map(|(index, p)| describe(instance, gate, index, p)).collect()
 }
 
-fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> Result<Candidate> {
+fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::PhysicalDevice) -> Result<Candidate> {
     let api = &instance.raw;
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
@@ -91,8 +92,9 @@ fn describe(instance: &Instance, index: usize, physical: vk::PhysicalDevice) -> 
     let basic = unsafe { api.get_physical_device_properties(physical) };
     let modern = basic.api_version >= vk::API_VERSION_1_3;
     // SAFETY: as above.
-    let extensions = unsafe { api.enumerate_device_extension_properties(physical) }
-        .check("vkEnumerateDeviceExtensionProperties", "device")?;
+    let extensions = gate.call("vkEnumerateDeviceExtensionProperties", "device", || unsafe {
+        api.enumerate_device_extension_properties(physical)
+    })?;
     let has = |name: &std::ffi::CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     let has_atomics = has(ash::ext::shader_atomic_float::NAME);
     let mut properties = vk::PhysicalDeviceProperties2::default();

@@ -5,8 +5,8 @@
 //! run time: a graph states the layout that it finds and the one that it leaves.
 
 use super::{DeviceBuffer, Location};
-use crate::device::Device;
-use crate::error::{Check, Error, Result};
+use crate::device::{Device, ObjectKind};
+use crate::error::{Error, Result};
 use crate::format::ImageFormat;
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -97,7 +97,9 @@ impl Device {
             .sharing_mode(vk::SharingMode::EXCLUSIVE)
             .initial_layout(vk::ImageLayout::UNDEFINED);
         // SAFETY: the device is alive.
-        let raw = unsafe { shared.raw.create_image(&info, None) }.check("vkCreateImage", name)?;
+        let raw = shared
+            .gate
+            .make(ObjectKind::Image, "vkCreateImage", name, || unsafe { shared.raw.create_image(&info, None) })?;
         // From here on `made` gives everything back if a later step fails.
         let mut made = ImageInner {
             raw,
@@ -214,34 +216,27 @@ impl ImageInner {
         let shared = &self.device.0;
         // SAFETY: the image was just made from this device.
         let requirements = unsafe { shared.raw.get_image_memory_requirements(self.raw) };
-        let bytes = requirements.size;
         let desc = AllocationCreateDesc {
             name: &self.name,
             requirements,
             location: MemoryLocation::GpuOnly,
             linear: false,
-            allocation_scheme: if bytes >= 1 << 20 {
+            allocation_scheme: if requirements.size >= 1 << 20 {
                 AllocationScheme::DedicatedImage(self.raw)
             } else {
                 AllocationScheme::GpuAllocatorManaged
             },
         };
-        let mut state = shared.memory.lock();
-        let allocated = match state.allocator.as_mut() {
-            Some(allocator) => allocator.allocate(&desc).map_err(|e| e.to_string()),
-            None => Err("the device is closing".to_owned()),
-        };
-        let failed = |reason| Error::OutOfMemory { what: self.name.clone(), bytes, reason };
-        let allocation = allocated.map_err(failed)?;
+        let allocation = shared.allocate(&desc)?;
         // SAFETY: the allocation was made for this image's requirements and is used by nothing else.
-        let bound = unsafe { shared.raw.bind_image_memory(self.raw, allocation.memory(), allocation.offset()) };
-        if let Err(result) = bound {
-            if let Some(allocator) = state.allocator.as_mut() {
-                let _ = allocator.free(allocation);
-            }
-            return Err(failed(result.to_string()));
+        let bound = shared.gate.call("vkBindImageMemory", &self.name, || unsafe {
+            shared.raw.bind_image_memory(self.raw, allocation.memory(), allocation.offset())
+        });
+        if let Err(error) = bound {
+            shared.free(allocation);
+            return Err(error);
         }
-        state.add(allocation.size());
+        shared.memory.lock().add(allocation.size());
         self.allocation = Some(allocation);
         Ok(())
     }
@@ -254,8 +249,10 @@ impl ImageInner {
             .format(self.format.raw())
             .subresource_range(WHOLE);
         // SAFETY: the image is alive, has this format and storage usage.
-        let view = unsafe { self.device.0.raw.create_image_view(&info, None) };
-        self.view = Some(view.check("vkCreateImageView", &self.name)?);
+        let view = self.device.0.gate.make(ObjectKind::ImageView, "vkCreateImageView", &self.name, || unsafe {
+            self.device.0.raw.create_image_view(&info, None)
+        })?;
+        self.view = Some(view);
         Ok(())
     }
 }
@@ -268,9 +265,11 @@ impl Drop for ImageInner {
         unsafe {
             if let Some(view) = self.view.take() {
                 shared.raw.destroy_image_view(view, None);
+                shared.gate.gone(ObjectKind::ImageView);
             }
             if self.owned {
                 shared.raw.destroy_image(self.raw, None);
+                shared.gate.gone(ObjectKind::Image);
             }
         }
         if !self.owned {
@@ -278,10 +277,7 @@ impl Drop for ImageInner {
         }
         shared.memory.count_image(false);
         let Some(allocation) = self.allocation.take() else { return };
-        let mut state = shared.memory.lock();
-        state.used -= allocation.size();
-        if let Some(Err(error)) = state.allocator.as_mut().map(|allocator| allocator.free(allocation)) {
-            tracing::error!(%error, image = self.name, "memory could not be given back");
-        }
+        shared.memory.lock().used -= allocation.size();
+        shared.free(allocation);
     }
 }

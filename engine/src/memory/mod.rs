@@ -8,8 +8,8 @@ mod transfer;
 
 pub use image::DeviceImage;
 
-use crate::device::{Device, DeviceInfo, Shared};
-use crate::error::{Check, Error, Result};
+use crate::device::{Device, DeviceInfo, ObjectKind, Shared};
+use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme, Allocator, AllocatorCreateDesc};
@@ -156,7 +156,9 @@ impl Device {
                 | vk::BufferUsageFlags::TRANSFER_DST,
         );
         // SAFETY: the device is alive.
-        let raw = unsafe { shared.raw.create_buffer(&info, None) }.check("vkCreateBuffer", name)?;
+        let raw = shared
+            .gate
+            .make(ObjectKind::Buffer, "vkCreateBuffer", name, || unsafe { shared.raw.create_buffer(&info, None) })?;
         // SAFETY: the buffer was just made from this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(raw) };
         let memory_location = match location {
@@ -177,28 +179,22 @@ impl Device {
                 AllocationScheme::GpuAllocatorManaged
             },
         };
-        let mut state = shared.memory.lock();
-        let allocated = match state.allocator.as_mut() {
-            Some(a) => a.allocate(&desc).map_err(|e| e.to_string()),
-            None => Err("the device is closing".to_owned()),
-        };
-        let fail = |reason: String| {
+        let give_back = || {
             // SAFETY: nothing uses the buffer yet.
             unsafe { shared.raw.destroy_buffer(raw, None) };
-            Err(Error::OutOfMemory { what: name.to_owned(), bytes, reason })
+            shared.gate.gone(ObjectKind::Buffer);
         };
-        let allocation = match allocated {
-            Ok(a) => a,
-            Err(reason) => return fail(reason),
-        };
+        let allocation = shared.allocate(&desc).inspect_err(|_| give_back())?;
         // SAFETY: the allocation was made for this buffer's requirements and is used by nothing else.
-        let bound = unsafe { shared.raw.bind_buffer_memory(raw, allocation.memory(), allocation.offset()) };
-        if let Err(result) = bound {
-            if let Some(a) = state.allocator.as_mut() {
-                let _ = a.free(allocation);
-            }
-            return fail(result.to_string());
+        let bound = shared.gate.call("vkBindBufferMemory", name, || unsafe {
+            shared.raw.bind_buffer_memory(raw, allocation.memory(), allocation.offset())
+        });
+        if let Err(error) = bound {
+            shared.free(allocation);
+            give_back();
+            return Err(error);
         }
+        let mut state = shared.memory.lock();
         state.add(bytes);
         state.activity.buffers += 1;
         state.activity.made += 1;
@@ -214,6 +210,43 @@ impl Device {
             mapped,
             device: self.clone(),
         })))
+    }
+}
+
+impl Shared {
+    /// Memory from the allocator, counted. All of it goes through here, so that it can be refused on purpose.
+    pub(crate) fn allocate(&self, desc: &AllocationCreateDesc<'_>) -> Result<Allocation> {
+        let (what, bytes) = (desc.name, desc.requirements.size);
+        let refused = |reason: String| Error::OutOfMemory { what: what.to_owned(), bytes, reason };
+        let planned = |call: &'static str| {
+            self.gate.call(call, what, || Ok(())).map_err(|e| match e {
+                Error::Vulkan { call, result, .. } => refused(format!("{call}: {result}")),
+                other => other,
+            })
+        };
+        planned("vkAllocateMemory")?;
+        if desc.location != MemoryLocation::GpuOnly {
+            planned("vkMapMemory")?;
+        }
+        let mut state = self.memory.lock();
+        let allocation = match state.allocator.as_mut() {
+            Some(a) => a.allocate(desc).map_err(|e| refused(format!("vkAllocateMemory: {e}")))?,
+            None => return Err(refused("the device is closing".to_owned())),
+        };
+        self.gate.objects.add(ObjectKind::Memory);
+        Ok(allocation)
+    }
+
+    /// Gives memory back. Nothing may use it any more.
+    pub(crate) fn free(&self, allocation: Allocation) {
+        let mut state = self.memory.lock();
+        if let Some(allocator) = state.allocator.as_mut()
+            && let Err(error) = allocator.free(allocation)
+        {
+            tracing::error!(%error, "memory could not be given back");
+            return;
+        }
+        self.gate.gone(ObjectKind::Memory);
     }
 }
 
@@ -272,14 +305,13 @@ impl DeviceBuffer {
 impl Drop for Inner {
     fn drop(&mut self) {
         let shared = &self.device.0;
-        let mut state = shared.memory.lock();
         // SAFETY: executors keep the buffers of pending work alive and wait before they let go, so the device is done.
         unsafe { shared.raw.destroy_buffer(self.raw, None) };
-        if let (Some(allocator), Some(allocation)) = (state.allocator.as_mut(), self.allocation.take())
-            && let Err(error) = allocator.free(allocation)
-        {
-            tracing::error!(%error, buffer = self.name, "memory could not be given back");
+        shared.gate.gone(ObjectKind::Buffer);
+        if let Some(allocation) = self.allocation.take() {
+            shared.free(allocation);
         }
+        let mut state = shared.memory.lock();
         state.used -= self.bytes;
         state.activity.buffers -= 1;
     }

@@ -1,8 +1,8 @@
 //! Upload and download through staging memory, in chunks: for setting up and looking, never on a step's path.
 
 use super::{DeviceBuffer, Location};
-use crate::device::Device;
-use crate::error::{Check, Result};
+use crate::device::{Device, ObjectKind};
+use crate::error::Result;
 use ash::vk;
 
 /// Staging memory is reused in pieces of this size.
@@ -98,16 +98,20 @@ impl Device {
     pub(super) fn run_now(&self, what: &str, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
         let shared = &self.0;
         let raw = &shared.raw;
+        let gate = &shared.gate;
         let pool = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
         // SAFETY: the device is alive.
-        let pool = unsafe { raw.create_command_pool(&pool, None) }.check("vkCreateCommandPool", what)?;
+        let pool = gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", what, || unsafe {
+            raw.create_command_pool(&pool, None)
+        })?;
         let result = (|| {
             let info = vk::CommandBufferAllocateInfo::default()
                 .command_pool(pool)
                 .level(vk::CommandBufferLevel::PRIMARY)
                 .command_buffer_count(1);
             // SAFETY: the pool was just made.
-            let commands = unsafe { raw.allocate_command_buffers(&info) }.check("vkAllocateCommandBuffers", what)?[0];
+            let commands =
+                gate.call("vkAllocateCommandBuffers", what, || unsafe { raw.allocate_command_buffers(&info) })?[0];
             let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
             let all = vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST;
             let access = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
@@ -119,11 +123,11 @@ impl Device {
             let dependency = vk::DependencyInfo::default().memory_barriers(&barrier);
             // SAFETY: the command buffer is ours and recorded from begin to end here.
             unsafe {
-                raw.begin_command_buffer(commands, &begin).check("vkBeginCommandBuffer", what)?;
+                gate.call("vkBeginCommandBuffer", what, || raw.begin_command_buffer(commands, &begin))?;
                 raw.cmd_pipeline_barrier2(commands, &dependency);
                 record(raw, commands);
                 raw.cmd_pipeline_barrier2(commands, &dependency);
-                raw.end_command_buffer(commands).check("vkEndCommandBuffer", what)?;
+                gate.call("vkEndCommandBuffer", what, || raw.end_command_buffer(commands))?;
             }
             let ticket = shared.submit(commands, what)?;
             shared.wait(ticket, what)
@@ -131,6 +135,7 @@ impl Device {
         if !matches!(result, Err(crate::Error::Timeout { .. })) {
             // SAFETY: the work was waited for or never submitted. After a timeout the pool is leaked on purpose.
             unsafe { raw.destroy_command_pool(pool, None) };
+            gate.gone(ObjectKind::CommandPool);
         }
         result
     }

@@ -1,8 +1,8 @@
 //! Descriptor sets: from the plan's slices to Vulkan buffer ranges.
 
 use super::{Executor, Slot};
-use crate::device::{Pipeline, descriptor_type};
-use crate::error::{Check, Error, Result};
+use crate::device::{ObjectKind, Pipeline, descriptor_type};
+use crate::error::{Error, Result};
 use crate::graph::{BufferKind, PassKind, Slice};
 use crate::shader::BindingKind;
 use ash::vk;
@@ -24,8 +24,9 @@ impl Executor {
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(sets.max(1)).pool_sizes(&sizes);
         // SAFETY: the device is alive.
-        unsafe { self.device.0.raw.create_descriptor_pool(&info, None) }
-            .check("vkCreateDescriptorPool", &self.plan.name)
+        self.device.0.gate.make(ObjectKind::DescriptorPool, "vkCreateDescriptorPool", &self.plan.name, || unsafe {
+            self.device.0.raw.create_descriptor_pool(&info, None)
+        })
     }
 
     /// The buffer and byte offset behind a slice.
@@ -55,7 +56,11 @@ impl Executor {
         let layouts = [pipeline.set_layout];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(slot.descriptors).set_layouts(&layouts);
         // SAFETY: the pool has room for one set of every pass and was reset before recording.
-        let set = unsafe { raw.allocate_descriptor_sets(&info) }.check("vkAllocateDescriptorSets", &shader.name)?[0];
+        let set = self
+            .device
+            .0
+            .gate
+            .call("vkAllocateDescriptorSets", &shader.name, || unsafe { raw.allocate_descriptor_sets(&info) })?[0];
         let mut buffers = Vec::with_capacity(bindings.len());
         for (_, slice) in bindings {
             let (buffer, offset) = self.resolve(slot, slice)?;

@@ -11,8 +11,8 @@ mod time;
 pub use time::PassTime;
 
 use super::{Buffer, BufferKind, Plan};
-use crate::device::{Device, Ticket};
-use crate::error::{Check, Error, Result};
+use crate::device::{Device, ObjectKind, Ticket};
+use crate::error::{Error, Result};
 use crate::memory::{DeviceBuffer, Location};
 use ash::vk;
 use std::sync::Arc;
@@ -232,7 +232,9 @@ impl Executor {
         };
         let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
         // SAFETY: the device is alive.
-        let pool = unsafe { shared.raw.create_command_pool(&pool_info, None) }.check("vkCreateCommandPool", name)?;
+        let pool = shared.gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", name, || unsafe {
+            shared.raw.create_command_pool(&pool_info, None)
+        })?;
         let mut slot = Slot {
             pool,
             commands: vk::CommandBuffer::null(),
@@ -257,15 +259,18 @@ impl Executor {
             .level(vk::CommandBufferLevel::PRIMARY)
             .command_buffer_count(1);
         // SAFETY: the pool was made from this device.
-        slot.commands =
-            unsafe { shared.raw.allocate_command_buffers(&commands) }.check("vkAllocateCommandBuffers", name)?[0];
+        slot.commands = shared
+            .gate
+            .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
         slot.descriptors = self.descriptor_pool()?;
         if self.times.enabled() {
             let info = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
                 .query_count(2 * self.plan.passes.len() as u32);
             // SAFETY: the device is alive.
-            slot.queries = unsafe { shared.raw.create_query_pool(&info, None) }.check("vkCreateQueryPool", name)?;
+            slot.queries = shared.gate.make(ObjectKind::QueryPool, "vkCreateQueryPool", name, || unsafe {
+                shared.raw.create_query_pool(&info, None)
+            })?;
         }
         Ok(())
     }
@@ -277,6 +282,16 @@ impl Executor {
             raw.destroy_query_pool(slot.queries, None);
             raw.destroy_descriptor_pool(slot.descriptors, None);
             raw.destroy_command_pool(slot.pool, None);
+        }
+        let gate = &self.device.0.gate;
+        for (made, kind) in [
+            (slot.queries != vk::QueryPool::null(), ObjectKind::QueryPool),
+            (slot.descriptors != vk::DescriptorPool::null(), ObjectKind::DescriptorPool),
+            (slot.pool != vk::CommandPool::null(), ObjectKind::CommandPool),
+        ] {
+            if made {
+                gate.gone(kind);
+            }
         }
     }
 }

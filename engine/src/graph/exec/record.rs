@@ -1,7 +1,7 @@
 //! From a plan to a command buffer.
 
 use super::Executor;
-use crate::error::{Check, Result};
+use crate::error::Result;
 use crate::graph::plan::{Barrier, Plan};
 use crate::graph::{Accesses, Dispatch, PassKind, Stages};
 use ash::vk;
@@ -17,11 +17,13 @@ impl Executor {
         let begin = vk::CommandBufferBeginInfo::default();
         // SAFETY: the slot is not in flight (its ticket was waited for), so pool and sets may be reset.
         unsafe {
-            raw.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty())
-                .check("vkResetCommandPool", &plan.name)?;
-            raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
-                .check("vkResetDescriptorPool", &plan.name)?;
-            raw.begin_command_buffer(commands, &begin).check("vkBeginCommandBuffer", &plan.name)?;
+            shared.gate.call("vkResetCommandPool", &plan.name, || {
+                raw.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty())
+            })?;
+            shared.gate.call("vkResetDescriptorPool", &plan.name, || {
+                raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
+            })?;
+            shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
             if self.times.enabled() {
                 raw.cmd_reset_query_pool(commands, slot.queries, 0, 2 * plan.passes.len() as u32);
             }
@@ -51,7 +53,7 @@ impl Executor {
         last.src_access_mask |= vk::AccessFlags2::SHADER_STORAGE_WRITE | vk::AccessFlags2::TRANSFER_WRITE;
         self.barrier(commands, &last);
         // SAFETY: recording began above.
-        unsafe { raw.end_command_buffer(commands) }.check("vkEndCommandBuffer", &plan.name)?;
+        shared.gate.call("vkEndCommandBuffer", &plan.name, || unsafe { raw.end_command_buffer(commands) })?;
         self.slots[index].recorded = true;
         Ok(())
     }

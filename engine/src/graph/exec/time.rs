@@ -1,7 +1,7 @@
 //! How long each pass took, by the device's own clock.
 
 use crate::device::Device;
-use crate::error::{Check, Result};
+use crate::error::Result;
 use crate::graph::Plan;
 use ash::vk;
 
@@ -44,8 +44,9 @@ impl Times {
         for &pass in &self.live {
             let stamps = &mut self.stamps[2 * pass..2 * pass + 2];
             // SAFETY: the replay is done, so both stamps are written; the pool has two queries for every pass.
-            unsafe { raw.get_query_pool_results(queries, 2 * pass as u32, stamps, vk::QueryResultFlags::TYPE_64) }
-                .check("vkGetQueryPoolResults", &self.passes[pass].name)?;
+            device.0.gate.call("vkGetQueryPoolResults", &self.passes[pass].name, || unsafe {
+                raw.get_query_pool_results(queries, 2 * pass as u32, stamps, vk::QueryResultFlags::TYPE_64)
+            })?;
         }
         let period = f64::from(device.info().timestamp_period);
         let first = self.live.iter().map(|&p| self.stamps[2 * p]).min().unwrap_or(0);
