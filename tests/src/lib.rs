@@ -4,8 +4,10 @@
 pub mod cli;
 pub mod compare;
 pub mod gpu;
+pub mod place;
 pub mod rooms;
 pub mod scenes;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};
+pub use place::Place;

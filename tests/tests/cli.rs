@@ -5,26 +5,22 @@ use serde_json::json;
 use sgs_scene::{Image, Splats, write_exr, write_png};
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::{Room, transforms, write_json};
-use std::path::{Path, PathBuf};
-use tempfile::TempDir;
+use std::path::Path;
 
-/// A folder with a room in `scene`.
-struct Place(TempDir);
+/// A folder with a room in `scene`, and how this file runs the program on it.
+struct Place(sgs_tests::Place);
+
+impl std::ops::Deref for Place {
+    type Target = sgs_tests::Place;
+
+    fn deref(&self) -> &sgs_tests::Place {
+        &self.0
+    }
+}
 
 impl Place {
     fn new(room: Room) -> Place {
-        let place = Place(tempfile::tempdir().unwrap());
-        std::fs::create_dir(place.path("scene")).unwrap();
-        room.write(&place.path("scene"));
-        place
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn text(&self, name: &str) -> String {
-        self.path(name).display().to_string()
+        Place(sgs_tests::Place::new(room))
     }
 
     fn train(&self, more: &[&str]) -> Finished {
