@@ -89,12 +89,14 @@ pub enum Error {
     #[error("The device was lost in {0}.")]
     DeviceLost(String),
     /// The GPU did not answer in time.
-    #[error("Work submitted as \"{what}\" did not finish within {} s.", limit.as_secs_f64())]
+    #[error("Work submitted as \"{what}\" did not finish within {} s{}.", limit.as_secs_f64(), unfinished(pass))]
     Timeout {
         /// What was waited for.
         what: String,
         /// How long.
         limit: std::time::Duration,
+        /// The first pass that has not ended, where timestamps tell.
+        pass: Option<String>,
     },
     /// A plan's external buffer has no memory bound to it.
     #[error("Buffer \"{buffer}\" of plan \"{plan}\" is not bound to any memory.")]
@@ -122,6 +124,10 @@ pub enum Error {
     /// The graph is wrong.
     #[error(transparent)]
     Graph(#[from] crate::graph::GraphError),
+}
+
+fn unfinished(pass: &Option<String>) -> String {
+    pass.as_ref().map_or_else(String::new, |p| format!("; pass \"{p}\" has not ended"))
 }
 
 /// Result with the engine's error.

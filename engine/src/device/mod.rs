@@ -6,6 +6,7 @@
 pub mod fault;
 mod instance;
 mod objects;
+mod parking;
 mod pipeline;
 mod select;
 
@@ -13,6 +14,7 @@ pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
 pub use objects::{ObjectKind, Objects};
+pub(crate) use parking::{Busy, Parked};
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use select::{DeviceInfo, Optional};
 
@@ -20,6 +22,7 @@ use crate::error::{Error, Result};
 use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
 use fault::Gate;
+use parking::Parking;
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -34,8 +37,11 @@ pub struct DeviceOptions {
     pub validation: bool,
     /// Where compiled pipelines are kept between runs; nowhere if absent.
     pub pipeline_cache: Option<PathBuf>,
-    /// After how long a wait gives up.
+    /// After how long a wait gives up, unless it says so itself.
     pub timeout: Duration,
+    /// How long closing the device waits for work that an earlier wait gave up on. Work that outlasts this too never
+    /// ends as far as we can know; what it uses is then left to the system.
+    pub closing: Duration,
     /// Failures on purpose, from the first call of opening on; nothing is planned by default.
     pub faults: Faults,
     /// Where live objects are counted.
@@ -49,6 +55,7 @@ impl Default for DeviceOptions {
             validation: false,
             pipeline_cache: None,
             timeout: Duration::from_secs(300),
+            closing: Duration::from_secs(30),
             faults: Faults::default(),
             objects: Objects::default(),
         }
@@ -72,7 +79,9 @@ pub(crate) struct Shared {
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
     pub labels: Option<ext::debug_utils::Device>,
+    pub parking: Parking,
     timeout: Duration,
+    closing: Duration,
     pub gate: Gate,
     // Last, so that it is dropped after everything made from it.
     pub instance: Arc<Instance>,
@@ -159,7 +168,9 @@ impl Device {
             memory,
             pipelines,
             labels,
+            parking: Parking::default(),
             timeout: options.timeout,
+            closing: options.closing,
             gate,
             instance,
         })))
@@ -205,7 +216,20 @@ impl Device {
     /// # Errors
     /// [`Error::Timeout`] after the time set at opening; [`Error::DeviceLost`].
     pub fn wait(&self, ticket: Ticket, what: &str) -> Result<()> {
-        self.0.wait(ticket, what)
+        self.0.wait(ticket, what, self.0.timeout)
+    }
+
+    /// As [`Device::wait`], with a time limit of its own.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`], [`Error::DeviceLost`].
+    pub fn wait_within(&self, ticket: Ticket, what: &str, limit: Duration) -> Result<()> {
+        self.0.wait(ticket, what, limit)
+    }
+
+    /// After how long a wait gives up, as set at opening.
+    pub fn timeout(&self) -> Duration {
+        self.0.timeout
     }
 
     /// Whether everything up to `ticket` is done.
@@ -231,30 +255,31 @@ impl Shared {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    pub fn wait(&self, ticket: Ticket, what: &str) -> Result<()> {
-        let semaphores = [self.timeline];
-        let values = [ticket.0];
-        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        let timeout = u64::try_from(self.timeout.as_nanos()).unwrap_or(u64::MAX);
-        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
-        match self.gate.call("vkWaitSemaphores", what, || unsafe { self.raw.wait_semaphores(&info, timeout) }) {
+    /// Waits for a ticket, no longer than `limit`.
+    pub fn wait(&self, ticket: Ticket, what: &str, limit: Duration) -> Result<()> {
+        match self.gate.call("vkWaitSemaphores", what, || self.wait_raw(ticket, limit)) {
             Err(Error::Vulkan { result: vk::Result::TIMEOUT, .. }) => {
-                Err(Error::Timeout { what: what.to_owned(), limit: self.timeout })
+                Err(Error::Timeout { what: what.to_owned(), limit, pass: None })
             }
             other => other,
         }
     }
 
+    fn wait_raw(&self, ticket: Ticket, limit: Duration) -> std::result::Result<(), vk::Result> {
+        let semaphores = [self.timeline];
+        let values = [ticket.0];
+        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        let limit = u64::try_from(limit.as_nanos()).unwrap_or(u64::MAX);
+        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
+        unsafe { self.raw.wait_semaphores(&info, limit) }
+    }
+
     /// Waits for everything submitted. Goes past the gate: on a lost device, or one that was declared lost on purpose, it
     /// still has to be known that nothing runs any more. False if something does.
     fn settle(&self) -> bool {
-        let semaphores = [self.timeline];
-        let values = [self.queue().submitted];
-        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        let timeout = u64::try_from(self.timeout.as_nanos()).unwrap_or(u64::MAX);
-        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
+        let last = Ticket(self.queue().submitted);
         // A device that is really lost runs nothing.
-        matches!(unsafe { self.raw.wait_semaphores(&info, timeout) }, Ok(()) | Err(vk::Result::ERROR_DEVICE_LOST))
+        matches!(self.wait_raw(last, self.closing), Ok(()) | Err(vk::Result::ERROR_DEVICE_LOST))
     }
 
     /// Submits one recorded command buffer; its end is the returned ticket.
@@ -277,24 +302,26 @@ impl Shared {
     }
 
     /// Gives an object a name that tools and messages show.
-    pub fn name<T: vk::Handle>(&self, handle: T, name: &str) {
+    pub fn name<T: vk::Handle>(&self, handle: T, text: &str) {
         let Some(api) = &self.labels else { return };
-        let Ok(name) = std::ffi::CString::new(name) else { return };
+        let Ok(name) = std::ffi::CString::new(text) else { return };
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
         // SAFETY: the handle was made from this device. A failure only loses the name.
-        let _lost_name = self
-            .gate
-            .call("vkSetDebugUtilsObjectNameEXT", "name", || unsafe { api.set_debug_utils_object_name(&info) });
+        let _lost_name =
+            self.gate.call("vkSetDebugUtilsObjectNameEXT", text, || unsafe { api.set_debug_utils_object_name(&info) });
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
         if !self.settle() {
-            // Freeing what the GPU may still use is worse than leaking it.
-            tracing::error!("the device did not finish its work; its objects are leaked");
+            // Freeing what the GPU may still use is worse than leaving it.
+            tracing::error!("the device did not finish its work within {:?}; its objects are left", self.closing);
+            self.memory.leave();
+            std::mem::forget(self.instance.clone());
             return;
         }
+        self.clear_parking();
         self.pipelines.destroy(&self.raw, &self.gate);
         self.memory.shut_down();
         // SAFETY: all work is done and everything made from the device is destroyed.

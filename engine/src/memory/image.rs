@@ -5,7 +5,7 @@
 //! run time: a graph states the layout that it finds and the one that it leaves.
 
 use super::{DeviceBuffer, Location};
-use crate::device::{Device, ObjectKind};
+use crate::device::{Busy, Device, ObjectKind, Parked};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
 use ash::vk;
@@ -29,6 +29,7 @@ pub(crate) struct ImageInner {
     pub allocation: Option<Allocation>,
     /// Whether image and view are destroyed with the last handle.
     pub owned: bool,
+    pub busy: Busy,
     pub device: Device,
 }
 
@@ -109,9 +110,10 @@ impl Device {
             name: name.to_owned(),
             allocation: None,
             owned: true,
+            busy: Busy::default(),
             device: self.clone(),
         };
-        shared.memory.count_image(true);
+        shared.memory.count_image();
         made.allocate()?;
         if storage {
             made.make_view()?;
@@ -130,7 +132,7 @@ impl Device {
             .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .image(raw)
             .subresource_range(WHOLE)];
-        self.run_now("image layout", |device, commands| {
+        self.run_now("image layout", &[&image.0.busy], |device, commands| {
             let dependency = vk::DependencyInfo::default().image_memory_barriers(&barrier);
             // SAFETY: the command buffer is being recorded; nothing uses the image yet.
             unsafe { device.cmd_pipeline_barrier2(commands, &dependency) }
@@ -167,8 +169,9 @@ impl Device {
     }
 
     fn image_copy(&self, image: &DeviceImage, buffer: &DeviceBuffer, upload: bool) -> Result<()> {
+        let busy = [&image.0.busy, &buffer.0.busy];
         let (image, buffer, region) = (&image.0, buffer.0.raw, [packed_copy(0, image.0.size)]);
-        self.run_now("image copy", |device, commands| {
+        self.run_now("image copy", &busy, |device, commands| {
             let layout = vk::ImageLayout::GENERAL;
             // SAFETY: the command buffer is being recorded; the buffer holds the whole packed image, which is in the
             // general layout by the caller's word.
@@ -259,25 +262,10 @@ impl ImageInner {
 
 impl Drop for ImageInner {
     fn drop(&mut self) {
-        let shared = &self.device.0;
-        // SAFETY: executors keep the images of pending work alive and wait before they let go, so the device is done; an
-        // image that belongs to somebody else is left alone, and the view was made here in any case.
-        unsafe {
-            if let Some(view) = self.view.take() {
-                shared.raw.destroy_image_view(view, None);
-                shared.gate.gone(ObjectKind::ImageView);
-            }
-            if self.owned {
-                shared.raw.destroy_image(self.raw, None);
-                shared.gate.gone(ObjectKind::Image);
-            }
-        }
-        if !self.owned {
-            return;
-        }
-        shared.memory.count_image(false);
-        let Some(allocation) = self.allocation.take() else { return };
-        shared.memory.lock().used -= allocation.size();
-        shared.free(allocation);
+        // An image that belongs to somebody else is left alone; the view was made here in any case.
+        let raw = self.owned.then_some(self.raw);
+        let thing = Parked::Image { raw, view: self.view.take(), allocation: self.allocation.take() };
+        // As for buffers: busy only if a wait failed.
+        self.device.0.dispose(self.busy.ticket(), thing);
     }
 }

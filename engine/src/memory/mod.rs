@@ -8,7 +8,7 @@ mod transfer;
 
 pub use image::DeviceImage;
 
-use crate::device::{Device, DeviceInfo, ObjectKind, Shared};
+use crate::device::{Busy, Device, DeviceInfo, ObjectKind, Parked, Shared};
 use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -99,18 +99,31 @@ impl Memory {
         self.lock().allocator = None;
     }
 
+    /// Gives nothing back: work may go on that uses it.
+    pub fn leave(&self) {
+        std::mem::forget(self.lock().allocator.take());
+    }
+
+    pub(crate) fn buffer_gone(&self, bytes: u64) {
+        let mut state = self.lock();
+        state.used -= bytes;
+        state.activity.buffers -= 1;
+    }
+
+    pub(crate) fn image_gone(&self, bytes: u64) {
+        let mut state = self.lock();
+        state.used -= bytes;
+        state.activity.images -= 1;
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    fn count_image(&self, made: bool) {
+    fn count_image(&self) {
         let activity = &mut self.lock().activity;
-        if made {
-            activity.images += 1;
-            activity.made += 1;
-        } else {
-            activity.images -= 1;
-        }
+        activity.images += 1;
+        activity.made += 1;
     }
 }
 
@@ -125,6 +138,7 @@ pub(crate) struct Inner {
     pub location: Location,
     allocation: Option<Allocation>,
     mapped: Option<std::ptr::NonNull<u8>>,
+    pub busy: Busy,
     pub device: Device,
 }
 
@@ -147,6 +161,7 @@ impl Device {
     /// [`Error::OutOfMemory`] with the name and size.
     pub fn buffer(&self, name: &str, bytes: u64, location: Location) -> Result<DeviceBuffer> {
         let shared: &Shared = &self.0;
+        shared.collect();
         let bytes = bytes.max(4).next_multiple_of(4);
         let info = vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
             vk::BufferUsageFlags::STORAGE_BUFFER
@@ -208,6 +223,7 @@ impl Device {
             location,
             allocation: Some(allocation),
             mapped,
+            busy: Busy::default(),
             device: self.clone(),
         })))
     }
@@ -304,15 +320,10 @@ impl DeviceBuffer {
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        let shared = &self.device.0;
-        // SAFETY: executors keep the buffers of pending work alive and wait before they let go, so the device is done.
-        unsafe { shared.raw.destroy_buffer(self.raw, None) };
-        shared.gate.gone(ObjectKind::Buffer);
-        if let Some(allocation) = self.allocation.take() {
-            shared.free(allocation);
-        }
-        let mut state = shared.memory.lock();
-        state.used -= self.bytes;
-        state.activity.buffers -= 1;
+        let allocation = self.allocation.take();
+        let thing = Parked::Buffer { raw: self.raw, allocation, bytes: self.bytes };
+        // Executors keep the buffers of pending work alive and wait before they let go, so that the device is done, unless
+        // a wait failed, which says until when the buffer is busy.
+        self.device.0.dispose(self.busy.ticket(), thing);
     }
 }

@@ -1,7 +1,7 @@
 //! Upload and download through staging memory, in chunks: for setting up and looking, never on a step's path.
 
 use super::{DeviceBuffer, Location};
-use crate::device::{Device, ObjectKind};
+use crate::device::{Busy, Device, ObjectKind, Parked, Ticket};
 use crate::error::Result;
 use ash::vk;
 
@@ -80,22 +80,29 @@ impl Device {
     /// If the device fails.
     pub fn fill(&self, buffer: &DeviceBuffer, word: u32) -> Result<()> {
         let raw = buffer.0.raw;
-        self.run_now("fill", |device, commands| {
+        self.run_now("fill", &[&buffer.0.busy], |device, commands| {
             // SAFETY: the command buffer is being recorded and the buffer belongs to this device.
             unsafe { device.cmd_fill_buffer(commands, raw, 0, vk::WHOLE_SIZE, word) }
         })
     }
 
     fn copy_now(&self, from: &DeviceBuffer, to: &DeviceBuffer, region: vk::BufferCopy) -> Result<()> {
+        let busy = [&from.0.busy, &to.0.busy];
         let (from, to) = (from.0.raw, to.0.raw);
-        self.run_now("copy", |device, commands| {
+        self.run_now("copy", &busy, |device, commands| {
             // SAFETY: the command buffer is being recorded; both ranges were checked against their buffers.
             unsafe { device.cmd_copy_buffer(commands, from, to, &[region]) }
         })
     }
 
     /// Records, submits and waits, ordered after all work before it and before all work after it.
-    pub(super) fn run_now(&self, what: &str, record: impl FnOnce(&ash::Device, vk::CommandBuffer)) -> Result<()> {
+    /// What the commands use is marked as busy if the wait fails.
+    pub(super) fn run_now(
+        &self,
+        what: &str,
+        uses: &[&Busy],
+        record: impl FnOnce(&ash::Device, vk::CommandBuffer),
+    ) -> Result<()> {
         let shared = &self.0;
         let raw = &shared.raw;
         let gate = &shared.gate;
@@ -104,7 +111,7 @@ impl Device {
         let pool = gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", what, || unsafe {
             raw.create_command_pool(&pool, None)
         })?;
-        let result = (|| {
+        let submitted = (|| {
             let info = vk::CommandBufferAllocateInfo::default()
                 .command_pool(pool)
                 .level(vk::CommandBufferLevel::PRIMARY)
@@ -129,14 +136,18 @@ impl Device {
                 raw.cmd_pipeline_barrier2(commands, &dependency);
                 gate.call("vkEndCommandBuffer", what, || raw.end_command_buffer(commands))?;
             }
-            let ticket = shared.submit(commands, what)?;
-            shared.wait(ticket, what)
+            shared.submit(commands, what)
         })();
-        if !matches!(result, Err(crate::Error::Timeout { .. })) {
-            // SAFETY: the work was waited for or never submitted. After a timeout the pool is leaked on purpose.
-            unsafe { raw.destroy_command_pool(pool, None) };
-            gate.gone(ObjectKind::CommandPool);
-        }
+        let (result, until) = match submitted {
+            Err(error) => (Err(error), Ticket(0)),
+            Ok(ticket) => {
+                let waited = self.wait(ticket, what);
+                let until = if waited.is_ok() { Ticket(0) } else { ticket };
+                (waited, until)
+            }
+        };
+        uses.iter().for_each(|busy| busy.until(until));
+        shared.dispose(until, Parked::CommandPool(pool));
         result
     }
 }

@@ -11,7 +11,7 @@ mod time;
 pub use time::PassTime;
 
 use super::{Buffer, BufferKind, Plan};
-use crate::device::{Device, ObjectKind, Ticket};
+use crate::device::{Device, ObjectKind, Parked, Ticket};
 use crate::error::{Error, Result};
 use crate::memory::{DeviceBuffer, Location};
 use ash::vk;
@@ -51,6 +51,8 @@ pub struct Executor {
     next: usize,
     times: time::Times,
     host: HostTimes,
+    /// A wait has failed: what is in flight is not waited for again, only left until it is done.
+    gave_up: bool,
 }
 
 /// What replaying has cost the host since the executor was made.
@@ -118,6 +120,7 @@ impl Executor {
             next: 0,
             times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
             host: HostTimes::default(),
+            gave_up: false,
             plan,
             options,
         };
@@ -171,7 +174,7 @@ impl Executor {
     pub fn submit(&mut self, uniforms: &[(Buffer, &[u8])]) -> Result<Ticket> {
         let begin = Instant::now();
         let index = self.next;
-        let waited = self.retire(index)?;
+        let waited = self.retire(index, self.device.timeout())?;
         if let Some(memory) = &self.slots[index].uniforms {
             for (buffer, data) in uniforms {
                 memory.write(self.uniform_offsets[buffer.index()], data)?;
@@ -195,17 +198,32 @@ impl Executor {
     /// # Errors
     /// [`Error::Timeout`], [`Error::DeviceLost`].
     pub fn finish(&mut self) -> Result<()> {
+        self.finish_within(self.device.timeout())
+    }
+
+    /// As [`Executor::finish`], with a time limit of its own for each replay. After a timeout it may be called again.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`] with the pass that has not ended, where there are timestamps; [`Error::DeviceLost`].
+    pub fn finish_within(&mut self, limit: Duration) -> Result<()> {
         for i in 0..self.slots.len() {
-            self.retire((self.next + i) % self.slots.len())?;
+            self.retire((self.next + i) % self.slots.len(), limit)?;
         }
         Ok(())
     }
 
     /// Waits for the replay in a slot, if there is one, and takes its times; returns how long it waited.
-    fn retire(&mut self, index: usize) -> Result<Duration> {
-        let Some(ticket) = self.slots[index].ticket.take() else { return Ok(Duration::ZERO) };
+    fn retire(&mut self, index: usize, limit: Duration) -> Result<Duration> {
+        let Some(ticket) = self.slots[index].ticket else { return Ok(Duration::ZERO) };
         let begin = Instant::now();
-        self.device.wait(ticket, &self.plan.name)?;
+        if let Err(mut error) = self.device.wait_within(ticket, &self.plan.name, limit) {
+            self.gave_up = true;
+            if let Error::Timeout { pass, .. } = &mut error {
+                *pass = self.times.running(&self.device, self.slots[index].queries);
+            }
+            return Err(error);
+        }
+        self.slots[index].ticket = None;
         let waited = begin.elapsed();
         self.host.waiting += waited;
         self.times.collect(&self.device, self.slots[index].queries)?;
@@ -245,7 +263,7 @@ impl Executor {
             ticket: None,
         };
         if let Err(error) = self.fill_slot(&mut slot) {
-            self.destroy_slot(&slot);
+            self.destroy_slot(&slot, Ticket(0));
             return Err(error);
         }
         Ok(slot)
@@ -271,45 +289,41 @@ impl Executor {
             slot.queries = shared.gate.make(ObjectKind::QueryPool, "vkCreateQueryPool", name, || unsafe {
                 shared.raw.create_query_pool(&info, None)
             })?;
+            // Stamps are also looked at before the first replay has reset them.
+            // SAFETY: the pool was just made with that many queries; host resets are a required feature.
+            unsafe { shared.raw.reset_query_pool(slot.queries, 0, 2 * self.plan.passes.len() as u32) };
         }
         Ok(())
     }
 
-    fn destroy_slot(&self, slot: &Slot) {
-        let raw = &self.device.0.raw;
-        // SAFETY: the slot's work is done or was never submitted; null handles are allowed.
-        unsafe {
-            raw.destroy_query_pool(slot.queries, None);
-            raw.destroy_descriptor_pool(slot.descriptors, None);
-            raw.destroy_command_pool(slot.pool, None);
+    /// Destroys what a slot owns, once the timeline has passed `until`.
+    fn destroy_slot(&self, slot: &Slot, until: Ticket) {
+        let shared = &self.device.0;
+        if slot.queries != vk::QueryPool::null() {
+            shared.dispose(until, Parked::QueryPool(slot.queries));
         }
-        let gate = &self.device.0.gate;
-        for (made, kind) in [
-            (slot.queries != vk::QueryPool::null(), ObjectKind::QueryPool),
-            (slot.descriptors != vk::DescriptorPool::null(), ObjectKind::DescriptorPool),
-            (slot.pool != vk::CommandPool::null(), ObjectKind::CommandPool),
-        ] {
-            if made {
-                gate.gone(kind);
-            }
+        if slot.descriptors != vk::DescriptorPool::null() {
+            shared.dispose(until, Parked::DescriptorPool(slot.descriptors));
         }
+        shared.dispose(until, Parked::CommandPool(slot.pool));
     }
 }
 
 impl Drop for Executor {
     fn drop(&mut self) {
-        if let Err(error) = self.finish() {
-            tracing::error!(%error, plan = self.plan.name, "work did not finish; its objects are leaked");
-            // The GPU may still use them: leak what it reads and writes.
-            std::mem::forget(std::mem::take(&mut self.externals));
-            std::mem::forget(self.arena.take());
-            for slot in &mut self.slots {
-                std::mem::forget(slot.uniforms.take());
-            }
+        if !self.gave_up
+            && let Err(error) = self.finish()
+        {
+            tracing::warn!(%error, plan = self.plan.name, "work is not finished; what it uses is kept until it is");
+        }
+        let Some(last) = self.slots.iter().filter_map(|s| s.ticket).max() else {
+            self.slots.iter().for_each(|s| self.destroy_slot(s, Ticket(0)));
             return;
+        };
+        let uniforms = self.slots.iter().filter_map(|s| s.uniforms.as_ref());
+        for buffer in self.externals.iter().flatten().chain(&self.arena).chain(uniforms) {
+            buffer.0.busy.until(last);
         }
-        for slot in &self.slots {
-            self.destroy_slot(slot);
-        }
+        self.slots.iter().for_each(|s| self.destroy_slot(s, last));
     }
 }

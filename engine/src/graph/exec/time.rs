@@ -1,7 +1,7 @@
 //! How long each pass took, by the device's own clock.
 
 use crate::device::Device;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::graph::Plan;
 use ash::vk;
 
@@ -56,6 +56,34 @@ impl Times {
             self.passes[pass].nanoseconds.push(end.wrapping_sub(begin) as f64 * period);
         }
         Ok(())
+    }
+
+    /// The first pass, in the order of the plan, whose end has not been reached by a replay that is under way.
+    pub fn running(&self, device: &Device, queries: vk::QueryPool) -> Option<String> {
+        // Mesa's lavapipe waits for all work before it answers, even when asked not to: the name is not worth hanging.
+        if !self.enabled() || device.info().kind == "cpu" {
+            return None;
+        }
+        let unfinished = |pass: usize| {
+            // A stamp and whether it is there.
+            let mut stamp = [[0u64; 2]];
+            let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WITH_AVAILABILITY;
+            // SAFETY: the pool has two queries for every pass, reset by the replay; nothing is waited for.
+            let read = device.0.gate.call("vkGetQueryPoolResults", &self.passes[pass].name, || unsafe {
+                device.0.raw.get_query_pool_results(queries, 2 * pass as u32 + 1, &mut stamp, flags)
+            });
+            match read {
+                Ok(()) => Some(stamp[0][1] == 0),
+                Err(Error::Vulkan { result: vk::Result::NOT_READY, .. }) => Some(true),
+                Err(_) => None,
+            }
+        };
+        for &pass in &self.live {
+            if unfinished(pass)? {
+                return Some(self.passes[pass].name.clone());
+            }
+        }
+        None
     }
 
     pub fn take(&mut self) -> Vec<PassTime> {
