@@ -5,6 +5,8 @@
 
 use std::borrow::Cow;
 
+use crate::format::ImageFormat;
+
 /// What a kernel does to a binding, read off its code rather than its decorations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 pub enum Access {
@@ -25,16 +27,18 @@ pub enum BindingKind {
     Storage,
     /// A uniform buffer.
     Uniform,
+    /// A storage image of this format.
+    Image(ImageFormat),
 }
 
 /// One binding of descriptor set 0.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Binding {
-    /// The block's instance name in GLSL.
+    /// The name of the block's instance, or of the image, in GLSL.
     pub name: Cow<'static, str>,
     /// The binding number.
     pub number: u32,
-    /// Storage or uniform.
+    /// Storage buffer, uniform buffer or image.
     pub kind: BindingKind,
     /// What the code does to it.
     pub access: Access,

@@ -219,5 +219,6 @@ pub(crate) fn descriptor_type(kind: BindingKind) -> vk::DescriptorType {
     match kind {
         BindingKind::Storage => vk::DescriptorType::STORAGE_BUFFER,
         BindingKind::Uniform => vk::DescriptorType::UNIFORM_BUFFER,
+        BindingKind::Image(_) => vk::DescriptorType::STORAGE_IMAGE,
     }
 }

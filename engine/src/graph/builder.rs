@@ -11,7 +11,7 @@ use super::pass::{Pass, PassKind, Use, writes};
 use super::pass_builder::PassBuilder;
 use super::plan::{self, CompileOptions, Plan};
 use super::ranges::RangeMap;
-use super::resource::{Buffer, BufferInfo, BufferKind, Slice};
+use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
 /// A declaration under way.
@@ -20,10 +20,11 @@ pub struct Graph {
     pub(super) name: String,
     pub(super) buffers: Vec<BufferInfo>,
     pub(super) passes: Vec<Pass>,
-    /// By buffer: which bytes of a transient some pass writes. Absent for other kinds.
-    written: Vec<Option<RangeMap<bool>>>,
+    /// By buffer: which bytes of a transient, or of an image that arrives undefined, some pass writes. Absent for
+    /// others.
+    pub(super) written: Vec<Option<RangeMap<bool>>>,
     /// What was wrong with calls that return no result.
-    errors: Vec<GraphError>,
+    pub(super) errors: Vec<GraphError>,
     /// The pass that was begun and has not been finished.
     open: Option<String>,
 }
@@ -61,14 +62,32 @@ impl Graph {
         self.declare(name.into(), bytes, BufferKind::Transient, false)
     }
 
-    fn declare(&mut self, name: String, bytes: u64, kind: BufferKind, keep: bool) -> Buffer {
+    pub(super) fn declare(&mut self, name: String, bytes: u64, kind: BufferKind, keep: bool) -> Buffer {
         if bytes == 0 {
             self.errors.push(GraphError::EmptyBuffer { buffer: name.clone() });
         }
         let buffer = Buffer(u32::try_from(self.buffers.len()).expect("invariant: fewer than 2^32 buffers"));
         self.written.push((kind == BufferKind::Transient).then(|| RangeMap::new(bytes, false)));
-        self.buffers.push(BufferInfo { name, bytes, kind, keep });
+        let state = BufferState::Ready;
+        self.buffers.push(BufferInfo { name, bytes, kind, keep, entry: state, exit: state, image: None });
         buffer
+    }
+
+    /// States who may have used an external buffer before a replay, and who may use it afterwards.
+    pub fn shared(&mut self, buffer: Buffer, entry: BufferState, exit: BufferState) {
+        match self.buffers.get_mut(buffer.index()) {
+            Some(info) if info.kind == BufferKind::External && info.image.is_none() => {
+                (info.entry, info.exit) = (entry, exit);
+            }
+            Some(info) => {
+                let error = GraphError::NotShared { buffer: info.name.clone() };
+                self.errors.push(error);
+            }
+            None => {
+                let error = self.unknown("shared", buffer);
+                self.errors.push(error);
+            }
+        }
     }
 
     /// Wants the contents of a transient after the replay, until the next replay of a plan in the same arena begins.
@@ -170,6 +189,7 @@ impl Graph {
         for pass in &self.passes {
             let PassKind::Compute { shader, bindings, .. } = &pass.kind else { continue };
             for (binding, (_, slice)) in shader.bindings.iter().zip(bindings) {
+                // Images are bound as a whole, at offset 0.
                 if !slice.offset.is_multiple_of(alignment) {
                     self.errors.push(GraphError::SliceAlignment {
                         pass: pass.name.clone(),
@@ -184,7 +204,7 @@ impl Graph {
     }
 
     /// Opens a pass; it stays open, and so makes the graph useless, until [`Graph::finish`].
-    fn begin(&mut self, name: &str) {
+    pub(super) fn begin(&mut self, name: &str) {
         if let Some(pass) = self.open.replace(name.to_owned()) {
             self.errors.push(GraphError::Unfinished { graph: self.name.clone(), pass });
         }
@@ -207,6 +227,9 @@ impl Graph {
         let Some(info) = self.buffers.get(slice.buffer.index()) else {
             return Err(self.unknown(pass, slice.buffer));
         };
+        if info.image.is_some() {
+            return Err(GraphError::ImageAsBuffer { pass: pass.to_owned(), image: info.name.clone() });
+        }
         let Slice { offset, .. } = slice;
         if slice.bytes == Slice::WHOLE {
             slice.bytes = info.bytes.saturating_sub(offset);
@@ -257,7 +280,7 @@ impl Graph {
         }
     }
 
-    fn unknown(&self, pass: &str, buffer: Buffer) -> GraphError {
+    pub(super) fn unknown(&self, pass: &str, buffer: Buffer) -> GraphError {
         GraphError::UnknownBuffer { pass: pass.to_owned(), index: buffer.0, count: self.buffers.len() }
     }
 }
@@ -270,7 +293,7 @@ fn read_only(info: &BufferInfo) -> &'static str {
 /// How a kernel reads or writes what it binds.
 pub(super) fn use_of(kind: BindingKind) -> Use {
     match kind {
-        BindingKind::Storage => Use::Compute,
+        BindingKind::Storage | BindingKind::Image(_) => Use::Compute,
         BindingKind::Uniform => Use::Uniform,
     }
 }

@@ -1,6 +1,7 @@
 //! What can be wrong with a declaration. Every message is a sentence that names the pass, the resource and both values.
 
 use super::plan::verify::VerifyError;
+use crate::format::ImageFormat;
 use crate::shader::Access;
 
 /// A declaration that the graph refuses.
@@ -11,6 +12,36 @@ pub enum GraphError {
     /// A buffer of another graph was used.
     #[error("Pass [{pass}] uses buffer number {index}, but its graph has {count} buffers.")]
     UnknownBuffer { pass: String, index: u32, count: usize },
+    /// A state was given to a buffer that nobody else can use.
+    #[error("Buffer [{buffer}] is to be shared with others on the queue, but it is no external buffer.")]
+    NotShared { buffer: String },
+    /// An image without texels, or with more than can be counted.
+    #[error("Image [{image}] is declared with {width} x {height} texels, but a side has 1 to 65536.")]
+    ImageSize { image: String, width: u32, height: u32 },
+    /// An image that is to be left undefined.
+    #[error("Image [{image}] is to be left undefined, but whoever binds it wants it in some state.")]
+    ExitUndefined { image: String },
+    /// An image used as a buffer.
+    #[error("Pass [{pass}] uses image [{image}] as a buffer.")]
+    ImageAsBuffer { pass: String, image: String },
+    /// A buffer used as an image.
+    #[error("Pass [{pass}] uses buffer [{buffer}] as an image.")]
+    BufferAsImage { pass: String, buffer: String },
+    /// An image bound to a binding for buffers, or the other way round.
+    #[error("Pass [{pass}] binds [{resource}] as [{binding}], which the kernel declares as {declared}.")]
+    BindingKind { pass: String, resource: String, binding: String, declared: &'static str },
+    /// An image of another format than the kernel's.
+    #[error("Pass [{pass}] binds image [{image}] of format {format} as [{binding}], which the kernel declares {declared}.")]
+    ImageFormat { pass: String, image: String, binding: String, format: ImageFormat, declared: ImageFormat },
+    /// A copy between an image and bytes of another number.
+    #[error("Pass [{pass}] copies {bytes} bytes of buffer [{buffer}] to or from image [{image}] of {texels} bytes.")]
+    ImageCopySize { pass: String, buffer: String, bytes: u64, image: String, texels: u64 },
+    /// A copy between an image and a place where no texel can be.
+    #[error(
+        "Pass [{pass}] copies texels of {texel} bytes to or from buffer [{buffer}] at offset {offset}, which is no \
+         multiple of that."
+    )]
+    TexelAlignment { pass: String, buffer: String, offset: u64, texel: u64 },
     /// A buffer without bytes was declared.
     #[error("Buffer [{buffer}] is declared with 0 bytes, but a buffer needs at least 1.")]
     EmptyBuffer { buffer: String },

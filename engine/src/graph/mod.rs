@@ -40,6 +40,7 @@ pub mod exec;
 pub mod pass;
 pub mod pass_builder;
 pub mod plan;
+pub mod image;
 pub(crate) mod ranges;
 pub mod resource;
 #[cfg(test)]
@@ -50,5 +51,5 @@ pub use error::GraphError;
 pub use pass::{Dispatch, Pass, PassKind, Use};
 pub use pass_builder::PassBuilder;
 pub use plan::verify::{VerifyError, verify};
-pub use plan::{Accesses, Barrier, CompileOptions, Group, Plan, Stages};
-pub use resource::{Buffer, BufferInfo, BufferKind, Slice};
+pub use plan::{Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Plan, Stages, Transition};
+pub use resource::{Buffer, BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState, Slice};

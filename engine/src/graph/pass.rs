@@ -4,18 +4,18 @@
 
 use std::sync::Arc;
 
-use super::resource::{Buffer, Slice};
+use super::resource::{Buffer, Image, Slice};
 use crate::shader::{Access, Shader};
 
 /// Through which part of the device a pass touches memory.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Use {
-    /// A storage buffer of a kernel.
+    /// A storage buffer or a storage image of a kernel.
     Compute,
     /// The group counts of an indirect dispatch.
     Indirect,
-    /// A fill or a copy.
+    /// A fill, a clear or a copy.
     Transfer,
     /// A uniform buffer of a kernel.
     Uniform,
@@ -70,6 +70,27 @@ pub enum PassKind {
         /// To where; as long as the source.
         target: Slice,
     },
+    /// Copies tightly packed texels over an image.
+    CopyToImage {
+        /// From where.
+        source: Slice,
+        /// To where.
+        target: Image,
+    },
+    /// Copies an image's texels, tightly packed.
+    CopyFromImage {
+        /// From where.
+        source: Image,
+        /// To where.
+        target: Slice,
+    },
+    /// Gives every texel of an image one value.
+    ClearImage {
+        /// Which image.
+        target: Image,
+        /// The components' bits: of floats, or of an integer for integer formats.
+        value: [u32; 4],
+    },
 }
 
 /// A declared pass.
@@ -91,7 +112,7 @@ impl Pass {
         self.discards.contains(slice)
     }
 
-    /// Whether it is a fill or a copy.
+    /// Whether it is a fill, a clear or a copy.
     pub fn is_transfer(&self) -> bool {
         !matches!(self.kind, PassKind::Compute { .. })
     }

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use super::builder::{Graph, use_of};
 use super::error::GraphError;
 use super::pass::{Dispatch, INDIRECT_BYTES, Pass, PassKind, Use, writes};
-use super::resource::{Buffer, Slice};
-use crate::shader::{Access, Shader};
+use super::resource::{Buffer, Image, Slice};
+use crate::shader::{Access, BindingKind, Shader};
 
 /// Groups along one axis that every Vulkan device can dispatch.
 pub const GROUP_LIMIT: u32 = 65_535;
@@ -59,11 +59,47 @@ impl<'g> PassBuilder<'g> {
         bindings.into_iter().fold(self, |pass, (name, slice)| pass.bind(name, slice))
     }
 
-    fn bind_as(mut self, name: &str, slice: Slice, discard: bool) -> Self {
-        if let Err(error) = self.try_bind(name, slice, discard) {
-            self.errors.push(error);
-        }
+    /// Binds an image to the kernel's binding of that name.
+    pub fn bind_image(self, name: &str, image: Image) -> Self {
+        self.bind_image_as(name, image, false)
+    }
+
+    /// Binds an image, and promises that the pass overwrites all of it that anyone will read.
+    pub fn bind_image_discard(self, name: &str, image: Image) -> Self {
+        self.bind_image_as(name, image, true)
+    }
+
+    fn bind_image_as(mut self, name: &str, image: Image, discard: bool) -> Self {
+        let bound = self.graph.resolve_image(&self.name, image).and_then(|slice| self.try_bind(name, slice, discard));
+        self.errors.extend(bound.err());
         self
+    }
+
+    fn bind_as(mut self, name: &str, slice: Slice, discard: bool) -> Self {
+        let bound = self.graph.resolve(&self.name, slice).and_then(|slice| self.try_bind(name, slice, discard));
+        self.errors.extend(bound.err());
+        self
+    }
+
+    /// Refuses buffers where the kernel wants an image, images where it wants a buffer, and images of other formats.
+    fn check_kind(&self, name: &str, kind: BindingKind, slice: &Slice) -> Result<(), GraphError> {
+        let info = &self.graph.buffers[slice.buffer.index()];
+        let declared = match (kind, &info.image) {
+            (BindingKind::Image(declared), Some(image)) if image.format != declared => {
+                return Err(GraphError::ImageFormat {
+                    pass: self.name.clone(),
+                    image: info.name.clone(),
+                    binding: name.to_owned(),
+                    format: image.format,
+                    declared,
+                });
+            }
+            (BindingKind::Image(_), Some(_)) | (BindingKind::Storage | BindingKind::Uniform, None) => return Ok(()),
+            (BindingKind::Image(_), None) => "an image",
+            (BindingKind::Storage | BindingKind::Uniform, Some(_)) => "a buffer",
+        };
+        let (pass, resource) = (self.name.clone(), info.name.clone());
+        Err(GraphError::BindingKind { pass, resource, binding: name.to_owned(), declared })
     }
 
     fn try_bind(&mut self, name: &str, slice: Slice, discard: bool) -> Result<(), GraphError> {
@@ -75,7 +111,7 @@ impl<'g> PassBuilder<'g> {
                 known: list(self.shader.bindings.iter().map(|b| b.name.as_ref())),
             });
         };
-        let slice = self.graph.resolve(&self.name, slice)?;
+        self.check_kind(name, self.shader.bindings[position].kind, &slice)?;
         let access = self.shader.bindings[position].access;
         if writes(access) {
             self.graph.check_write(&self.name, slice.buffer, name)?;
@@ -230,10 +266,13 @@ impl<'g> PassBuilder<'g> {
 /// Whether an error already says why a binding is not bound; a second complaint would only distract.
 fn failed_to_bind(error: &GraphError, name: &str) -> bool {
     match error {
-        GraphError::DiscardOfRead { binding, .. } => binding == name,
+        GraphError::DiscardOfRead { binding, .. }
+        | GraphError::BindingKind { binding, .. }
+        | GraphError::ImageFormat { binding, .. } => binding == name,
         GraphError::WriteToReadOnly { through, .. } => through == name,
         // These do not say which binding they were about.
         GraphError::UnknownBuffer { .. } | GraphError::EmptySlice { .. } | GraphError::SliceRange { .. } => true,
+        GraphError::ImageAsBuffer { .. } | GraphError::BufferAsImage { .. } => true,
         _ => false,
     }
 }

@@ -1,9 +1,11 @@
-//! What a graph calls its memory: buffers, their kinds, and byte ranges of them.
+//! What a graph calls its memory: buffers and images, their kinds, and byte ranges of them.
 //!
-//! A [`Buffer`] is a number that only its own graph understands. It owns nothing: external buffers are bound when a
+//! A [`Buffer`] or an [`Image`] is a number that only its own graph understands. It owns nothing: external buffers are bound when a
 //! plan is replayed, transient ones are offsets into an arena that the plan lays out.
 
 use std::ops::Range;
+
+use crate::format::ImageFormat;
 
 /// A buffer of one graph (and of the plan compiled from it).
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, serde::Serialize)]
@@ -19,6 +21,64 @@ impl Buffer {
     pub fn slice(self, offset: u64, bytes: u64) -> Slice {
         Slice { buffer: self, offset, bytes }
     }
+}
+
+/// An image of one graph. Wherever ranges of bytes are spoken of, it is the range of its packed texels, as a whole.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, serde::Serialize)]
+pub struct Image(pub(crate) Buffer);
+
+impl Image {
+    /// Position in [`Plan::buffers`](super::Plan::buffers).
+    pub fn index(self) -> usize {
+        self.0.index()
+    }
+}
+
+/// What others leave an image in, or want to find it in: its layout, and that its texels count.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageState {
+    /// Nobody wants what it holds. On entry alone.
+    Undefined,
+    /// The layout for everything.
+    General,
+    /// To be copied from.
+    TransferSource,
+    /// To be copied to.
+    TransferTarget,
+    /// To be sampled by shaders.
+    ShaderRead,
+    /// To be drawn into.
+    ColorAttachment,
+    /// To be shown in a window.
+    Present,
+}
+
+/// What an image is made of, and what state it is handed over in.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct ImageInfo {
+    /// Width and height.
+    pub size: [u32; 2],
+    /// What a texel is.
+    pub format: ImageFormat,
+    /// The state in which a replay finds it; [`ImageState::Undefined`] for transients.
+    pub entry: ImageState,
+    /// The state in which a replay leaves it; of no meaning for transients.
+    pub exit: ImageState,
+}
+
+/// Who else uses an external buffer, between replays, without waiting for the device.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BufferState {
+    /// Replays of this plan, and copies from it afterwards.
+    #[default]
+    Ready,
+    /// The host as well: it writes before the replay is submitted, which makes its writes visible by itself, or reads
+    /// after it has waited.
+    Host,
+    /// Any command on the same queue that no plan knows of.
+    Queue,
 }
 
 /// Whose memory a buffer is.
@@ -44,6 +104,12 @@ pub struct BufferInfo {
     pub kind: BufferKind,
     /// Whether its contents are wanted after a replay: writes to it are outputs.
     pub keep: bool,
+    /// Who may have used it before a replay.
+    pub entry: BufferState,
+    /// Who may use it after a replay.
+    pub exit: BufferState,
+    /// What it is made of, if it is an image.
+    pub image: Option<ImageInfo>,
 }
 
 impl BufferInfo {

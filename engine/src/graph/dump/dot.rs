@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use super::describe;
+use super::{describe, transition};
 use crate::graph::pass::writes;
 use crate::graph::plan::Plan;
 
@@ -18,7 +18,10 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
     writeln!(out, "digraph {} {{", quote(&plan.name))?;
     writeln!(out, "  rankdir=TB; node [shape=box, fontname=monospace]; edge [fontname=monospace, fontsize=9];")?;
     for (at, group) in plan.groups.iter().enumerate() {
-        let barrier = group.barrier.map_or_else(String::new, |barrier| format!("\n{barrier}"));
+        let mut barrier = group.barrier.map_or_else(String::new, |barrier| format!("\n{barrier}"));
+        for change in plan.entry.iter().filter(|_| at == 0) {
+            barrier += &format!("\n{}", transition(plan, change));
+        }
         writeln!(out, "  subgraph cluster_{at} {{ label={};", quote(&format!("group {at}{barrier}")))?;
         for &pass in &group.passes {
             let label = format!("{}\n{}", plan.passes[pass].name, describe(&plan.passes[pass]));

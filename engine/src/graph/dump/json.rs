@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use super::{describe, labels};
 use crate::graph::pass::{Pass, Use};
-use crate::graph::plan::{Barrier, Plan};
-use crate::graph::resource::{Buffer, BufferKind};
+use crate::format::ImageFormat;
+use crate::graph::plan::{Barrier, ImageSlot, Plan, Transition};
+use crate::graph::resource::{Buffer, BufferKind, BufferState, ImageState};
 use crate::shader::Access;
 
 /// The plan as indented JSON.
@@ -24,6 +25,9 @@ struct View<'p> {
     passes: Vec<PassView<'p>>,
     groups: Vec<GroupView<'p>>,
     final_barrier: Option<Barrier>,
+    image_slots: &'p [ImageSlot],
+    entry: &'p [Transition],
+    exit: &'p [Transition],
     culled: &'p [usize],
 }
 
@@ -34,8 +38,20 @@ struct BufferView<'p> {
     kind: BufferKind,
     keep: bool,
     offset: Option<u64>,
-    /// First and last group.
+    /// First and last group. The offset of an image is the number of its slot.
     lifetime: Option<(usize, usize)>,
+    entry: BufferState,
+    exit: BufferState,
+    image: Option<ImageView>,
+}
+
+#[derive(Serialize)]
+struct ImageView {
+    size: [u32; 2],
+    format: ImageFormat,
+    entry: ImageState,
+    exit: ImageState,
+    home: Option<ImageState>,
 }
 
 #[derive(Serialize)]
@@ -80,11 +96,23 @@ fn view(plan: &Plan) -> View<'_> {
                 keep: info.keep,
                 offset: plan.placements[buffer.index()],
                 lifetime: lifetimes[buffer.index()],
+                entry: info.entry,
+                exit: info.exit,
+                image: info.image.map(|image| ImageView {
+                    size: image.size,
+                    format: image.format,
+                    entry: image.entry,
+                    exit: image.exit,
+                    home: plan.homes[buffer.index()],
+                }),
             })
             .collect(),
         passes: plan.passes.iter().zip(plan.dependencies()).map(|(pass, follows)| pass_view(pass, follows)).collect(),
         groups: plan.groups.iter().map(|g| GroupView { barrier: g.barrier, passes: &g.passes }).collect(),
         final_barrier: plan.final_barrier,
+        image_slots: &plan.image_slots,
+        entry: &plan.entry,
+        exit: &plan.exit,
         culled: &plan.culled,
     }
 }

@@ -2,9 +2,9 @@
 
 use std::fmt::{self, Write};
 
-use super::{describe, labels, verb};
+use super::{describe, labels, state, transition, verb};
 use crate::graph::plan::Plan;
-use crate::graph::resource::BufferKind;
+use crate::graph::resource::{BufferKind, BufferState};
 
 /// The plan as text.
 pub fn text(plan: &Plan) -> String {
@@ -36,13 +36,27 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             BufferKind::Transient => "transient",
             BufferKind::Uniform => "uniform",
         };
-        write!(out, "  {} {kind} {} bytes", info.name, info.bytes)?;
+        write!(out, "  {} {kind} ", info.name)?;
+        match &info.image {
+            Some(image) => write!(out, "image {}x{} {}", image.size[0], image.size[1], image.format)?,
+            None => write!(out, "{} bytes", info.bytes)?,
+        }
         match (info.kind, plan.placements[buffer.index()], lifetimes[buffer.index()]) {
+            (BufferKind::Transient, Some(slot), Some((first, last))) if info.image.is_some() => {
+                write!(out, " in slot {slot}, groups {first}..={last}")?;
+            }
             (BufferKind::Transient, Some(offset), Some((first, last))) => {
                 write!(out, " at {offset}, groups {first}..={last}")?;
             }
             (BufferKind::Transient, ..) => write!(out, ", unused")?,
-            _ => {}
+            (BufferKind::External, ..) => match &info.image {
+                Some(image) => write!(out, ", {} on entry, {} on exit", state(image.entry), state(image.exit))?,
+                None if (info.entry, info.exit) != (BufferState::Ready, BufferState::Ready) => {
+                    write!(out, ", {} on entry, {} on exit", shared(info.entry), shared(info.exit))?;
+                }
+                None => {}
+            },
+            (BufferKind::Uniform, ..) => {}
         }
         writeln!(out, "{}", if info.kind == BufferKind::Transient && info.keep { ", kept" } else { "" })?;
     }
@@ -51,6 +65,9 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         writeln!(out, "\ngroup {at}")?;
         if let Some(barrier) = group.barrier {
             writeln!(out, "  barrier {barrier}")?;
+        }
+        for change in plan.entry.iter().filter(|_| at == 0) {
+            writeln!(out, "  {}", transition(plan, change))?;
         }
         for &pass in &group.passes {
             let pass = &plan.passes[pass];
@@ -68,6 +85,9 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
     if let Some(barrier) = plan.final_barrier {
         writeln!(out, "\nend\n  barrier {barrier}")?;
     }
+    for change in &plan.exit {
+        writeln!(out, "  {}", transition(plan, change))?;
+    }
     if !plan.culled.is_empty() {
         writeln!(out, "\ndropped")?;
         for &pass in &plan.culled {
@@ -75,6 +95,15 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         }
     }
     Ok(())
+}
+
+/// What a state of a buffer is called.
+fn shared(state: BufferState) -> &'static str {
+    match state {
+        BufferState::Ready => "ready",
+        BufferState::Host => "host",
+        BufferState::Queue => "queue",
+    }
 }
 
 impl fmt::Display for Plan {

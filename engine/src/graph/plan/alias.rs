@@ -3,10 +3,14 @@
 //! Two transients that are alive in a common group never overlap; others may. The largest are placed first, the
 //! longest-lived among equals, each at the lowest offset that is free for its lifetime. That a byte passes from one
 //! transient to the next is a hazard like any other, and left to the barriers.
+//!
+//! Images are not placed by bytes, since only a device knows how large they are: transients of equal make and layout
+//! share a whole image when their lifetimes do not meet.
 
 use super::Group;
+use super::image::ImageSlot;
 use crate::graph::pass::Pass;
-use crate::graph::resource::{BufferInfo, BufferKind};
+use crate::graph::resource::{BufferInfo, BufferKind, ImageState};
 
 /// First and last group of each transient that is used; a kept one lives past the last group.
 pub(super) fn lifetimes(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group]) -> Vec<Option<(usize, usize)>> {
@@ -28,8 +32,10 @@ pub(super) fn lifetimes(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group
 
 /// An arena.
 pub(super) struct Layout {
-    /// By buffer: its offset, if it is a transient that is used.
+    /// By buffer: its offset, if it is a transient that is used; its slot, if it is an image.
     pub(super) placements: Vec<Option<u64>>,
+    /// The images that transient images share.
+    pub(super) slots: Vec<ImageSlot>,
     /// Size of the arena.
     pub(super) bytes: u64,
     /// Size that it would have without sharing.
@@ -40,6 +46,7 @@ pub(super) struct Layout {
 pub(super) fn alias(
     buffers: &[BufferInfo],
     lifetimes: &[Option<(usize, usize)>],
+    homes: &[Option<ImageState>],
     alignment: u64,
     share: bool,
 ) -> Layout {
@@ -54,6 +61,7 @@ pub(super) fn alias(
     let mut todo: Vec<(usize, usize, usize)> = lifetimes
         .iter()
         .enumerate()
+        .filter(|(index, _)| buffers[*index].image.is_none())
         .filter_map(|(index, life)| life.map(|(first, last)| (index, first, last)))
         .collect();
     let unaliased_bytes = todo.iter().map(|&(index, ..)| size(index)).sum();
@@ -78,5 +86,35 @@ pub(super) fn alias(
         let at = placed.partition_point(|other| other.offset <= offset);
         placed.insert(at, Placed { offset, end: offset + bytes, first, last });
     }
-    Layout { placements, bytes: placed.iter().map(|p| p.end).max().unwrap_or(0), unaliased_bytes }
+    let slots = place_images(buffers, lifetimes, homes, share, &mut placements);
+    Layout { placements, slots, bytes: placed.iter().map(|p| p.end).max().unwrap_or(0), unaliased_bytes }
+}
+
+/// Gives each transient image the first slot of its make that is free from its first group on.
+fn place_images(
+    buffers: &[BufferInfo],
+    lifetimes: &[Option<(usize, usize)>],
+    homes: &[Option<ImageState>],
+    share: bool,
+    placements: &mut [Option<u64>],
+) -> Vec<ImageSlot> {
+    let mut todo: Vec<(usize, usize, usize, ImageSlot)> = Vec::new();
+    for (index, info) in buffers.iter().enumerate() {
+        let (Some(image), Some((first, last)), Some(home)) = (&info.image, lifetimes[index], homes[index]) else {
+            continue;
+        };
+        todo.push((first, index, last, ImageSlot { size: image.size, format: image.format, home }));
+    }
+    todo.sort_by_key(|&(first, index, ..)| (first, index));
+    let mut slots: Vec<(ImageSlot, usize)> = Vec::new();
+    for (first, index, last, make) in todo {
+        let free = slots.iter().position(|&(slot, busy)| share && slot == make && busy < first);
+        let slot = free.unwrap_or(slots.len());
+        match slots.get_mut(slot) {
+            Some((_, busy)) => *busy = last,
+            None => slots.push((make, last)),
+        }
+        placements[index] = Some(slot as u64);
+    }
+    slots.into_iter().map(|(slot, _)| slot).collect()
 }

@@ -1,56 +1,76 @@
 //! The barrier before each group, the one before the first of a replay, and the one after the last.
 //!
 //! Each is the merger of what the group's hazards lack, and then loses every bit without which they are still covered.
-//! Between groups only hazards within a replay count. What the end of one replay leaves open towards the next is the
-//! first barrier's: it gets what the barriers of the next replay, as they stand, do not cover in time.
+//! Between groups only hazards within a replay count. What the end of one replay, or whoever comes between two, leaves
+//! open is the first barrier's: it gets what the barriers of the next replay, as they stand, do not cover in time.
 
 use super::Group;
-use super::clock::Clock;
+use super::alias::Layout;
+use super::clock::{Clock, Transitions};
 use super::hazard::{Memory, Need, Time};
+use super::image::{Transition, enters, leaves};
 use super::scope::{Accesses, Barrier, Stages};
 use crate::graph::pass::Pass;
 use crate::graph::resource::{Buffer, BufferInfo, Slice};
 
+/// What barriers are placed for.
+pub(super) struct Scene<'p> {
+    pub(super) buffers: &'p [BufferInfo],
+    pub(super) passes: &'p [Pass],
+    pub(super) layout: &'p Layout,
+    pub(super) entry: &'p [Transition],
+    pub(super) exit: &'p [Transition],
+}
+
 /// Puts barriers into the groups; returns the one after the last group.
-pub(super) fn place(
-    buffers: &[BufferInfo],
-    passes: &[Pass],
-    placements: &[Option<u64>],
-    arena_bytes: u64,
-    groups: &mut [Group],
-) -> Option<Barrier> {
-    let mut memory = Memory::new(buffers, placements, arena_bytes);
-    let outputs = outputs(buffers, passes, groups);
+pub(super) fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> {
+    if groups.is_empty() {
+        return None;
+    }
+    let mut memory = Memory::new(scene.buffers, scene.layout);
+    let outputs = scene.outputs(groups);
+    let last = groups.len();
     let mut clock = Clock::default();
 
-    let needs = replay(&mut memory, passes, groups, &outputs, 0);
+    let needs = scene.replay(&mut memory, groups, &outputs, 0, false);
     let mut barriers = Vec::with_capacity(groups.len() + 1);
     for (at, need) in needs.iter().enumerate() {
+        // The first barrier's transitions come later, with everything else that it has to do.
+        let transitions = if at == last { Transitions::Exit } else { Transitions::None };
+        let before = at as Time + 1;
         let barrier = minimal(clock.lacks(need), |barrier| {
             let mut clock = clock;
-            clock.pass(barrier, at as Time);
+            clock.pass(barrier, before, transitions);
             clock.covers(need)
         });
-        clock.pass(&barrier, at as Time);
+        clock.pass(&barrier, before, transitions);
         barriers.push(barrier);
     }
 
     // A second replay, with the same barriers.
     let start = length(groups);
-    let needs = replay(&mut memory, passes, groups, &outputs, start);
+    let transitions = |at: usize| match at {
+        0 => Transitions::Entry,
+        at if at == last => Transitions::Exit,
+        _ => Transitions::None,
+    };
+    let needs = scene.replay(&mut memory, groups, &outputs, start, true);
     let mut first = Barrier::default();
     let mut later = clock;
     for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
-        later.pass(barrier, start + at as Time);
+        // What the barrier's own transitions wait for is its own affair unless it is the first.
+        if at > 0 {
+            later.pass(barrier, start + at as Time + 1, transitions(at));
+        }
         first = first.merge(&later.lacks(need));
     }
     barriers[0] = minimal(first, |barrier| {
         let mut clock = clock;
-        clock.pass(barrier, start);
+        clock.pass(barrier, start + 1, Transitions::Entry);
         let rest = barriers.iter().enumerate().skip(1);
         needs.first().is_none_or(|need| clock.covers(need))
             && rest.zip(&needs[1..]).all(|((at, barrier), need)| {
-                clock.pass(barrier, start + at as Time);
+                clock.pass(barrier, start + at as Time + 1, transitions(at));
                 clock.covers(need)
             })
     });
@@ -59,43 +79,71 @@ pub(super) fn place(
     for (group, barrier) in groups.iter_mut().zip(&mut barriers) {
         group.barrier = barrier;
     }
-    if groups.is_empty() { None } else { barriers.next().flatten() }
+    barriers.next().flatten()
 }
 
-/// Points in time of one replay: its groups, and whoever reads the outputs afterwards.
+/// Points in time of one replay: whoever comes before it, its groups, and whoever reads the outputs afterwards.
 fn length(groups: &[Group]) -> Time {
-    groups.len() as Time + 1
+    groups.len() as Time + 2
 }
 
-/// What is written and wanted after a replay.
-fn outputs(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group]) -> Vec<Slice> {
-    let mut written = vec![false; buffers.len()];
-    for &pass in groups.iter().flat_map(|group| &group.passes) {
-        for (slice, access, _) in &passes[pass].accesses {
-            written[slice.buffer.index()] |= crate::graph::pass::writes(*access);
-        }
-    }
-    let kept = buffers.iter().zip(written).enumerate().filter(|(_, (info, written))| info.keep && *written);
-    kept.map(|(index, (info, _))| Buffer(index as u32).slice(0, info.bytes)).collect()
-}
-
-/// The need of each group of a replay that begins after time `start`, and, last, that of the readers afterwards.
-fn replay(memory: &mut Memory<'_>, passes: &[Pass], groups: &[Group], outputs: &[Slice], start: Time) -> Vec<Need> {
-    let mut needs = vec![Need::default(); groups.len() + 1];
-    for (at, (group, need)) in groups.iter().zip(&mut needs).enumerate() {
-        for &pass in &group.passes {
-            for (slice, access, used) in &passes[pass].accesses {
-                memory.touch(start + at as Time + 1, slice, *access, *used, need);
+impl Scene<'_> {
+    /// What is written and wanted after a replay by copies and the host. Who leaves it to the queue's commands wants
+    /// more than that.
+    fn outputs(&self, groups: &[Group]) -> Vec<Slice> {
+        let mut written = vec![false; self.buffers.len()];
+        for &pass in groups.iter().flat_map(|group| &group.passes) {
+            for (slice, access, _) in &self.passes[pass].accesses {
+                written[slice.buffer.index()] |= crate::graph::pass::writes(*access);
             }
         }
+        let kept = self.buffers.iter().zip(written).enumerate();
+        kept.filter(|(_, (info, written))| info.keep && *written && !leaves(info))
+            .map(|(index, (info, _))| Buffer(index as u32).slice(0, info.bytes))
+            .collect()
     }
-    // The host and copies may read the outputs between replays; the next replay waits for the copies.
-    let after = start + length(groups);
-    for slice in outputs {
-        memory.read(after, slice, Accesses::TRANSFER_READ, &mut needs[groups.len()]);
-        memory.read(after, slice, Accesses::HOST_READ, &mut needs[groups.len()]);
+
+    /// The need of each group of a replay that begins after time `start`, and, last, that of whoever comes afterwards.
+    /// Its beginning counts only if it is `entered`.
+    fn replay(
+        &self,
+        memory: &mut Memory<'_>,
+        groups: &[Group],
+        outputs: &[Slice],
+        start: Time,
+        entered: bool,
+    ) -> Vec<Need> {
+        let mut needs = vec![Need::default(); groups.len() + 1];
+        let whole = |index: usize, info: &BufferInfo| Buffer(index as u32).slice(0, info.bytes);
+        if entered {
+            for (index, info) in self.buffers.iter().enumerate().filter(|(_, info)| enters(info)) {
+                memory.outside(start + 1, &whole(index, info));
+            }
+            for transition in self.entry {
+                memory.transition(start + 2, transition.image, Transitions::Entry, &mut needs[0]);
+            }
+        }
+        for (at, (group, need)) in groups.iter().zip(&mut needs).enumerate() {
+            for &pass in &group.passes {
+                for (slice, access, used) in &self.passes[pass].accesses {
+                    memory.touch(start + at as Time + 2, slice, *access, *used, need);
+                }
+            }
+        }
+        let (after, need) = (start + length(groups), &mut needs[groups.len()]);
+        for transition in self.exit {
+            memory.transition(after, transition.image, Transitions::Exit, need);
+        }
+        // The host and copies may read the outputs between replays; the next replay waits for the copies.
+        for slice in outputs {
+            memory.read(after, slice, Accesses::TRANSFER_READ, need);
+            memory.read(after, slice, Accesses::HOST_READ, need);
+        }
+        for (index, info) in self.buffers.iter().enumerate().filter(|(_, info)| leaves(info)) {
+            memory.leave(&whole(index, info), need);
+        }
+        needs
     }
-    needs
 }
 
 /// Takes bits away, one at a time and always in the same sequence, as long as the barrier is enough.

@@ -3,26 +3,52 @@
 //! For each kind of operation, the time up to which all operations of that kind are ordered before a stage, available,
 //! or visible to an access. A barrier covers everything before it in its source stages, so these times only grow and
 //! one number a pair is exact. Chains count: what waited for an operation passes the wait on.
+//!
+//! Layout transitions happen inside a barrier. They are ordered behind its source stages, and visible to its target
+//! accesses. Those at the beginning of a replay are one kind of operation, those at its end another: each kind happens
+//! at one point of a replay, to the same images every time, so that one number is exact for them too.
 
-use super::hazard::{Need, Time, WRITES, stage_index};
+use super::hazard::{INSIDE, MEMORY_ROWS, Need, ROWS, TRANSITION_ACCESS, Time, WRITES, stage_index};
 use super::scope::{Accesses, Barrier, Stages};
+
+/// Where in a replay layouts change.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Transitions {
+    /// Nowhere near this barrier.
+    None,
+    /// In the barrier before the first group.
+    Entry,
+    /// In the barrier after the last group.
+    Exit,
+}
+
+impl Transitions {
+    /// Position among the rows of a need's executions, and among those of its memory.
+    pub(super) fn rows(self) -> Option<(usize, usize)> {
+        match self {
+            Transitions::None => None,
+            Transitions::Entry => Some((Stages::EACH.len(), WRITES.len())),
+            Transitions::Exit => Some((Stages::EACH.len() + 1, WRITES.len() + 1)),
+        }
+    }
+}
 
 /// The state after some barriers.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Clock {
-    /// By stage of an operation and stage that has waited for it.
-    ordered: [[Time; 4]; 4],
+    /// By stage of an operation (or kind of transition) and stage that has waited for it; last, the latest barrier.
+    ordered: [[Time; INSIDE + 1]; ROWS],
     /// By kind of write.
-    available: [Time; 2],
-    /// By kind of write and access.
-    visible: [[Time; 7]; 2],
+    available: [Time; WRITES.len()],
+    /// By kind of write (or of transition) and access; last, the latest barrier.
+    visible: [[Time; TRANSITION_ACCESS + 1]; MEMORY_ROWS],
 }
 
 impl Clock {
-    /// Passes a barrier; everything up to `before` was recorded before it.
-    pub(super) fn pass(&mut self, barrier: &Barrier, before: Time) {
+    /// Passes a barrier; everything up to `before` was recorded before it. Its transitions happen at the time after.
+    pub(super) fn pass(&mut self, barrier: &Barrier, before: Time, transitions: Transitions) {
         // Up to when each stage's operations are in the barrier's first scope.
-        let mut covered = [0; 4];
+        let mut covered = [0; ROWS];
         for (stage, covered) in covered.iter_mut().enumerate() {
             for (source, &bit) in Stages::EACH.iter().enumerate() {
                 if barrier.src_stage.contains(bit) {
@@ -30,23 +56,36 @@ impl Clock {
                 }
             }
         }
-        for (ordered, covered) in self.ordered.iter_mut().zip(covered) {
+        let mut reach = covered;
+        if let Some((row, _)) = transitions.rows() {
+            reach[row] = before + 1;
+        }
+        for ((ordered, covered), reach) in self.ordered.iter_mut().zip(covered).zip(reach) {
             for (target, &bit) in Stages::EACH.iter().enumerate() {
                 if barrier.dst_stage.contains(bit) {
-                    ordered[target] = ordered[target].max(covered);
+                    ordered[target] = ordered[target].max(reach);
                 }
             }
+            ordered[INSIDE] = covered;
         }
-        for (kind, (access, stage)) in WRITES.into_iter().enumerate() {
-            if barrier.src_access.contains(access) && barrier.src_stage.contains(stage) {
-                self.available[kind] = before;
-            }
-            let reaches = covered[stage_index(stage)].min(self.available[kind]);
+        for kind in 0..MEMORY_ROWS {
+            let (reaches, inside) = match WRITES.get(kind) {
+                Some(&(access, stage)) => {
+                    if barrier.src_access.contains(access) && barrier.src_stage.contains(stage) {
+                        self.available[kind] = before;
+                    }
+                    let reaches = covered[stage_index(stage)].min(self.available[kind]);
+                    (reaches, reaches)
+                }
+                // A transition makes available what it writes.
+                None => (reach[kind - WRITES.len() + Stages::EACH.len()], covered[kind - WRITES.len() + Stages::EACH.len()]),
+            };
             for (target, &bit) in Accesses::EACH.iter().enumerate() {
                 if barrier.dst_access.contains(bit) && barrier.dst_stage.contains(bit.stages()) {
                     self.visible[kind][target] = self.visible[kind][target].max(reaches);
                 }
             }
+            self.visible[kind][TRANSITION_ACCESS] = inside;
         }
     }
 
@@ -57,25 +96,35 @@ impl Clock {
             && self.visible.iter().zip(&need.memory).all(|(have, need)| covers(have, need))
     }
 
-    /// A barrier that covers, by itself and right now, whatever of the need is not yet covered.
+    /// A barrier that covers, by itself and right now, whatever of the need is not yet covered. What a transition did
+    /// is taken to happen in this very barrier.
     pub(super) fn lacks(&self, need: &Need) -> Barrier {
         let mut barrier = Barrier::default();
-        for (source, &src) in Stages::EACH.iter().enumerate() {
+        for (source, row) in need.execution.iter().enumerate() {
+            let src = Stages::EACH.get(source).copied().unwrap_or_default();
             for (target, &dst) in Stages::EACH.iter().enumerate() {
-                if self.ordered[source][target] < need.execution[source][target] {
+                if self.ordered[source][target] < row[target] {
                     barrier.src_stage |= src;
                     barrier.dst_stage |= dst;
                 }
             }
+            if row[INSIDE] > 0 {
+                barrier.src_stage |= src;
+            }
         }
-        for (kind, (access, stage)) in WRITES.into_iter().enumerate() {
+        for (kind, row) in need.memory.iter().enumerate() {
+            let (access, stage) = WRITES.get(kind).copied().unwrap_or_default();
             for (target, &dst) in Accesses::EACH.iter().enumerate() {
-                if self.visible[kind][target] < need.memory[kind][target] {
+                if self.visible[kind][target] < row[target] {
                     barrier.src_stage |= stage;
                     barrier.src_access |= access;
                     barrier.dst_stage |= dst.stages();
                     barrier.dst_access |= dst;
                 }
+            }
+            if row[TRANSITION_ACCESS] > 0 {
+                barrier.src_stage |= stage;
+                barrier.src_access |= access;
             }
         }
         barrier

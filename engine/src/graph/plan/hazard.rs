@@ -5,18 +5,35 @@
 //! time are numbers, and only the latest of a kind is kept: whatever orders a later operation after it also orders the
 //! earlier ones of that kind.
 
+use std::ops::Range;
+
+use super::alias::Layout;
+use super::clock::Transitions;
+use super::image::ImageMemory;
 use super::scope::{Accesses, Stages};
 use crate::graph::pass::{Use, writes};
 use crate::graph::ranges::RangeMap;
-use crate::graph::resource::{BufferInfo, BufferKind, Slice};
+use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
 /// A position in the stream of groups; 0 is before everything.
 pub(super) type Time = u32;
 
 /// Kinds of access that write, with the stage that performs them.
-pub(super) const WRITES: [(Accesses, Stages); 2] =
-    [(Accesses::STORAGE_WRITE, Stages::COMPUTE), (Accesses::TRANSFER_WRITE, Stages::TRANSFER)];
+pub(super) const WRITES: [(Accesses, Stages); 3] = [
+    (Accesses::STORAGE_WRITE, Stages::COMPUTE),
+    (Accesses::TRANSFER_WRITE, Stages::TRANSFER),
+    (Accesses::OUTSIDE_WRITE, Stages::OUTSIDE),
+];
+
+/// Rows of executions: the stages, and the layout transitions at the beginning and at the end of a replay.
+pub(super) const ROWS: usize = Stages::EACH.len() + 2;
+/// Rows of memory: the kinds of write, and the same transitions.
+pub(super) const MEMORY_ROWS: usize = WRITES.len() + 2;
+/// Column of executions that a transition inside the barrier itself waits for.
+pub(super) const INSIDE: usize = Stages::EACH.len();
+/// Column of writes that a transition inside the barrier itself must find available.
+pub(super) const TRANSITION_ACCESS: usize = Accesses::EACH.len();
 
 /// Position of the host in [`Stages::EACH`]. Its reads leave no trace: no barrier can wait for them.
 const HOST: usize = 3;
@@ -25,9 +42,9 @@ const HOST: usize = 3;
 #[derive(Clone, Copy, Default, Debug)]
 pub(super) struct Need {
     /// By stage of an earlier operation and stage that must wait for it (positions in [`Stages::EACH`]).
-    pub(super) execution: [[Time; 4]; 4],
+    pub(super) execution: [[Time; INSIDE + 1]; ROWS],
     /// By kind of earlier write (position in [`WRITES`]) and access that must see it (in [`Accesses::EACH`]).
-    pub(super) memory: [[Time; 7]; 2],
+    pub(super) memory: [[Time; TRANSITION_ACCESS + 1]; MEMORY_ROWS],
 }
 
 /// The stage of an access and what it does there.
@@ -56,8 +73,8 @@ pub(super) fn stage_index(stage: Stages) -> usize {
 /// The operations on a byte that later ones may conflict with: latest time of each kind since the last write.
 #[derive(Clone, Copy, Default)]
 struct Touched {
-    writes: [Time; 2],
-    reads: [Time; 4],
+    writes: [Time; MEMORY_ROWS],
+    reads: [Time; Stages::EACH.len()],
     /// Every write counted here is an accumulation into this buffer.
     accumulates: Option<u32>,
 }
@@ -67,27 +84,68 @@ pub(super) struct Memory<'p> {
     buffers: &'p [BufferInfo],
     placements: &'p [Option<u64>],
     arena: RangeMap<Touched>,
+    /// By slot of the transient images.
+    slots: Vec<RangeMap<Touched>>,
     external: Vec<Option<RangeMap<Touched>>>,
 }
 
 impl<'p> Memory<'p> {
     /// Memory that nothing has touched.
-    pub(super) fn new(buffers: &'p [BufferInfo], placements: &'p [Option<u64>], arena_bytes: u64) -> Self {
+    pub(super) fn new(buffers: &'p [BufferInfo], layout: &'p Layout) -> Self {
         let external = buffers
             .iter()
             .map(|info| {
                 // What no pass writes cannot conflict.
-                let tracked = info.kind == BufferKind::External && info.writable();
+                let changes = info.writable() || info.image.is_some() || info.entry == BufferState::Queue;
+                let tracked = info.kind == BufferKind::External && changes;
                 tracked.then(|| RangeMap::new(info.bytes, Touched::default()))
             })
             .collect();
-        Memory { buffers, placements, arena: RangeMap::new(arena_bytes.max(1), Touched::default()), external }
+        let arena = RangeMap::new(layout.bytes.max(1), Touched::default());
+        let slots = layout.slots.iter().map(|slot| RangeMap::new(slot.bytes(), Touched::default())).collect();
+        Memory { buffers, placements: &layout.placements, arena, slots, external }
     }
 
     /// One access at a time: what it needs is added to `need`, and it becomes part of the past.
     pub(super) fn touch(&mut self, now: Time, slice: &Slice, access: Access, used: Use, need: &mut Need) {
         let (stage, accesses) = scope(access, used);
         self.touch_scope(now, slice, stage, accesses, access, need);
+    }
+
+    /// Commands outside that may read and write a buffer, without anything to wait for.
+    pub(super) fn outside(&mut self, now: Time, slice: &Slice) {
+        let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
+        self.touch_scope(now, slice, Stages::OUTSIDE, accesses, Access::ReadWrite, &mut Need::default());
+    }
+
+    /// What commands outside need that may read and write a buffer, whatever they leave.
+    pub(super) fn leave(&mut self, slice: &Slice, need: &mut Need) {
+        let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
+        let Some((map, range)) = self.find(slice) else { return };
+        map.update(range, |touched| touched.needs(stage_index(Stages::OUTSIDE), accesses, true, need));
+    }
+
+    /// A layout transition of all of an image's memory inside the barrier of `need`.
+    pub(super) fn transition(&mut self, now: Time, image: ImageMemory, which: Transitions, need: &mut Need) {
+        let Some((_, row)) = which.rows() else { return };
+        let map = match image {
+            ImageMemory::Slot(slot) => Some(&mut self.slots[slot as usize]),
+            ImageMemory::External(image) => self.external[image.index()].as_mut(),
+        };
+        let Some(map) = map else { return };
+        map.update(0..u64::MAX, |touched| {
+            let read = touched.reads.iter().any(|&earlier| earlier > 0);
+            for (earlier, need) in touched.reads.iter().zip(&mut need.execution) {
+                need[INSIDE] = need[INSIDE].max(*earlier);
+            }
+            if !read {
+                for (earlier, need) in touched.writes.iter().zip(&mut need.memory) {
+                    need[TRANSITION_ACCESS] = need[TRANSITION_ACCESS].max(*earlier);
+                }
+            }
+            *touched = Touched::default();
+            touched.writes[row] = now;
+        });
     }
 
     /// A read of a kind that no pass makes.
@@ -104,48 +162,59 @@ impl<'p> Memory<'p> {
         access: Access,
         need: &mut Need,
     ) {
-        let buffer = slice.buffer.index();
-        let (map, range) = match self.buffers[buffer].kind {
-            BufferKind::Transient => {
-                let offset = self.placements[buffer].expect("invariant: a touched transient is placed");
-                (&mut self.arena, slice.offset + offset..slice.offset + offset + slice.bytes)
-            }
-            BufferKind::External | BufferKind::Uniform => match &mut self.external[buffer] {
-                Some(map) => (map, slice.range()),
-                None => return,
-            },
-        };
+        let Some((map, range)) = self.find(slice) else { return };
         let stage = stage_index(stage);
         let writes = writes(access);
         let accumulates = (access == Access::Accumulate).then_some(slice.buffer.0);
-        let stores = WRITES[0].0 | WRITES[1].0;
         map.update(range, |touched| {
             let commutes = accumulates.is_some() && touched.accumulates == accumulates;
-            if !commutes {
-                // Who has read a write has seen it; to write after such a reader, waiting for the reader is enough.
-                let read = touched.reads.iter().any(|&earlier| earlier > 0);
-                let accesses = if read { accesses.without(stores) } else { accesses };
-                for (earlier, need) in touched.writes.iter().zip(&mut need.memory) {
-                    for (index, need) in need.iter_mut().enumerate() {
-                        if accesses.contains(Accesses::EACH[index]) {
-                            *need = (*need).max(*earlier);
-                        }
-                    }
-                }
-            }
+            touched.needs(stage, if commutes { Accesses::NONE } else { accesses }, writes, need);
             if writes {
-                for (earlier, need) in touched.reads.iter().zip(&mut need.execution) {
-                    need[stage] = need[stage].max(*earlier);
-                }
                 if !commutes {
                     *touched = Touched { accumulates, ..Touched::default() };
                 }
-                let kind = usize::from(stage == stage_index(Stages::TRANSFER));
-                touched.writes[kind] = now;
-                touched.reads = [0; 4];
+                let kind = WRITES.iter().position(|&(_, writer)| stage_index(writer) == stage);
+                touched.writes[kind.expect("invariant: a stage that writes")] = now;
+                touched.reads = Default::default();
             } else if stage != HOST {
                 touched.reads[stage] = now;
             }
         });
+    }
+
+    /// The memory of a slice and the bytes there; nothing where nothing can conflict.
+    fn find(&mut self, slice: &Slice) -> Option<(&mut RangeMap<Touched>, Range<u64>)> {
+        let buffer = slice.buffer.index();
+        let info = &self.buffers[buffer];
+        if info.kind != BufferKind::Transient {
+            return self.external[buffer].as_mut().map(|map| (map, slice.range()));
+        }
+        let place = self.placements[buffer].expect("invariant: a touched transient is placed");
+        match info.image {
+            Some(_) => Some((&mut self.slots[place as usize], slice.range())),
+            None => Some((&mut self.arena, place + slice.offset..place + slice.offset + slice.bytes)),
+        }
+    }
+}
+
+impl Touched {
+    /// Adds what an operation of a stage needs of the ones before it.
+    fn needs(&self, stage: usize, accesses: Accesses, writes: bool, need: &mut Need) {
+        // Who has read a write has seen it; to write after such a reader, waiting for the reader is enough.
+        let read = self.reads.iter().any(|&earlier| earlier > 0);
+        let stores = WRITES.iter().fold(Accesses::NONE, |all, &(access, _)| all | access);
+        let accesses = if read { accesses.without(stores) } else { accesses };
+        for (earlier, need) in self.writes.iter().zip(&mut need.memory) {
+            for (need, access) in need.iter_mut().zip(Accesses::EACH) {
+                if accesses.contains(access) {
+                    *need = (*need).max(*earlier);
+                }
+            }
+        }
+        if writes {
+            for (earlier, need) in self.reads.iter().zip(&mut need.execution) {
+                need[stage] = need[stage].max(*earlier);
+            }
+        }
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::CompileOptions;
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
-use crate::graph::resource::{BufferInfo, BufferKind, Slice};
+use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// The key of a graph compiled in some way.
@@ -20,7 +20,7 @@ pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: 
     hash.word(alignment);
     hash.word(u64::from(alias) | u64::from(reorder) << 1);
     hash.word(buffers.len() as u64);
-    for BufferInfo { name, bytes, kind, keep } in buffers {
+    for BufferInfo { name, bytes, kind, keep, entry, exit, image } in buffers {
         hash.text(name);
         hash.word(*bytes);
         hash.word(match kind {
@@ -29,6 +29,14 @@ pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: 
             BufferKind::Uniform => 2,
         });
         hash.word(u64::from(*keep));
+        hash.word(*entry as u64 | (*exit as u64) << 8);
+        match image {
+            None => hash.word(0),
+            Some(ImageInfo { size: [width, height], format, entry, exit }) => {
+                hash.word(1 | (*format as u64) << 8 | (*entry as u64) << 16 | (*exit as u64) << 24);
+                hash.word(u64::from(*width) << 32 | u64::from(*height));
+            }
+        }
     }
     let mut shaders = HashMap::new();
     hash.word(passes.len() as u64);
@@ -122,6 +130,21 @@ impl Hash {
                 self.slice(source);
                 self.slice(target);
             }
+            PassKind::CopyToImage { source, target } => {
+                self.word(3);
+                self.slice(source);
+                self.word(target.index() as u64);
+            }
+            PassKind::CopyFromImage { source, target } => {
+                self.word(4);
+                self.word(source.index() as u64);
+                self.slice(target);
+            }
+            PassKind::ClearImage { target, value } => {
+                self.word(5);
+                self.word(target.index() as u64);
+                value.iter().for_each(|&bits| self.word(u64::from(bits)));
+            }
         }
         self.word(accesses.len() as u64);
         for (slice, access, used) in accesses {
@@ -151,7 +174,11 @@ fn shader_key(shader: &Shader) -> u64 {
     for Binding { name, number, kind, access } in bindings {
         hash.text(name);
         hash.word(u64::from(*number));
-        hash.word(u64::from(*kind == BindingKind::Uniform));
+        hash.word(match kind {
+            BindingKind::Storage => 0,
+            BindingKind::Uniform => 1,
+            BindingKind::Image(format) => 2 | (*format as u64) << 8,
+        });
         hash.access(*access);
     }
     hash.word(u64::from(*push_bytes));

@@ -15,16 +15,18 @@ mod clock;
 mod cull;
 mod depend;
 mod hazard;
+mod image;
 mod key;
 mod order;
 pub mod scope;
 pub mod verify;
 
+pub use image::{ImageMemory, ImageSlot, Transition};
 pub use scope::{Accesses, Barrier, Stages};
 
 use super::builder::Graph;
 use super::pass::Pass;
-use super::resource::{Buffer, BufferInfo};
+use super::resource::{Buffer, BufferInfo, ImageState};
 
 /// How a graph is compiled.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -61,8 +63,16 @@ pub struct Plan {
     pub arena_bytes: u64,
     /// Size that the arena would have if no memory were shared.
     pub arena_unaliased_bytes: u64,
-    /// By buffer: its offset in the arena, if it is a transient that is used.
+    /// By buffer: its offset in the arena, if it is a transient that is used; for an image the number of its slot.
     pub placements: Vec<Option<u64>>,
+    /// The images that transient images live in, one after the other.
+    pub image_slots: Vec<ImageSlot>,
+    /// By buffer: the layout that an image is in from the first group to the last, if anything uses it.
+    pub homes: Vec<Option<ImageState>>,
+    /// Layouts that change inside the barrier before the first group.
+    pub entry: Vec<Transition>,
+    /// Layouts that change inside the barrier after the last group.
+    pub exit: Vec<Transition>,
     /// The passes that no output needs, ascending.
     pub culled: Vec<usize>,
     /// After the last group: makes outputs visible to the host and to copies. As much a part of the replay as the
@@ -115,14 +125,22 @@ pub(super) fn compile(graph: Graph, options: &CompileOptions) -> Plan {
     let order = order::order(&buffers, &passes, &lives, &follows, options.reorder);
     let mut groups: Vec<Group> = order.into_iter().map(|passes| Group { barrier: None, passes }).collect();
     let lifetimes = alias::lifetimes(&buffers, &passes, &groups);
-    let layout = alias::alias(&buffers, &lifetimes, options.alignment, options.alias);
-    let final_barrier = barrier::place(&buffers, &passes, &layout.placements, layout.bytes, &mut groups);
+    let homes = image::homes(&buffers, &passes, &lives);
+    let layout = alias::alias(&buffers, &lifetimes, &homes, options.alignment.max(16), options.alias);
+    let (entry, exit) = image::transitions(&buffers, &homes, &layout);
+    image::at_least_one_group(&entry, &mut groups);
+    let scene = barrier::Scene { buffers: &buffers, passes: &passes, layout: &layout, entry: &entry, exit: &exit };
+    let final_barrier = barrier::place(&scene, &mut groups);
     Plan {
         name,
         groups,
         arena_bytes: layout.bytes,
         arena_unaliased_bytes: layout.unaliased_bytes,
         placements: layout.placements,
+        image_slots: layout.slots,
+        homes,
+        entry,
+        exit,
         culled: (0..passes.len()).filter(|&index| !lives[index]).collect(),
         final_barrier,
         key,

@@ -20,12 +20,15 @@ impl Stages {
     pub const COMPUTE: Stages = Stages(1);
     /// The reading of group counts.
     pub const INDIRECT: Stages = Stages(2);
-    /// Fills and copies: every transfer stage.
+    /// Fills, clears and copies: every transfer stage.
     pub const TRANSFER: Stages = Stages(4);
     /// The host.
     pub const HOST: Stages = Stages(8);
+    /// Commands that no plan knows of, of any kind.
+    pub const OUTSIDE: Stages = Stages(16);
     /// All of the above, by ascending bit.
-    pub const EACH: [Stages; 4] = [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST];
+    pub const EACH: [Stages; 5] =
+        [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST, Stages::OUTSIDE];
 
     /// The name of a set of one.
     fn name(self) -> &'static str {
@@ -34,6 +37,7 @@ impl Stages {
             Stages::INDIRECT => "indirect",
             Stages::TRANSFER => "transfer",
             Stages::HOST => "host",
+            Stages::OUTSIDE => "outside",
             _ => "?",
         }
     }
@@ -42,9 +46,9 @@ impl Stages {
 impl Accesses {
     /// No access.
     pub const NONE: Accesses = Accesses(0);
-    /// Loads from storage buffers.
+    /// Loads from storage buffers and storage images.
     pub const STORAGE_READ: Accesses = Accesses(1);
-    /// Stores to storage buffers.
+    /// Stores to storage buffers and storage images.
     pub const STORAGE_WRITE: Accesses = Accesses(2);
     /// Loads from uniform buffers.
     pub const UNIFORM_READ: Accesses = Accesses(4);
@@ -56,8 +60,12 @@ impl Accesses {
     pub const TRANSFER_WRITE: Accesses = Accesses(32);
     /// Loads by the host.
     pub const HOST_READ: Accesses = Accesses(64);
+    /// Reads by commands that no plan knows of.
+    pub const OUTSIDE_READ: Accesses = Accesses(128);
+    /// Writes by commands that no plan knows of.
+    pub const OUTSIDE_WRITE: Accesses = Accesses(256);
     /// All of the above, by ascending bit.
-    pub const EACH: [Accesses; 7] = [
+    pub const EACH: [Accesses; 9] = [
         Accesses::STORAGE_READ,
         Accesses::STORAGE_WRITE,
         Accesses::UNIFORM_READ,
@@ -65,6 +73,8 @@ impl Accesses {
         Accesses::TRANSFER_READ,
         Accesses::TRANSFER_WRITE,
         Accesses::HOST_READ,
+        Accesses::OUTSIDE_READ,
+        Accesses::OUTSIDE_WRITE,
     ];
 
     /// The stages that perform these accesses.
@@ -75,6 +85,7 @@ impl Accesses {
                 Accesses::STORAGE_READ | Accesses::STORAGE_WRITE | Accesses::UNIFORM_READ => Stages::COMPUTE,
                 Accesses::INDIRECT_READ => Stages::INDIRECT,
                 Accesses::TRANSFER_READ | Accesses::TRANSFER_WRITE => Stages::TRANSFER,
+                Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE => Stages::OUTSIDE,
                 _ => Stages::HOST,
             };
         }
@@ -91,6 +102,8 @@ impl Accesses {
             Accesses::TRANSFER_READ => "transfer_read",
             Accesses::TRANSFER_WRITE => "transfer_write",
             Accesses::HOST_READ => "host_read",
+            Accesses::OUTSIDE_READ => "outside_read",
+            Accesses::OUTSIDE_WRITE => "outside_write",
             _ => "?",
         }
     }

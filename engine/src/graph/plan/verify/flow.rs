@@ -31,6 +31,8 @@ fn cells(plan: &Plan) -> Cells {
 fn overwrites(pass: &Pass, slice: &Slice) -> bool {
     match &pass.kind {
         PassKind::Fill { target, .. } | PassKind::Copy { target, .. } => target == slice,
+        PassKind::CopyToImage { target, .. } | PassKind::ClearImage { target, .. } => target.0 == slice.buffer,
+        PassKind::CopyFromImage { target, .. } => target == slice,
         PassKind::Compute { .. } => pass.discards.contains(slice),
     }
 }

@@ -22,11 +22,22 @@ pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), Verif
         }
     }
     let mut stays = Vec::new();
+    let mut in_slots: Vec<Stay> = Vec::new();
     for (buffer, info) in plan.buffers.iter().enumerate() {
         let (BufferKind::Transient, Some((first, last))) = (info.kind, lives[buffer]) else { continue };
         let Some(start) = plan.placements[buffer] else {
             return Err(VerifyError::Unplaced { buffer: buffer_name(plan, buffer) });
         };
+        if info.image.is_some() {
+            let last = if info.keep { plan.groups.len() } else { last };
+            let stay = Stay { buffer, start, end: start + 1, lives: (first, last) };
+            let meets = |other: &&Stay| other.start == start && other.lives.0 <= last && first <= other.lives.1;
+            if let Some(other) = in_slots.iter().find(meets) {
+                return Err(overlap(plan, other, &stay));
+            }
+            in_slots.push(stay);
+            continue;
+        }
         let end = start.saturating_add(info.bytes);
         if end > plan.arena_bytes {
             let buffer = buffer_name(plan, buffer);
@@ -39,15 +50,19 @@ pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), Verif
     for (at, first) in stays.iter().enumerate() {
         for second in stays[at + 1..].iter().take_while(|second| second.start < first.end) {
             if first.lives.0 <= second.lives.1 && second.lives.0 <= first.lives.1 {
-                return Err(VerifyError::Overlap {
-                    first: buffer_name(plan, first.buffer),
-                    first_lives: first.lives,
-                    second: buffer_name(plan, second.buffer),
-                    second_lives: second.lives,
-                    byte: second.start,
-                });
+                return Err(overlap(plan, first, second));
             }
         }
     }
     Ok(())
+}
+
+fn overlap(plan: &Plan, first: &Stay, second: &Stay) -> VerifyError {
+    VerifyError::Overlap {
+        first: buffer_name(plan, first.buffer),
+        first_lives: first.lives,
+        second: buffer_name(plan, second.buffer),
+        second_lives: second.lives,
+        byte: second.start,
+    }
 }

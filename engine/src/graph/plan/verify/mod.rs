@@ -8,10 +8,12 @@
 //! Promises, of a plan that it accepts: each pass runs once or was dropped without loss; conflicting passes keep their
 //! declared order; no two transients that are alive in one group share a byte; every conflict between memory
 //! operations, within a replay, between two, and with the readers of the outputs, has a chain of barriers with the
-//! stages and accesses that Vulkan asks for. It does not judge whether the plan is a good one.
+//! stages and accesses that Vulkan asks for; every image is in a layout that its users can use, keeps its contents
+//! where somebody wants them, and is left as declared. It does not judge whether the plan is a good one.
 
 mod cells;
 mod flow;
+mod layout;
 mod memory;
 mod shape;
 mod story;
@@ -21,6 +23,7 @@ use std::fmt;
 
 use super::Plan;
 use super::scope::{Accesses, Stages};
+use crate::graph::resource::ImageState;
 
 /// Two operations that must not be left to chance.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -46,9 +49,9 @@ impl fmt::Display for Hazard {
 /// What no barrier does for two conflicting operations.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Missing {
-    /// Make an earlier write visible to accesses.
+    /// Make an earlier write visible to accesses, or available to a change of layout.
     Visibility(Accesses),
-    /// Make stages wait for an earlier read.
+    /// Make stages wait for an earlier read, or a change of layout for operations of them.
     Order(Stages),
 }
 
@@ -78,6 +81,27 @@ pub enum VerifyError {
     /// An access that the kind of the pass implies and its list of accesses lacks, or the other way round.
     #[error("Pass [{pass}] {what} without saying so in its accesses, or says so without doing it.")]
     Undeclared { pass: String, what: String },
+    /// An image touched in part.
+    #[error("Pass [{pass}] touches a part of image [{image}], which only goes as a whole.")]
+    PartOfImage { pass: String, image: String },
+    /// A transition of an image that does not exist, or of one that another in the same barrier changes too.
+    #[error("The barrier at the {at} of the plan changes the layout of {image}, which {what}.")]
+    Transition { at: &'static str, image: String, what: &'static str },
+    /// A transition from a state that the image is not in, or that loses what it holds.
+    #[error("The barrier at the {at} of the plan takes {image} for {from:?}, but it is {is:?}.")]
+    TransitionFrom { at: &'static str, image: String, from: ImageState, is: ImageState },
+    /// An image used in a layout that does not allow it.
+    #[error("Pass [{pass}] uses image [{image}] in the layout {state:?}, which does not allow it.")]
+    Layout { pass: String, image: String, state: ImageState },
+    /// An image whose stated home is not the layout that it is in.
+    #[error("Image [{image}] is said to be {home:?} while it is {is:?}.")]
+    Home { image: String, home: ImageState, is: ImageState },
+    /// An image left in another state than declared.
+    #[error("Image [{image}] is left {is:?}, but is to be left {exit:?}.")]
+    Left { image: String, is: ImageState, exit: ImageState },
+    /// A transient image in a slot of another make.
+    #[error("Transient image [{image}] is placed in slot {slot}, which does not exist or is of another make.")]
+    WrongSlot { image: String, slot: u64 },
     /// A write to a read-only buffer.
     #[error("Pass [{pass}] writes buffer [{buffer}], which is read-only.")]
     WriteToReadOnly { pass: String, buffer: String },
@@ -122,6 +146,9 @@ pub enum VerifyError {
         replays: usize,
         missing: Missing,
     },
+    /// What others on the queue may not see after the replay, or may change too early.
+    #[error("What pass [{pass}] does to [{buffer}] is left to others on the queue, but no barrier {missing}.")]
+    LeftOpen { pass: String, buffer: String, missing: Missing },
     /// An output that readers after the replay may not see.
     #[error("What pass [{pass}] writes to output [{buffer}] is not made visible to {access} after the replay.")]
     OutputHidden { pass: String, buffer: String, access: Accesses },
@@ -132,6 +159,7 @@ pub fn verify(plan: &Plan) -> Result<(), VerifyError> {
     let group_of = shape::check(plan)?;
     flow::check_needed(plan, &group_of)?;
     flow::check_order(plan, &group_of)?;
+    layout::check(plan)?;
     memory::check(plan, &group_of)?;
     visibility::check(plan)
 }

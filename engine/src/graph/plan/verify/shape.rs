@@ -4,7 +4,7 @@ use super::{VerifyError, buffer_name, pass_name};
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
 use crate::graph::plan::Plan;
 use crate::graph::plan::scope::{Accesses, Stages};
-use crate::graph::resource::{BufferKind, Slice};
+use crate::graph::resource::{BufferKind, Image, Slice};
 use crate::shader::{Access, BindingKind};
 
 /// Checks; returns the group of each pass that runs.
@@ -13,6 +13,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
         if found == expected { Ok(()) } else { Err(VerifyError::Count { what, found, expected }) }
     };
     count("placements", plan.placements.len(), plan.buffers.len())?;
+    count("homes", plan.homes.len(), plan.buffers.len())?;
     let mut group_of = vec![None; plan.passes.len()];
     let mut times = vec![0; plan.passes.len()];
     let scheduled =
@@ -29,7 +30,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
     }
     for pass in &plan.passes {
         check_slices(plan, pass)?;
-        check_accesses(pass)?;
+        check_accesses(plan, pass)?;
     }
     let barriers = plan.groups.iter().map(|group| group.barrier).chain([plan.final_barrier]);
     for (group, barrier) in barriers.enumerate() {
@@ -48,7 +49,9 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
 
 /// The stage that performs a single access.
 pub(super) fn performs(access: Accesses) -> Stages {
-    if access == Accesses::HOST_READ {
+    if access == Accesses::OUTSIDE_READ || access == Accesses::OUTSIDE_WRITE {
+        Stages::OUTSIDE
+    } else if access == Accesses::HOST_READ {
         Stages::HOST
     } else if access == Accesses::INDIRECT_READ {
         Stages::INDIRECT
@@ -75,6 +78,10 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
                 bytes: info.bytes,
             });
         }
+        if info.image.is_some() && (slice.offset, slice.bytes) != (0, info.bytes) {
+            let (pass, image) = (pass.name.clone(), info.name.clone());
+            return Err(VerifyError::PartOfImage { pass, image });
+        }
         let input = info.kind == BufferKind::Uniform || (info.kind == BufferKind::External && !info.keep);
         if input && *access != Access::Read {
             let buffer = buffer_name(plan, slice.buffer.index());
@@ -85,7 +92,8 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
 }
 
 /// Works out from its kind what a pass must have declared, and compares.
-fn check_accesses(pass: &Pass) -> Result<(), VerifyError> {
+fn check_accesses(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
+    let whole = |image: Image| image.0.slice(0, plan.buffers.get(image.index()).map_or(0, |info| info.bytes));
     let mut expected: Vec<(Slice, Access, Use, String)> = Vec::new();
     match &pass.kind {
         PassKind::Fill { target, .. } => {
@@ -94,6 +102,17 @@ fn check_accesses(pass: &Pass) -> Result<(), VerifyError> {
         PassKind::Copy { source, target } => {
             expected.push((*source, Access::Read, Use::Transfer, "reads its source".into()));
             expected.push((*target, Access::Write, Use::Transfer, "writes its target".into()));
+        }
+        PassKind::CopyToImage { source, target } => {
+            expected.push((*source, Access::Read, Use::Transfer, "reads its source".into()));
+            expected.push((whole(*target), Access::Write, Use::Transfer, "writes its target".into()));
+        }
+        PassKind::CopyFromImage { source, target } => {
+            expected.push((whole(*source), Access::Read, Use::Transfer, "reads its source".into()));
+            expected.push((*target, Access::Write, Use::Transfer, "writes its target".into()));
+        }
+        PassKind::ClearImage { target, .. } => {
+            expected.push((whole(*target), Access::Write, Use::Transfer, "clears its target".into()));
         }
         PassKind::Compute { shader, bindings, dispatch, .. } => {
             for binding in &shader.bindings {

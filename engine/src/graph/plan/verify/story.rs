@@ -8,6 +8,7 @@
 //! Operations between the same two barriers that are alike in stage and access have the same story, which is told
 //! once and only as far as somebody asks.
 
+use super::Missing;
 use super::shape::performs;
 use crate::graph::plan::scope::{Accesses, Barrier, Stages};
 
@@ -53,8 +54,10 @@ pub(super) struct Stories {
     stories: Vec<Option<Story>>,
 }
 
-/// Kinds of operation: a read in each stage, a write in each.
-const KINDS: usize = 8;
+/// Kinds of operation: a read in each stage, a write in each, and a change of layout inside a barrier.
+const KINDS: usize = 11;
+/// The last of them: layout transitions.
+const TRANSITION: usize = KINDS - 1;
 
 impl Stories {
     /// Stories along these barriers.
@@ -66,7 +69,8 @@ impl Stories {
     /// An operation after the first `barriers` barriers. All of `accesses` happens in one stage; it is a write if any
     /// of them is.
     pub(super) fn operation(&mut self, barriers: usize, accesses: Accesses) -> Operation {
-        let writes = accesses.intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE);
+        let writes = accesses
+            .intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE | Accesses::OUTSIDE_WRITE);
         let one = Accesses::EACH.into_iter().find(|&one| accesses.contains(one));
         let stage = performs(one.expect("invariant: an operation has an access"));
         let kind = stage.bits().trailing_zeros() as usize * 2 + usize::from(!writes.is_empty());
@@ -80,6 +84,32 @@ impl Stories {
             told: barriers,
         });
         Operation(at)
+    }
+
+    /// A change of layout inside a barrier, the last of the first `barriers`: it is done before anything that the
+    /// barrier holds back, and visible to what the barrier names.
+    pub(super) fn transition(&mut self, barriers: usize, barrier: &Barrier) -> Operation {
+        let at = barriers * KINDS + TRANSITION;
+        self.stories[at] = Some(Story {
+            stage: Stages::NONE,
+            writes: Accesses::NONE,
+            ordered: barrier.dst_stage,
+            available: true,
+            visible: barrier.dst_access,
+            told: barriers,
+        });
+        Operation(at)
+    }
+
+    /// What keeps a change of layout inside `barrier`, which follows the first `barriers`, from coming after an
+    /// operation, if anything.
+    pub(super) fn outside(&mut self, operation: Operation, barriers: usize, barrier: &Barrier) -> Option<Missing> {
+        let story = self.tell(operation, barriers);
+        if (story.stage | story.ordered).intersection(barrier.src_stage).is_empty() {
+            return Some(Missing::Order(story.stage));
+        }
+        let names = barrier.src_stage.contains(story.stage) && barrier.src_access.contains(story.writes);
+        (!story.available && !names && !story.writes.is_empty()).then_some(Missing::Visibility(story.writes))
     }
 
     fn tell(&mut self, operation: Operation, barriers: usize) -> Story {

@@ -7,9 +7,9 @@ use super::shape::performs;
 use super::story::{Operation, Stories};
 use super::{Hazard, Missing, VerifyError, buffer_name, pass_name};
 use crate::graph::pass::Use;
-use crate::graph::plan::Plan;
-use crate::graph::plan::scope::{Accesses, Barrier};
-use crate::graph::resource::{BufferKind, Slice};
+use crate::graph::plan::scope::{Accesses, Barrier, Stages};
+use crate::graph::plan::{ImageMemory, ImageSlot, Plan, Transition};
+use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
 /// Something that touched a cell.
@@ -28,23 +28,34 @@ type Since = Vec<Event>;
 /// Checks.
 pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     let mut walk = Walk::new(plan);
+    let points = plan.groups.len() + 1;
     for replay in 0..2 {
+        walk.enter(replay);
         for (at, group) in plan.groups.iter().enumerate() {
-            walk.now = walk.before[replay * (plan.groups.len() + 1) + at];
+            walk.now = walk.before[replay * points + at];
+            if at == 0 {
+                walk.transitions(replay, &plan.entry, group.barrier)?;
+            }
             for &pass in &group.passes {
                 for (slice, access, used) in &plan.passes[pass].accesses {
                     walk.touch(replay, pass, slice, *access, *used)?;
                 }
             }
         }
-        walk.now = walk.before[replay * (plan.groups.len() + 1) + plan.groups.len()];
+        walk.now = walk.before[replay * points + plan.groups.len()];
+        walk.transitions(replay, &plan.exit, plan.final_barrier)?;
         walk.read_outputs(replay)?;
+        walk.leave()?;
     }
     Ok(())
 }
 
 /// A pass number for the copies that read outputs between replays.
 const OUTSIDE: usize = usize::MAX;
+/// For commands on the queue that no plan knows of.
+const OTHERS: usize = usize::MAX - 1;
+/// For changes of layout.
+const TRANSITION: usize = usize::MAX - 2;
 
 /// Which accesses of the device an access is.
 fn performed(access: Access, used: Use) -> Accesses {
@@ -66,7 +77,7 @@ struct Walk<'p> {
     before: Vec<usize>,
     /// How many barriers came so far.
     now: usize,
-    /// Memory spaces: one an external buffer, and the arena last.
+    /// Memory spaces: one an external buffer, the arena, and one a slot of the transient images.
     cells: Cells,
     since: Vec<Vec<Since>>,
     /// By buffer: whether anything that runs writes it.
@@ -90,8 +101,11 @@ impl<'p> Walk<'p> {
             written[slice.buffer.index()] |= *access != Access::Read;
         }
         let outputs = outputs(plan);
-        let slices = running().map(|(slice, ..)| slice).chain(&outputs);
-        let cells = Cells::new(plan.buffers.len() + 1, slices.filter_map(|slice| place(plan, slice)));
+        let shared = shared(plan);
+        let slices = running().map(|(slice, ..)| slice).chain(&outputs).chain(&shared);
+        let whole = |(slot, make): (usize, &ImageSlot)| (plan.buffers.len() + 1 + slot, 0..make.bytes());
+        let ranges = slices.filter_map(|slice| place(plan, slice)).chain(plan.image_slots.iter().enumerate().map(whole));
+        let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
         let since = cells.table();
         Walk { plan, stories: Stories::new(barriers), before, now: 0, cells, since, written }
     }
@@ -105,7 +119,9 @@ impl<'p> Walk<'p> {
         used: Use,
     ) -> Result<(), VerifyError> {
         let buffer = slice.buffer.index();
-        if !self.written[buffer] && self.plan.buffers[buffer].kind != BufferKind::Transient {
+        let info = &self.plan.buffers[buffer];
+        let changes = self.written[buffer] || info.image.is_some() || info.entry == BufferState::Queue;
+        if !changes && info.kind != BufferKind::Transient {
             return Ok(()); // Nothing to conflict with.
         }
         let Some((space, range)) = place(self.plan, slice) else { return Ok(()) };
@@ -156,6 +172,97 @@ impl<'p> Walk<'p> {
         Ok(())
     }
 
+    /// Commands of others, before a replay, on whatever is shared with them. They come after the last replay's end, as
+    /// far as that is declared, and leave something to wait for.
+    fn enter(&mut self, replay: usize) {
+        let operation = self.stories.operation(self.now, Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
+        for slice in shared(self.plan) {
+            let buffer = slice.buffer.index();
+            let Some((space, range)) = place(self.plan, &slice) else { continue };
+            if self.plan.buffers[buffer].entry == BufferState::Queue {
+                for cell in self.cells.of(space, &range) {
+                    let event = Event { operation, pass: OTHERS, buffer, replay, access: Access::ReadWrite };
+                    self.since[space][cell] = vec![event];
+                }
+            }
+        }
+    }
+
+    /// Changes of layout inside a barrier that has just been counted, if it exists.
+    fn transitions(
+        &mut self,
+        replay: usize,
+        transitions: &[Transition],
+        barrier: Option<Barrier>,
+    ) -> Result<(), VerifyError> {
+        let before = self.now - usize::from(barrier.is_some());
+        let barrier = barrier.unwrap_or_default();
+        for transition in transitions {
+            let (space, bytes, buffer) = match transition.image {
+                ImageMemory::External(image) => {
+                    (image.index(), self.plan.buffers[image.index()].bytes, image.index())
+                }
+                ImageMemory::Slot(slot) => {
+                    let placed = |(buffer, place): (usize, &Option<u64>)| {
+                        self.plan.buffers[buffer].image.is_some() && *place == Some(u64::from(slot))
+                    };
+                    let user = self.plan.placements.iter().enumerate().position(placed);
+                    let bytes = self.plan.image_slots[slot as usize].bytes();
+                    (self.plan.buffers.len() + 1 + slot as usize, bytes, user.unwrap_or_default())
+                }
+            };
+            let operation = self.stories.transition(self.now, &barrier);
+            let event = Event { operation, pass: TRANSITION, buffer, replay, access: Access::Write };
+            for cell in self.cells.of(space, &(0..bytes)) {
+                let byte = self.cells.byte(space, cell);
+                let since = std::mem::replace(&mut self.since[space][cell], vec![event]);
+                let mut read_since = false;
+                for earlier in since.iter().rev() {
+                    let reads = earlier.access == Access::Read;
+                    if reads || !read_since {
+                        if let Some(missing) = self.stories.outside(earlier.operation, before, &barrier) {
+                            let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
+                            return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
+                        }
+                    }
+                    read_since |= reads;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Commands of others, after a replay: they may do anything to what is left to them.
+    fn leave(&mut self) -> Result<(), VerifyError> {
+        for slice in shared(self.plan) {
+            let buffer = slice.buffer.index();
+            let Some((space, range)) = place(self.plan, &slice) else { continue };
+            if self.plan.buffers[buffer].exit != BufferState::Queue {
+                continue;
+            }
+            for cell in self.cells.of(space, &range) {
+                let mut accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
+                for event in self.since[space][cell].iter().rev() {
+                    let missing = if event.access == Access::Read {
+                        accesses = Accesses::OUTSIDE_READ;
+                        let unordered = self.stories.unordered(event.operation, self.now, Stages::OUTSIDE);
+                        (!unordered.is_empty()).then_some(Missing::Order(unordered))
+                    } else if event.pass == OTHERS {
+                        None
+                    } else {
+                        let hidden = self.stories.hidden(event.operation, self.now, accesses);
+                        (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
+                    };
+                    if let Some(missing) = missing {
+                        let (pass, buffer) = (who(self.plan, event.pass), buffer_name(self.plan, buffer));
+                        return Err(VerifyError::LeftOpen { pass, buffer, missing });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The host and copies, after a replay.
     fn read_outputs(&mut self, replay: usize) -> Result<(), VerifyError> {
         let wanted = Accesses::TRANSFER_READ | Accesses::HOST_READ;
@@ -179,9 +286,28 @@ impl<'p> Walk<'p> {
     }
 }
 
-/// Buffers whose contents are wanted after a replay, as a whole.
+/// Who touched a buffer.
+fn who(plan: &Plan, pass: usize) -> String {
+    match pass {
+        OUTSIDE => "whoever copies from the outputs".to_owned(),
+        OTHERS => "others on the queue".to_owned(),
+        TRANSITION => "change of layout".to_owned(),
+        pass => pass_name(plan, pass),
+    }
+}
+
+/// Buffers that others on the queue use before or after a replay, as a whole.
+fn shared(plan: &Plan) -> Vec<Slice> {
+    let queue = |info: &BufferInfo| info.entry == BufferState::Queue || info.exit == BufferState::Queue;
+    let external = plan.buffers().filter(|(_, info)| info.kind == BufferKind::External && queue(info));
+    external.map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
+}
+
+/// Buffers whose contents the host and copies want after a replay, as a whole. Who leaves them to all commands of the
+/// queue leaves them to copies too.
 fn outputs(plan: &Plan) -> Vec<Slice> {
-    plan.buffers().filter(|(_, info)| info.keep).map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
+    let left = |info: &BufferInfo| info.kind == BufferKind::External && info.exit == BufferState::Queue;
+    plan.buffers().filter(|(_, info)| info.keep && !left(info)).map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
 }
 
 /// The memory of a slice: its space and the bytes there. Nothing for a transient without a place.
@@ -189,7 +315,11 @@ fn place(plan: &Plan, slice: &Slice) -> Option<(usize, std::ops::Range<u64>)> {
     let buffer = slice.buffer.index();
     match plan.buffers[buffer].kind {
         BufferKind::Transient => {
-            let offset = plan.placements[buffer]? + slice.offset;
+            let place = plan.placements[buffer]?;
+            if plan.buffers[buffer].image.is_some() {
+                return Some((plan.buffers.len() + 1 + place as usize, slice.range()));
+            }
+            let offset = place + slice.offset;
             Some((plan.buffers.len(), offset..offset + slice.bytes))
         }
         BufferKind::External | BufferKind::Uniform => Some((buffer, slice.range())),
@@ -204,13 +334,11 @@ fn hazard_error(
     byte: u64,
     missing: Missing,
 ) -> VerifyError {
-    let first_pass =
-        if first.pass == OUTSIDE { "whoever copies from the outputs".to_owned() } else { pass_name(plan, first.pass) };
     VerifyError::Hazard {
         hazard,
-        first: first_pass,
+        first: who(plan, first.pass),
         first_buffer: buffer_name(plan, first.buffer),
-        second: pass_name(plan, second.pass),
+        second: who(plan, second.pass),
         second_buffer: buffer_name(plan, second.buffer),
         byte,
         replays: 1 + second.replay - first.replay,
