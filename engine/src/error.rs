@@ -85,6 +85,16 @@ pub enum Error {
         /// Its format.
         format: crate::ImageFormat,
     },
+    /// An image that is not what the plan declares.
+    #[error("Image \"{image}\" is declared as {declared}, but {given} is bound.")]
+    WrongImage {
+        /// The image of the plan.
+        image: String,
+        /// What was given.
+        given: String,
+        /// Size and format as declared.
+        declared: String,
+    },
     /// The device is gone.
     #[error("The device was lost in {0}.")]
     DeviceLost(String),

@@ -1,5 +1,6 @@
 //! From a generated kernel to a pass of a graph.
 
+use sgs_engine::ImageFormat;
 use sgs_engine::graph::{Graph, PassBuilder, Slice};
 use sgs_engine::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 use sgs_shaders::Kernel;
@@ -17,7 +18,17 @@ pub fn shader(kernel: &'static Kernel) -> Arc<Shader> {
             .map(|b| Binding {
                 name: Cow::Borrowed(b.name),
                 number: b.number,
-                kind: if b.uniform { BindingKind::Uniform } else { BindingKind::Storage },
+                kind: match b.kind {
+                    sgs_shaders::BindingKind::Storage => BindingKind::Storage,
+                    sgs_shaders::BindingKind::Uniform => BindingKind::Uniform,
+                    sgs_shaders::BindingKind::Image(format) => BindingKind::Image(match format {
+                        sgs_shaders::ImageFormat::R32Float => ImageFormat::R32Float,
+                        sgs_shaders::ImageFormat::R32Uint => ImageFormat::R32Uint,
+                        sgs_shaders::ImageFormat::Rgba8Unorm => ImageFormat::Rgba8Unorm,
+                        sgs_shaders::ImageFormat::Rgba16Float => ImageFormat::Rgba16Float,
+                        sgs_shaders::ImageFormat::Rgba32Float => ImageFormat::Rgba32Float,
+                    }),
+                },
                 access: match b.access {
                     sgs_shaders::Access::Read => Access::Read,
                     sgs_shaders::Access::Write => Access::Write,
@@ -49,6 +60,18 @@ pub fn stage<'g>(
         pass = pass.spec(name, bits);
     }
     pass
+}
+
+/// Starts a pass of `graph` that runs `kernel`, with nothing bound yet.
+pub fn stage_with<'g>(
+    graph: &'g mut Graph,
+    name: &str,
+    kernel: &'static Kernel,
+    specs: impl IntoIterator<Item = (&'static str, u32)>,
+    push: &[u8],
+) -> PassBuilder<'g> {
+    let pass = graph.pass(name, &shader(kernel)).push(push);
+    specs.into_iter().fold(pass, |pass, (name, bits)| pass.spec(name, bits))
 }
 
 /// Workgroups along x and y for `count` items of `per_group` each, folded past 65535.

@@ -17,6 +17,32 @@ pub enum Access {
     Accumulate,
 }
 
+/// What a binding takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BindingKind {
+    /// A storage buffer.
+    Storage,
+    /// A uniform buffer.
+    Uniform,
+    /// A two-dimensional storage image.
+    Image(ImageFormat),
+}
+
+/// Formats that kernels declare for their images.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// `r32f`.
+    R32Float,
+    /// `r32ui`.
+    R32Uint,
+    /// `rgba8`.
+    Rgba8Unorm,
+    /// `rgba16f`.
+    Rgba16Float,
+    /// `rgba32f`.
+    Rgba32Float,
+}
+
 /// One binding of descriptor set 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Binding {
@@ -24,8 +50,8 @@ pub struct Binding {
     pub name: &'static str,
     /// Number.
     pub number: u32,
-    /// A uniform rather than a storage buffer.
-    pub uniform: bool,
+    /// What is bound.
+    pub kind: BindingKind,
     /// What the code does.
     pub access: Access,
 }

@@ -31,7 +31,9 @@ pub enum GraphError {
     #[error("Pass [{pass}] binds [{resource}] as [{binding}], which the kernel declares as {declared}.")]
     BindingKind { pass: String, resource: String, binding: String, declared: &'static str },
     /// An image of another format than the kernel's.
-    #[error("Pass [{pass}] binds image [{image}] of format {format} as [{binding}], which the kernel declares {declared}.")]
+    #[error(
+        "Pass [{pass}] binds image [{image}] of format {format} as [{binding}], which the kernel declares {declared}."
+    )]
     ImageFormat { pass: String, image: String, binding: String, format: ImageFormat, declared: ImageFormat },
     /// A copy between an image and bytes of another number.
     #[error("Pass [{pass}] copies {bytes} bytes of buffer [{buffer}] to or from image [{image}] of {texels} bytes.")]

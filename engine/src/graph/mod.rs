@@ -20,6 +20,8 @@
 //!   does not look at. Accumulations into one buffer commute, so passes that only accumulate may share a group.
 //! * A write is taken to leave some bytes as they were, so what was there before stays needed, unless the pass
 //!   **discards**: promises that it overwrites whatever anyone will read. Fills and copies always do.
+//! * An **image** is touched as a whole. It has one layout within a replay; an external one states the layouts in which
+//!   it is found and left, and others on the queue may use it before and after.
 //! * A **hazard** is two accesses to one byte, at least one a write, that do not commute. A transient that takes over
 //!   another's memory makes hazards like anything else.
 //!
@@ -29,6 +31,8 @@
 //!   same externals. The first barrier of a replay covers what the replay before left open.
 //! * After a replay the host and copies on the same queue may read the outputs, and the next replay waits for those
 //!   copies. The host has to wait for the device itself before it reads, and before it lets an output be overwritten.
+//! * An external buffer that is shared with the queue ([`Graph::shared`]) is ordered against whatever else the queue
+//!   does, before and after.
 //! * Anything else at the seam (another plan, an upload) needs [`Barrier::FULL`] between the two.
 //! * Different externals must not share memory: the graph takes buffers for what they are declared as.
 //! * Equal declarations give equal plans, byte for byte.
@@ -37,10 +41,10 @@ pub mod builder;
 pub mod dump;
 pub mod error;
 pub mod exec;
+pub mod image;
 pub mod pass;
 pub mod pass_builder;
 pub mod plan;
-pub mod image;
 pub(crate) mod ranges;
 pub mod resource;
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub const GROUP_LIMIT: u32 = 65_535;
 pub struct PassBuilder<'g> {
     graph: &'g mut Graph,
     name: String,
-    shader: Arc<Shader>,
+    pub(super) shader: Arc<Shader>,
     /// By position in the kernel's bindings: what is bound, and whether its contents are discarded.
     bound: Vec<Option<(Slice, bool)>>,
     specs: Vec<(u32, u32)>,

@@ -25,8 +25,11 @@ struct Seen {
 }
 
 mod op {
+    pub const TYPE_IMAGE: u32 = 25;
+    pub const TYPE_POINTER: u32 = 32;
     pub const FUNCTION_CALL: u32 = 57;
     pub const VARIABLE: u32 = 59;
+    pub const IMAGE_TEXEL_POINTER: u32 = 60;
     pub const LOAD: u32 = 61;
     pub const STORE: u32 = 62;
     pub const COPY_MEMORY: u32 = 63;
@@ -34,6 +37,8 @@ mod op {
     pub const IN_BOUNDS_ACCESS_CHAIN: u32 = 66;
     pub const DECORATE: u32 = 71;
     pub const COPY_OBJECT: u32 = 83;
+    pub const IMAGE_READ: u32 = 98;
+    pub const IMAGE_WRITE: u32 = 99;
     pub const ATOMIC_LOAD: u32 = 227;
     pub const ATOMIC_STORE: u32 = 228;
     pub const ATOMIC_EXCHANGE: u32 = 229;
@@ -67,16 +72,36 @@ pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
     // was skipped above (word 2).
     let mut seen: BTreeMap<u32, Seen> = BTreeMap::new();
     let mut root: BTreeMap<u32, u32> = BTreeMap::new();
+    // Image types, pointers to them, and variables of those.
+    let mut images = BTreeSet::new();
     for i in instructions() {
         let opcode = i[0] & 0xffff;
         match opcode {
+            op::TYPE_IMAGE => _ = images.insert(i[1]),
+            op::TYPE_POINTER if images.contains(&i[3]) => _ = images.insert(i[1]),
             op::VARIABLE => {
+                if images.contains(&i[1]) {
+                    images.insert(i[2]);
+                }
                 if let Some(&b) = binding_of.get(&i[2]) {
                     root.insert(i[2], b);
                     seen.entry(b).or_default();
                 }
             }
             op::ACCESS_CHAIN | op::IN_BOUNDS_ACCESS_CHAIN | op::COPY_OBJECT => {
+                if let Some(&b) = root.get(&i[3]) {
+                    root.insert(i[2], b);
+                }
+            }
+            // Loading an image only takes its handle; what is done to its texels comes later.
+            op::LOAD if images.contains(&i[3]) => {
+                if let Some(&b) = root.get(&i[3]) {
+                    root.insert(i[2], b);
+                }
+            }
+            op::IMAGE_READ => mark(&root, &mut seen, i[3], |s| s.read = true),
+            op::IMAGE_WRITE => mark(&root, &mut seen, i[1], |s| s.write = true),
+            op::IMAGE_TEXEL_POINTER => {
                 if let Some(&b) = root.get(&i[3]) {
                     root.insert(i[2], b);
                 }

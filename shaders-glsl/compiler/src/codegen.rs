@@ -1,7 +1,7 @@
 //! The generated Rust: one module a kernel, one type a shared struct.
 
 use crate::access::Access;
-use crate::reflect::{Kernel, Struct};
+use crate::reflect::{BindingKind, Kernel, Struct};
 use std::fmt::Write;
 
 /// Rust source for `kernels`; SPIR-V is included from `spirv_dir/NAME.spv`, which the caller writes.
@@ -148,10 +148,15 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
             Access::ReadWrite => "ReadWrite",
             Access::Accumulate => "Accumulate",
         };
+        let kind = match b.kind {
+            BindingKind::Storage => "Storage".to_owned(),
+            BindingKind::Uniform => "Uniform".to_owned(),
+            BindingKind::Image(format) => format!("Image(crate::ImageFormat::{format})"),
+        };
         let _ = writeln!(
             out,
-            "crate::Binding {{ name: \"{}\", number: {}, uniform: {}, access: crate::Access::{access} }},",
-            b.name, b.number, b.uniform
+            "crate::Binding {{ name: \"{}\", number: {}, kind: crate::BindingKind::{kind}, access: crate::Access::{access} }},",
+            b.name, b.number
         );
     }
     out.push_str("], specs: &[");

@@ -12,4 +12,4 @@ mod reflect;
 pub use access::Access;
 pub use codegen::generate;
 pub use compile::{Error, compile_folder};
-pub use reflect::{Binding, Field, FieldType, Kernel, Spec, Struct};
+pub use reflect::{Binding, BindingKind, Field, FieldType, Kernel, Spec, Struct};

@@ -24,14 +24,25 @@ pub struct Kernel {
 
 /// One binding.
 pub struct Binding {
-    /// Instance name, or the name of the only member of an unnamed block.
+    /// Instance name, or the name of the only member of an unnamed block; the variable's name of an image.
     pub name: String,
     /// Number in set 0.
     pub number: u32,
-    /// A uniform rather than a storage buffer.
-    pub uniform: bool,
+    /// What is bound.
+    pub kind: BindingKind,
     /// What the code does to it.
     pub access: Access,
+}
+
+/// What a binding takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BindingKind {
+    /// A storage buffer.
+    Storage,
+    /// A uniform buffer.
+    Uniform,
+    /// A two-dimensional storage image of the format with this name on the host side.
+    Image(&'static str),
 }
 
 /// One specialization constant.
@@ -110,11 +121,24 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
                 if desc_bind.set() != 0 {
                     return Err(format!("descriptor set {} is used, only set 0 exists", desc_bind.set()));
                 }
-                let uniform = match desc_ty {
-                    DescriptorType::UniformBuffer() => true,
-                    DescriptorType::StorageBuffer(_) => false,
-                    other => return Err(format!("binding {desc_bind} is a {other:?}, only buffers are supported")),
+                let kind = match desc_ty {
+                    DescriptorType::UniformBuffer() => BindingKind::Uniform,
+                    DescriptorType::StorageBuffer(_) => BindingKind::Storage,
+                    DescriptorType::StorageImage(_) => BindingKind::Image(image_format(&ty)?),
+                    other => {
+                        return Err(format!(
+                            "binding {desc_bind} is a {other:?}, only buffers and storage images are supported"
+                        ));
+                    }
                 };
+                if matches!(kind, BindingKind::Image(_)) {
+                    let name =
+                        name.filter(|n| !n.is_empty()).ok_or_else(|| format!("binding {desc_bind} has no name"))?;
+                    let number = desc_bind.bind();
+                    let access = access.get(&number).copied().unwrap_or(Access::Read);
+                    kernel.bindings.push(Binding { name, number, kind, access });
+                    continue;
+                }
                 let Type::Struct(block) = &ty else { return Err(format!("binding {desc_bind} is not a block")) };
                 let name = match name.filter(|n| !n.is_empty()) {
                     Some(n) => n,
@@ -134,7 +158,7 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
                 }
                 let number = desc_bind.bind();
                 let access = access.get(&number).copied().unwrap_or(Access::Read);
-                kernel.bindings.push(Binding { name, number, uniform, access });
+                kernel.bindings.push(Binding { name, number, kind, access });
             }
             Variable::PushConstant { ty: Type::Struct(s), .. } => {
                 let mut push = layout(&s, &mut kernel.structs)?;
@@ -158,6 +182,23 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
     kernel.specs.sort_by_key(|s| s.id);
     kernel.specs.dedup_by_key(|s| s.id);
     Ok(kernel)
+}
+
+/// The host's name of a storage image's format.
+fn image_format(ty: &Type) -> Result<&'static str, String> {
+    let Type::StorageImage(image) = ty else { return Err(format!("{ty} is not a storage image")) };
+    if image.dim != spirq::spirv::Dim::Dim2D || image.is_array || image.is_multisampled {
+        return Err("an image is not a plain image2D".into());
+    }
+    use spirq::spirv::ImageFormat as F;
+    Ok(match image.fmt {
+        F::R32f => "R32Float",
+        F::R32ui => "R32Uint",
+        F::Rgba8 => "Rgba8Unorm",
+        F::Rgba16f => "Rgba16Float",
+        F::Rgba32f => "Rgba32Float",
+        other => return Err(format!("image format {other:?} has no counterpart on the host")),
+    })
 }
 
 fn scalar_name(s: &ScalarType) -> Result<&'static str, String> {

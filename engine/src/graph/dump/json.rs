@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::{describe, labels};
-use crate::graph::pass::{Pass, Use};
 use crate::format::ImageFormat;
+use crate::graph::pass::{Pass, Use};
 use crate::graph::plan::{Barrier, ImageSlot, Plan, Transition};
 use crate::graph::resource::{Buffer, BufferKind, BufferState, ImageState};
 use crate::shader::Access;

@@ -3,24 +3,31 @@
 use super::{Executor, Slot};
 use crate::device::{ObjectKind, Pipeline, descriptor_type};
 use crate::error::{Error, Result};
-use crate::graph::{BufferKind, PassKind, Slice};
+use crate::graph::{BufferKind, Image, ImageMemory, PassKind, Slice};
+use crate::memory::DeviceImage;
 use crate::shader::BindingKind;
 use ash::vk;
 
 impl Executor {
     /// A pool with exactly as many descriptors as the plan's passes need.
     pub(super) fn descriptor_pool(&self) -> Result<vk::DescriptorPool> {
-        let (mut sets, mut storage, mut uniform) = (0, 0, 0);
+        let (mut sets, mut storage, mut uniform, mut image) = (0, 0, 0, 0);
         for pass in &self.plan.passes {
             if let PassKind::Compute { shader, .. } = &pass.kind {
                 sets += 1;
-                uniform += shader.bindings.iter().filter(|b| b.kind == BindingKind::Uniform).count() as u32;
-                storage += shader.bindings.iter().filter(|b| b.kind == BindingKind::Storage).count() as u32;
+                for binding in &shader.bindings {
+                    match binding.kind {
+                        BindingKind::Storage => storage += 1,
+                        BindingKind::Uniform => uniform += 1,
+                        BindingKind::Image(_) => image += 1,
+                    }
+                }
             }
         }
         let sizes = [
             vk::DescriptorPoolSize { ty: vk::DescriptorType::STORAGE_BUFFER, descriptor_count: storage.max(1) },
             vk::DescriptorPoolSize { ty: vk::DescriptorType::UNIFORM_BUFFER, descriptor_count: uniform.max(1) },
+            vk::DescriptorPoolSize { ty: vk::DescriptorType::STORAGE_IMAGE, descriptor_count: image.max(1) },
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(sets.max(1)).pool_sizes(&sizes);
         // SAFETY: the device is alive.
@@ -44,6 +51,25 @@ impl Executor {
         Ok((memory.0.raw, base + slice.offset))
     }
 
+    /// The image behind a handle.
+    pub(super) fn image(&self, image: Image) -> Result<&DeviceImage> {
+        let info = &self.plan.buffers[image.index()];
+        let found = match (info.kind, self.plan.placements[image.index()]) {
+            (BufferKind::Transient, Some(slot)) => self.slot_images.get(slot as usize),
+            (BufferKind::Transient, None) => None,
+            _ => self.images[image.index()].as_ref(),
+        };
+        found.ok_or_else(|| Error::Unbound { buffer: info.name.clone(), plan: self.plan.name.clone() })
+    }
+
+    /// The image of a transition.
+    pub(super) fn image_memory(&self, memory: ImageMemory) -> Result<&DeviceImage> {
+        match memory {
+            ImageMemory::External(image) => self.image(image),
+            ImageMemory::Slot(slot) => Ok(&self.slot_images[slot as usize]),
+        }
+    }
+
     /// A written descriptor set for one pass.
     pub(super) fn descriptor_set(
         &self,
@@ -62,21 +88,33 @@ impl Executor {
             .gate
             .call("vkAllocateDescriptorSets", &shader.name, || unsafe { raw.allocate_descriptor_sets(&info) })?[0];
         let mut buffers = Vec::with_capacity(bindings.len());
+        let mut images = Vec::with_capacity(bindings.len());
         for (_, slice) in bindings {
-            let (buffer, offset) = self.resolve(slot, slice)?;
-            buffers.push([vk::DescriptorBufferInfo { buffer, offset, range: slice.bytes }]);
+            let (mut buffer, mut image) = (vk::DescriptorBufferInfo::default(), vk::DescriptorImageInfo::default());
+            if self.plan.buffers[slice.buffer.index()].image.is_some() {
+                let bound = self.image(Image(slice.buffer))?;
+                let refused = || Error::NotStorageImage { image: bound.name().to_owned(), format: bound.format() };
+                image.image_view = bound.0.view.ok_or_else(refused)?;
+                image.image_layout = vk::ImageLayout::GENERAL;
+            } else {
+                (buffer.buffer, buffer.offset) = self.resolve(slot, slice)?;
+                buffer.range = slice.bytes;
+            }
+            buffers.push([buffer]);
+            images.push([image]);
         }
         let writes: Vec<_> = bindings
             .iter()
-            .zip(&buffers)
-            .map(|((number, _), info)| {
+            .zip(buffers.iter().zip(&images))
+            .map(|((number, _), (buffer, image))| {
                 let kind =
                     shader.bindings.iter().find(|b| b.number == *number).map_or(BindingKind::Storage, |b| b.kind);
                 vk::WriteDescriptorSet::default()
                     .dst_set(set)
                     .dst_binding(*number)
                     .descriptor_type(descriptor_type(kind))
-                    .buffer_info(info)
+                    .buffer_info(buffer)
+                    .image_info(image)
             })
             .collect();
         // SAFETY: the set is not in use; every range lies inside a live buffer, as the plan and `bind` checked.

@@ -10,10 +10,10 @@ mod time;
 
 pub use time::PassTime;
 
-use super::{Buffer, BufferKind, Plan};
+use super::{Buffer, BufferKind, Image, Plan, Use};
 use crate::device::{Device, ObjectKind, Parked, Ticket};
 use crate::error::{Error, Result};
-use crate::memory::{DeviceBuffer, Location};
+use crate::memory::{DeviceBuffer, DeviceImage, Location};
 use ash::vk;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,6 +44,10 @@ pub struct Executor {
     options: ExecOptions,
     /// By buffer; uniforms and transients stay empty.
     externals: Vec<Option<DeviceBuffer>>,
+    /// By buffer; only external images have one.
+    images: Vec<Option<DeviceImage>>,
+    /// The plan's image slots.
+    slot_images: Vec<DeviceImage>,
     arena: Option<DeviceBuffer>,
     /// Byte offset of each uniform inside a slot's uniform memory.
     uniform_offsets: Vec<u64>,
@@ -88,8 +92,9 @@ impl Executor {
         let limit = device.info().max_storage_range;
         for pass in &plan.passes {
             for (slice, _, _) in &pass.accesses {
-                if slice.bytes > limit {
-                    let what = plan.buffers[slice.buffer.index()].name.clone();
+                let info = &plan.buffers[slice.buffer.index()];
+                if slice.bytes > limit && info.image.is_none() {
+                    let what = info.name.clone();
                     return Err(Error::BindingTooLarge { what, bytes: slice.bytes, limit });
                 }
             }
@@ -114,6 +119,8 @@ impl Executor {
         let mut executor = Executor {
             device: device.clone(),
             externals: vec![None; plan.buffers.len()],
+            images: vec![None; plan.buffers.len()],
+            slot_images: Vec::new(),
             arena,
             uniform_offsets,
             slots: Vec::new(),
@@ -124,6 +131,10 @@ impl Executor {
             plan,
             options,
         };
+        for (number, slot) in executor.plan.image_slots.iter().enumerate() {
+            let name = format!("image {number} of {}", executor.plan.name);
+            executor.slot_images.push(device.image(&name, slot.size, slot.format)?);
+        }
         for _ in 0..executor.options.frames_in_flight.max(1) {
             let slot = executor.slot(uniform_bytes)?;
             executor.slots.push(slot);
@@ -161,6 +172,38 @@ impl Executor {
             self.finish()?;
         }
         self.externals[buffer.index()] = Some(memory.clone());
+        for slot in &mut self.slots {
+            slot.recorded = false;
+        }
+        Ok(())
+    }
+
+    /// Puts an image behind an external image of the plan; as [`Executor::bind`].
+    ///
+    /// # Errors
+    /// [`Error::WrongImage`] if it is of another size or format than declared; [`Error::NotStorageImage`] if a kernel is to
+    /// read or write it and cannot.
+    pub fn bind_image(&mut self, image: Image, memory: &DeviceImage) -> Result<()> {
+        let info = &self.plan.buffers[image.index()];
+        let shape = |[width, height]: [u32; 2], format| format!("{width}x{height} {format}");
+        let given = shape(memory.size(), memory.format());
+        let declared = info.image.map_or("a buffer".to_owned(), |image| shape(image.size, image.format));
+        if declared != given {
+            return Err(Error::WrongImage { image: info.name.clone(), given, declared });
+        }
+        let in_kernels = self.plan.passes.iter().flat_map(|pass| &pass.accesses);
+        let mut in_kernels = in_kernels.filter(|(_, _, used)| *used == Use::Compute).map(|(slice, ..)| slice.buffer);
+        if !memory.storage() && in_kernels.any(|buffer| buffer == image.0) {
+            return Err(Error::NotStorageImage { image: memory.name().to_owned(), format: memory.format() });
+        }
+        let place = &self.images[image.index()];
+        if place.as_ref().is_some_and(|old| Arc::ptr_eq(&old.0, &memory.0)) {
+            return Ok(());
+        }
+        if place.is_some() {
+            self.finish()?;
+        }
+        self.images[image.index()] = Some(memory.clone());
         for slot in &mut self.slots {
             slot.recorded = false;
         }
@@ -323,6 +366,9 @@ impl Drop for Executor {
         let uniforms = self.slots.iter().filter_map(|s| s.uniforms.as_ref());
         for buffer in self.externals.iter().flatten().chain(&self.arena).chain(uniforms) {
             buffer.0.busy.until(last);
+        }
+        for image in self.images.iter().flatten().chain(&self.slot_images) {
+            image.0.busy.until(last);
         }
         self.slots.iter().for_each(|s| self.destroy_slot(s, last));
     }

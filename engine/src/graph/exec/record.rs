@@ -1,9 +1,10 @@
 //! From a plan to a command buffer.
 
-use super::Executor;
+use super::{Executor, Slot};
 use crate::error::Result;
-use crate::graph::plan::{Barrier, Plan};
-use crate::graph::{Accesses, Dispatch, PassKind, Stages};
+use crate::graph::plan::{Barrier, Plan, Transition};
+use crate::graph::{Accesses, Dispatch, Image, ImageState, PassKind, Stages};
+use crate::memory::image::{WHOLE, packed_copy};
 use ash::vk;
 
 impl Executor {
@@ -28,12 +29,53 @@ impl Executor {
                 raw.cmd_reset_query_pool(commands, slot.queries, 0, 2 * plan.passes.len() as u32);
             }
         }
+        self.open(commands)?;
+        self.body(commands, slot)?;
+        self.close(commands)?;
+        // SAFETY: recording began above.
+        shared.gate.call("vkEndCommandBuffer", &plan.name, || unsafe { raw.end_command_buffer(commands) })?;
+        self.slots[index].recorded = true;
+        Ok(())
+    }
+
+    /// Records the entry's barrier and changes of layout.
+    pub(super) fn open(&self, commands: vk::CommandBuffer) -> Result<()> {
         // Other plans and transfers may have touched the same externals and the same arena just before, so the entry
         // orders everything on the queue rather than what this plan alone would need.
-        self.barrier(commands, &everything());
-        if let (true, Some(arena)) = (self.options.poison, &self.arena) {
-            // SAFETY: the arena is alive; the fill is inside its size.
-            unsafe { raw.cmd_fill_buffer(commands, arena.0.raw, 0, plan.arena_bytes.next_multiple_of(4), u32::MAX) };
+        let own = self.plan.groups.first().and_then(|group| group.barrier).unwrap_or_default();
+        self.change(commands, &merged(everything(), translate(&own)), &self.plan.entry)
+    }
+
+    /// Records the exit's barrier and changes of layout.
+    pub(super) fn close(&self, commands: vk::CommandBuffer) -> Result<()> {
+        let results = vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::COMPUTE_SHADER | vk::PipelineStageFlags2::ALL_TRANSFER)
+            .src_access_mask(vk::AccessFlags2::SHADER_STORAGE_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ);
+        let own = self.plan.final_barrier.unwrap_or_default();
+        self.change(commands, &merged(results, translate(&own)), &self.plan.exit)
+    }
+
+    /// Records the passes, from behind the entry's barrier up to the exit's.
+    pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
+        let plan = &self.plan;
+        if self.options.poison && (self.arena.is_some() || !self.slot_images.is_empty()) {
+            let raw = &self.device.0.raw;
+            if let Some(arena) = &self.arena {
+                // SAFETY: the arena is alive; the fill is inside its size.
+                unsafe {
+                    raw.cmd_fill_buffer(commands, arena.0.raw, 0, plan.arena_bytes.next_multiple_of(4), u32::MAX);
+                }
+            }
+            let ones = vk::ClearColorValue { uint32: [u32::MAX; 4] };
+            for (image, slot) in self.slot_images.iter().zip(&plan.image_slots) {
+                // An image to copy from cannot be cleared; nobody could have read it before a copy wrote it either.
+                if slot.home != ImageState::TransferSource {
+                    // SAFETY: the image is alive and in the layout of its home.
+                    unsafe { raw.cmd_clear_color_image(commands, image.0.raw, layout(slot.home), &ones, &[WHOLE]) };
+                }
+            }
             self.barrier(commands, &everything());
         }
         for (g, group) in plan.groups.iter().enumerate() {
@@ -41,27 +83,17 @@ impl Executor {
                 self.barrier(commands, &translate(barrier));
             }
             for &pass in &group.passes {
-                self.stamp(commands, index, pass, false);
-                self.pass(commands, index, &plan, pass)?;
-                self.stamp(commands, index, pass, true);
+                self.stamp(commands, slot, pass, false);
+                self.pass(commands, slot, plan, pass)?;
+                self.stamp(commands, slot, pass, true);
             }
         }
-        let mut last = plan.final_barrier.as_ref().map_or_else(vk::MemoryBarrier2::default, translate);
-        last.dst_stage_mask |= vk::PipelineStageFlags2::HOST;
-        last.dst_access_mask |= vk::AccessFlags2::HOST_READ;
-        last.src_stage_mask |= vk::PipelineStageFlags2::COMPUTE_SHADER | vk::PipelineStageFlags2::ALL_TRANSFER;
-        last.src_access_mask |= vk::AccessFlags2::SHADER_STORAGE_WRITE | vk::AccessFlags2::TRANSFER_WRITE;
-        self.barrier(commands, &last);
-        // SAFETY: recording began above.
-        shared.gate.call("vkEndCommandBuffer", &plan.name, || unsafe { raw.end_command_buffer(commands) })?;
-        self.slots[index].recorded = true;
         Ok(())
     }
 
-    fn pass(&self, commands: vk::CommandBuffer, index: usize, plan: &Plan, pass: usize) -> Result<()> {
+    fn pass(&self, commands: vk::CommandBuffer, slot: &Slot, plan: &Plan, pass: usize) -> Result<()> {
         let shared = &self.device.0;
         let raw = &shared.raw;
-        let slot = &self.slots[index];
         let pass = &plan.passes[pass];
         if let Some(labels) = &shared.labels {
             let name = std::ffi::CString::new(pass.name.as_str()).unwrap_or_default();
@@ -104,6 +136,26 @@ impl Executor {
                 // SAFETY: both ranges lie inside their buffers and do not overlap, as the builder checked.
                 unsafe { raw.cmd_copy_buffer(commands, from, to, &region) };
             }
+            PassKind::CopyToImage { source, target } => {
+                let (buffer, offset) = self.resolve(slot, source)?;
+                let (image, home) = (self.image(*target)?, self.home(*target));
+                let region = [packed_copy(offset, image.size())];
+                // SAFETY: the range holds exactly the packed image, as the builder checked, which is in this layout.
+                unsafe { raw.cmd_copy_buffer_to_image(commands, buffer, image.0.raw, home, &region) };
+            }
+            PassKind::CopyFromImage { source, target } => {
+                let (buffer, offset) = self.resolve(slot, target)?;
+                let (image, home) = (self.image(*source)?, self.home(*source));
+                let region = [packed_copy(offset, image.size())];
+                // SAFETY: as above.
+                unsafe { raw.cmd_copy_image_to_buffer(commands, image.0.raw, home, buffer, &region) };
+            }
+            PassKind::ClearImage { target, value } => {
+                let color = vk::ClearColorValue { uint32: *value };
+                let (image, home) = (self.image(*target)?, self.home(*target));
+                // SAFETY: the image is alive and in this layout.
+                unsafe { raw.cmd_clear_color_image(commands, image.0.raw, home, &color, &[WHOLE]) };
+            }
         }
         if let Some(labels) = &shared.labels {
             // SAFETY: closes the label opened above.
@@ -112,19 +164,55 @@ impl Executor {
         Ok(())
     }
 
-    fn barrier(&self, commands: vk::CommandBuffer, barrier: &vk::MemoryBarrier2<'_>) {
+    /// One barrier for memory, and for layouts, which wait for the same and are waited for by the same.
+    fn change(
+        &self,
+        commands: vk::CommandBuffer,
+        barrier: &vk::MemoryBarrier2<'_>,
+        transitions: &[Transition],
+    ) -> Result<()> {
+        let mut images = Vec::with_capacity(transitions.len());
+        for transition in transitions {
+            images.push(
+                vk::ImageMemoryBarrier2::default()
+                    .src_stage_mask(barrier.src_stage_mask)
+                    .src_access_mask(barrier.src_access_mask)
+                    .dst_stage_mask(barrier.dst_stage_mask)
+                    .dst_access_mask(barrier.dst_access_mask)
+                    .old_layout(layout(transition.from))
+                    .new_layout(layout(transition.to))
+                    .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .image(self.image_memory(transition.image)?.0.raw)
+                    .subresource_range(WHOLE),
+            );
+        }
+        let barriers = [*barrier];
+        let info = vk::DependencyInfo::default().memory_barriers(&barriers).image_memory_barriers(&images);
+        // SAFETY: the command buffer is being recorded; the images are alive and in the layouts that the plan, and
+        // whoever bound them, promise.
+        unsafe { self.device.0.raw.cmd_pipeline_barrier2(commands, &info) };
+        Ok(())
+    }
+
+    /// The layout that an image is in between entry and exit.
+    fn home(&self, image: Image) -> vk::ImageLayout {
+        layout(self.plan.homes[image.index()].unwrap_or(ImageState::General))
+    }
+
+    pub(super) fn barrier(&self, commands: vk::CommandBuffer, barrier: &vk::MemoryBarrier2<'_>) {
         let barriers = [*barrier];
         let info = vk::DependencyInfo::default().memory_barriers(&barriers);
         // SAFETY: the command buffer is being recorded.
         unsafe { self.device.0.raw.cmd_pipeline_barrier2(commands, &info) };
     }
 
-    fn stamp(&self, commands: vk::CommandBuffer, index: usize, pass: usize, end: bool) {
-        if self.times.enabled() {
+    fn stamp(&self, commands: vk::CommandBuffer, slot: &Slot, pass: usize, end: bool) {
+        if slot.queries != vk::QueryPool::null() {
             let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
             let query = 2 * pass as u32 + u32::from(end);
             // SAFETY: the pool has two queries for every pass, reset at the start of this command buffer.
-            unsafe { self.device.0.raw.cmd_write_timestamp2(commands, stage, self.slots[index].queries, query) };
+            unsafe { self.device.0.raw.cmd_write_timestamp2(commands, stage, slot.queries, query) };
         }
     }
 }
@@ -138,6 +226,28 @@ fn everything() -> vk::MemoryBarrier2<'static> {
         .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
         .dst_stage_mask(stages)
         .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
+}
+
+/// Does what both do.
+fn merged(a: vk::MemoryBarrier2<'static>, b: vk::MemoryBarrier2<'static>) -> vk::MemoryBarrier2<'static> {
+    vk::MemoryBarrier2::default()
+        .src_stage_mask(a.src_stage_mask | b.src_stage_mask)
+        .src_access_mask(a.src_access_mask | b.src_access_mask)
+        .dst_stage_mask(a.dst_stage_mask | b.dst_stage_mask)
+        .dst_access_mask(a.dst_access_mask | b.dst_access_mask)
+}
+
+/// The layout of a state.
+fn layout(state: ImageState) -> vk::ImageLayout {
+    match state {
+        ImageState::Undefined => vk::ImageLayout::UNDEFINED,
+        ImageState::General => vk::ImageLayout::GENERAL,
+        ImageState::TransferSource => vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+        ImageState::TransferTarget => vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+        ImageState::ShaderRead => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+        ImageState::ColorAttachment => vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+        ImageState::Present => vk::ImageLayout::PRESENT_SRC_KHR,
+    }
 }
 
 fn translate(barrier: &Barrier) -> vk::MemoryBarrier2<'static> {
@@ -154,6 +264,7 @@ fn stages(s: Stages) -> vk::PipelineStageFlags2 {
         (Stages::INDIRECT, vk::PipelineStageFlags2::DRAW_INDIRECT),
         (Stages::TRANSFER, vk::PipelineStageFlags2::ALL_TRANSFER),
         (Stages::HOST, vk::PipelineStageFlags2::HOST),
+        (Stages::OUTSIDE, vk::PipelineStageFlags2::ALL_COMMANDS),
     ];
     table.into_iter().filter(|(f, _)| s.contains(*f)).fold(vk::PipelineStageFlags2::NONE, |a, (_, f)| a | f)
 }
@@ -167,6 +278,8 @@ fn accesses(a: Accesses) -> vk::AccessFlags2 {
         (Accesses::TRANSFER_READ, vk::AccessFlags2::TRANSFER_READ),
         (Accesses::TRANSFER_WRITE, vk::AccessFlags2::TRANSFER_WRITE),
         (Accesses::HOST_READ, vk::AccessFlags2::HOST_READ),
+        (Accesses::OUTSIDE_READ, vk::AccessFlags2::MEMORY_READ),
+        (Accesses::OUTSIDE_WRITE, vk::AccessFlags2::MEMORY_WRITE),
     ];
     table.into_iter().filter(|(f, _)| a.contains(*f)).fold(vk::AccessFlags2::NONE, |x, (_, f)| x | f)
 }

@@ -78,7 +78,9 @@ impl Clock {
                     (reaches, reaches)
                 }
                 // A transition makes available what it writes.
-                None => (reach[kind - WRITES.len() + Stages::EACH.len()], covered[kind - WRITES.len() + Stages::EACH.len()]),
+                None => {
+                    (reach[kind - WRITES.len() + Stages::EACH.len()], covered[kind - WRITES.len() + Stages::EACH.len()])
+                }
             };
             for (target, &bit) in Accesses::EACH.iter().enumerate() {
                 if barrier.dst_access.contains(bit) && barrier.dst_stage.contains(bit.stages()) {

@@ -96,7 +96,8 @@ impl<'p> Memory<'p> {
             .iter()
             .map(|info| {
                 // What no pass writes cannot conflict.
-                let changes = info.writable() || info.image.is_some() || info.entry == BufferState::Queue;
+                let shared = info.entry == BufferState::Queue || info.exit == BufferState::Queue;
+                let changes = info.writable() || shared;
                 let tracked = info.kind == BufferKind::External && changes;
                 tracked.then(|| RangeMap::new(info.bytes, Touched::default()))
             })
@@ -122,7 +123,12 @@ impl<'p> Memory<'p> {
     pub(super) fn leave(&mut self, slice: &Slice, need: &mut Need) {
         let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
         let Some((map, range)) = self.find(slice) else { return };
-        map.update(range, |touched| touched.needs(stage_index(Stages::OUTSIDE), accesses, true, need));
+        map.update(range, |touched| {
+            // What others did before is their own affair.
+            let mut ours = *touched;
+            ours.writes[2] = 0;
+            ours.needs(stage_index(Stages::OUTSIDE), accesses, true, need);
+        });
     }
 
     /// A layout transition of all of an image's memory inside the barrier of `need`.

@@ -8,8 +8,8 @@ use super::Group;
 use super::alias::Layout;
 use crate::format::ImageFormat;
 use crate::graph::pass::{Pass, Use};
-use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState};
 use crate::graph::resource::Buffer;
+use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState};
 use crate::shader::Access;
 
 /// An image that transients of equal make share, one after the other.

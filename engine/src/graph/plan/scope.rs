@@ -27,8 +27,7 @@ impl Stages {
     /// Commands that no plan knows of, of any kind.
     pub const OUTSIDE: Stages = Stages(16);
     /// All of the above, by ascending bit.
-    pub const EACH: [Stages; 5] =
-        [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST, Stages::OUTSIDE];
+    pub const EACH: [Stages; 5] = [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST, Stages::OUTSIDE];
 
     /// The name of a set of one.
     fn name(self) -> &'static str {

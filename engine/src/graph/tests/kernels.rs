@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::graph::{Graph, Slice};
+use crate::graph::{Graph, Image, PassBuilder, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// A kernel with storage bindings `b0`, `b1`, … of these accesses.
@@ -30,11 +30,26 @@ pub(super) fn with_kinds(name: &str, bindings: &[(BindingKind, Access)]) -> Arc<
 
 /// Declares a pass that does this to these slices.
 pub(super) fn pass(graph: &mut Graph, name: &str, touched: &[(Slice, Access)]) {
-    let accesses: Vec<_> = touched.iter().map(|&(_, access)| access).collect();
-    let kernel = kernel(name, &accesses);
-    let mut pass = graph.pass(name, &kernel);
-    for (index, &(slice, _)) in touched.iter().enumerate() {
-        pass = pass.bind(&format!("b{index}"), slice);
-    }
+    let kernel = with_kinds(name, &touched.iter().map(|(s, access)| (kind_of(graph, s), *access)).collect::<Vec<_>>());
+    let pass = graph.pass(name, &kernel);
+    let pass = touched.iter().enumerate().fold(pass, |pass, (index, (slice, _))| bind(pass, index, *slice, false));
     pass.dispatch([1, 1, 1]).unwrap();
+}
+
+/// The kind of binding for what a slice is of.
+pub(super) fn kind_of(graph: &Graph, slice: &Slice) -> BindingKind {
+    let image = graph.buffers[slice.buffer.index()].image;
+    image.map_or(BindingKind::Storage, |image| BindingKind::Image(image.format))
+}
+
+/// Binds a slice of a buffer, or the image that it is of, as `b` and a number.
+pub(super) fn bind(pass: PassBuilder<'_>, index: usize, slice: Slice, discard: bool) -> PassBuilder<'_> {
+    let name = format!("b{index}");
+    let image = matches!(pass.shader.bindings[index].kind, BindingKind::Image(_));
+    match (image, discard) {
+        (true, false) => pass.bind_image(&name, Image(slice.buffer)),
+        (true, true) => pass.bind_image_discard(&name, Image(slice.buffer)),
+        (false, false) => pass.bind(&name, slice),
+        (false, true) => pass.bind_discard(&name, slice),
+    }
 }

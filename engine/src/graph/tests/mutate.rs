@@ -63,6 +63,30 @@ proptest! {
     }
 
     #[test]
+    fn no_change_of_layout_can_be_missed(recipe in recipes(25)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let lists: [fn(&mut Plan) -> &mut Vec<Transition>; 2] = [|plan| &mut plan.entry, |plan| &mut plan.exit];
+        for list in lists {
+            let mut copy = plan.clone();
+            for at in 0..list(&mut copy).len() {
+                let damage = |what: &str, change: &dyn Fn(&mut Vec<Transition>)| {
+                    let mut copy = plan.clone();
+                    change(list(&mut copy));
+                    prop_assert!(verify(&copy).is_err(), "{} {} is not missed in\n{}", what, at, plan);
+                    Ok(())
+                };
+                damage("change", &|list| _ = list.remove(at))?;
+                damage("a second change like", &|list| list.push(list[at]))?;
+                damage("target of", &|list| list[at].to = ImageState::ColorAttachment)?;
+                let undefined = list(&mut copy)[at].from == ImageState::Undefined;
+                if !undefined {
+                    damage("contents before", &|list| list[at].from = ImageState::Undefined)?;
+                }
+            }
+        }
+    }
+
+    #[test]
     fn no_pass_can_be_dropped(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let places = plan.groups.iter().enumerate().flat_map(|(at, group)| group.passes.iter().map(move |&p| (at, p)));
@@ -115,7 +139,10 @@ proptest! {
     fn no_two_living_transients_can_overlap(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let lifetimes = plan.lifetimes();
-        let living = || lifetimes.iter().enumerate().filter_map(|(index, life)| life.map(|life| (index, life)));
+        let living = || {
+            let buffers = lifetimes.iter().enumerate().filter(|(index, _)| plan.buffers[*index].image.is_none());
+            buffers.filter_map(|(index, life)| life.map(|life| (index, life)))
+        };
         for (first, (start, end)) in living() {
             for (second, _) in living().filter(|&(other, (s, e))| other != first && s <= end && start <= e) {
                 let mut plan = plan.clone();
@@ -128,6 +155,34 @@ proptest! {
             plan.placements[first] = Some(plan.arena_bytes);
             let outside = matches!(verify(&plan), Err(VerifyError::OutOfArena { .. }));
             prop_assert!(outside);
+            plan.placements[first] = None;
+            let unplaced = matches!(verify(&plan), Err(VerifyError::Unplaced { .. }));
+            prop_assert!(unplaced);
+        }
+    }
+
+    #[test]
+    fn no_two_living_images_can_share_a_slot(recipe in recipes(30)) {
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        let lifetimes = plan.lifetimes();
+        let living = || {
+            let images = lifetimes.iter().enumerate().filter(|(index, _)| plan.buffers[*index].image.is_some());
+            images.filter_map(|(index, life)| life.map(|life| (index, life)))
+        };
+        for (first, (start, end)) in living() {
+            for (second, _) in living().filter(|&(other, (s, e))| other != first && s <= end && start <= e) {
+                let mut plan = plan.clone();
+                plan.placements[first] = plan.placements[second];
+                let refused = matches!(
+                    verify(&plan),
+                    Err(VerifyError::Overlap { .. } | VerifyError::WrongSlot { .. } | VerifyError::Home { .. })
+                );
+                prop_assert!(refused, "{} with {} in\n{}", first, second, plan);
+            }
+            let mut plan = plan.clone();
+            plan.placements[first] = Some(plan.image_slots.len() as u64);
+            let nowhere = matches!(verify(&plan), Err(VerifyError::WrongSlot { .. }));
+            prop_assert!(nowhere);
             plan.placements[first] = None;
             let unplaced = matches!(verify(&plan), Err(VerifyError::Unplaced { .. }));
             prop_assert!(unplaced);

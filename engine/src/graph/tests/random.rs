@@ -3,8 +3,9 @@
 
 use proptest::prelude::*;
 
-use super::kernels::{kernel, pass};
+use super::kernels::{bind, kind_of, pass, with_kinds};
 use super::*;
+use crate::format::ImageFormat;
 use crate::shader::Access;
 
 /// Everything is a multiple of this.
@@ -30,7 +31,7 @@ struct Touch {
 pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
     let touch = (0usize..64, 0u8..8, 0u64..6, 1u64..7, proptest::bool::weighted(0.2))
         .prop_map(|(buffer, access, start, length, discard)| Touch { buffer, access, start, length, discard });
-    let buffers = proptest::collection::vec((0u8..12, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
+    let buffers = proptest::collection::vec((0u8..18, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
     let passes = proptest::collection::vec((0u8..8, proptest::collection::vec(touch, 1..5)), passes / 4..passes);
     (buffers, passes, any::<(bool, bool)>()).prop_map(|(buffers, passes, (alias, reorder))| Recipe {
         buffers,
@@ -50,7 +51,14 @@ impl Recipe {
             match kind {
                 0 => graph.input(name, bytes),
                 1 => graph.uniform(name, bytes),
-                2..=5 => graph.external(name, bytes),
+                2 | 3 => graph.external(name, bytes),
+                4 | 5 => {
+                    let buffer = graph.external(name, bytes);
+                    let state = |queue| if queue { BufferState::Queue } else { BufferState::Ready };
+                    graph.shared(buffer, state(keep || cells > 2), state(keep || cells < 4));
+                    buffer
+                }
+                12..=15 => self.image(&mut graph, name, kind, cells, keep).0,
                 _ => {
                     let buffer = graph.transient(name, bytes);
                     if keep {
@@ -80,16 +88,59 @@ impl Recipe {
         graph
     }
 
+    /// An image of some kind, in some states.
+    fn image(&self, graph: &mut Graph, name: String, kind: u8, cells: u64, keep: bool) -> Image {
+        const STATES: [ImageState; 6] = [
+            ImageState::General,
+            ImageState::TransferSource,
+            ImageState::TransferTarget,
+            ImageState::ShaderRead,
+            ImageState::Present,
+            ImageState::Undefined,
+        ];
+        // A texel a cell.
+        let (size, format) = ([cells as u32, 1], ImageFormat::Rgba32Float);
+        match kind {
+            12 => {
+                let entry = STATES[(cells as usize + usize::from(keep) * 3) % 6];
+                graph.external_image(name, size, format, entry, STATES[self.passes.len() % 5])
+            }
+            13 => graph.input_image(name, size, format, STATES[self.passes.len() % 5]),
+            _ => {
+                let image = graph.transient_image(name, [size[0].div_ceil(4), 1], format);
+                if keep {
+                    graph.keep_image(image);
+                }
+                image
+            }
+        }
+    }
+
     fn declare(&self, graph: &mut Graph, name: String, kind: u8, touches: &[Touch]) -> Result<(), GraphError> {
         let slice = |touch: &Touch| {
             let index = touch.buffer % graph.buffers.len();
+            if graph.buffers[index].image.is_some() {
+                return Buffer(index as u32).slice(0, graph.buffers[index].bytes);
+            }
             let cells = graph.buffers[index].bytes / CELL;
             let start = touch.start % cells;
             Buffer(index as u32).slice(start * CELL, touch.length.min(cells - start) * CELL)
         };
         let slices: Vec<_> = touches.iter().map(slice).collect();
         match (kind, slices.as_slice()) {
+            (0, [target, ..]) if is_image(graph, target) => graph.clear_image(name, Image(target.buffer), [1.0; 4]),
             (0, [target, ..]) => graph.fill(name, *target, 1),
+            (1, [source, target, ..]) if is_image(graph, source) || is_image(graph, target) => {
+                match (is_image(graph, source), is_image(graph, target)) {
+                    (true, false) => {
+                        graph.copy_from_image(name, Image(source.buffer), target.buffer.slice(0, source.bytes))
+                    }
+                    (false, true) => {
+                        graph.copy_to_image(name, source.buffer.slice(0, target.bytes), Image(target.buffer))
+                    }
+                    _ => graph.clear_image(name, Image(target.buffer), [0.0; 4]),
+                }
+            }
             (1, [source, target, ..]) => {
                 let bytes = source.bytes.min(target.bytes);
                 graph.copy(name, Slice { bytes, ..*source }, Slice { bytes, ..*target })
@@ -111,16 +162,18 @@ impl Recipe {
                     }
                 };
                 let accesses: Vec<_> = touches.iter().zip(&slices).map(access).collect();
-                let kernel = kernel("k", &accesses);
+                let kinds: Vec<_> =
+                    slices.iter().zip(&accesses).map(|(s, access)| (kind_of(graph, s), *access)).collect();
+                let indirect = slices.first().copied().filter(|first| kind == 2 && !is_image(graph, first));
+                let kernel = with_kinds("k", &kinds);
                 let mut pass = graph.pass(name, &kernel);
                 for (index, (touch, slice)) in touches.iter().zip(&slices).enumerate() {
-                    let binding = format!("b{index}");
                     let discards = touch.discard && matches!(accesses[index], Access::Write | Access::ReadWrite);
-                    pass = if discards { pass.bind_discard(&binding, *slice) } else { pass.bind(&binding, *slice) };
+                    pass = bind(pass, index, *slice, discards);
                 }
-                match slices.first() {
-                    Some(slice) if kind == 2 => pass.dispatch_indirect(slice.buffer, slice.offset),
-                    _ => pass.dispatch([1, 1, 1]),
+                match indirect {
+                    Some(slice) => pass.dispatch_indirect(slice.buffer, slice.offset),
+                    None => pass.dispatch([1, 1, 1]),
                 }
             }
         }
@@ -136,6 +189,11 @@ struct Machine<'p> {
     arena: bool,
 }
 
+/// Whether a slice is of an image.
+fn is_image(graph: &Graph, slice: &Slice) -> bool {
+    graph.buffers[slice.buffer.index()].image.is_some()
+}
+
 /// The owner of a cell that nobody wrote.
 const NOBODY: usize = usize::MAX;
 
@@ -147,12 +205,15 @@ impl<'p> Machine<'p> {
             cells.push((0..info.bytes / CELL).map(|cell| (owner, mix(index as u64, cell))).collect());
         }
         cells.push(vec![(NOBODY, 0); (plan.arena_bytes / CELL) as usize]);
+        cells.extend(plan.image_slots.iter().map(|slot| vec![(NOBODY, 0); (slot.bytes() / CELL) as usize]));
         Machine { plan, cells, arena }
     }
 
     fn cell(&mut self, buffer: usize, cell: u64) -> &mut (usize, u64) {
         let in_arena = self.arena && self.plan.buffers[buffer].kind == BufferKind::Transient;
-        let (space, first) = if in_arena {
+        let (space, first) = if in_arena && self.plan.buffers[buffer].image.is_some() {
+            (self.plan.buffers.len() + 1 + self.plan.placements[buffer].unwrap() as usize, 0)
+        } else if in_arena {
             (self.plan.buffers.len(), self.plan.placements[buffer].unwrap() / CELL)
         } else {
             (buffer, 0)
@@ -164,6 +225,18 @@ impl<'p> Machine<'p> {
     fn load(&mut self, buffer: usize, cell: u64) -> u64 {
         let (owner, value) = *self.cell(buffer, cell);
         if owner == buffer { value } else { 0xdead }
+    }
+
+    /// What the beginning of a replay does to memory: nobody knows what is in transients and in images that arrive
+    /// undefined, and a change of layout from undefined loses what was there.
+    fn begin(&mut self) {
+        for (index, info) in self.plan.buffers.iter().enumerate() {
+            let undefined = info.image.is_some_and(|image| image.entry == ImageState::Undefined);
+            if undefined || info.kind == BufferKind::Transient {
+                self.cells[index].fill((NOBODY, 0));
+            }
+        }
+        self.cells[self.plan.buffers.len()..].iter_mut().for_each(|space| space.fill((NOBODY, 0)));
     }
 
     fn run(&mut self, index: usize) {
@@ -234,13 +307,8 @@ proptest! {
         let mut declared = Machine::new(&plan, false);
         let mut planned = Machine::new(&plan, true);
         for _ in 0..3 {
-            // Transients hold nothing at the beginning of a replay.
-            for (index, info) in plan.buffers.iter().enumerate() {
-                if info.kind == BufferKind::Transient {
-                    declared.cells[index].fill((NOBODY, 0));
-                }
-            }
-            planned.cells[plan.buffers.len()].fill((NOBODY, 0));
+            declared.begin();
+            planned.begin();
             (0..plan.passes.len()).for_each(|pass| declared.run(pass));
             // Within a group any order will do, the opposite one too.
             plan.groups.iter().for_each(|group| group.passes.iter().rev().for_each(|&pass| planned.run(pass)));
@@ -270,7 +338,7 @@ fn random_graphs_are_not_trivial() {
     use proptest::strategy::{Strategy, ValueTree};
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let count = 300;
-    let [mut running, mut dropped, mut groups, mut shared, mut wide] = [0; 5];
+    let [mut running, mut dropped, mut groups, mut shared, mut wide, mut layouts, mut slots] = [0; 7];
     for _ in 0..count {
         let recipe = recipes(40).new_tree(&mut runner).unwrap().current();
         let plan = recipe.build().compile(&recipe.options).unwrap();
@@ -279,7 +347,12 @@ fn random_graphs_are_not_trivial() {
         groups += plan.groups.len();
         wide += plan.groups.iter().filter(|group| group.passes.len() > 1).count();
         shared += usize::from(plan.arena_bytes < plan.arena_unaliased_bytes);
+        layouts += plan.entry.len() + plan.exit.len();
+        let images = plan.buffers().filter(|(b, i)| i.image.is_some() && plan.placements[b.index()].is_some());
+        slots += images.count() - plan.image_slots.len();
     }
     println!("{running} running, {dropped} dropped, {groups} groups, {wide} wide, {shared} with shared memory");
+    println!("{layouts} changes of layout, {slots} slots shared");
+    assert!(layouts > count && slots > 3);
     assert!(running > 8 * count && dropped > count && groups > 4 * count && wide > count && shared > count / 20);
 }

@@ -69,8 +69,8 @@ impl Stories {
     /// An operation after the first `barriers` barriers. All of `accesses` happens in one stage; it is a write if any
     /// of them is.
     pub(super) fn operation(&mut self, barriers: usize, accesses: Accesses) -> Operation {
-        let writes = accesses
-            .intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE | Accesses::OUTSIDE_WRITE);
+        let writes =
+            accesses.intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE | Accesses::OUTSIDE_WRITE);
         let one = Accesses::EACH.into_iter().find(|&one| accesses.contains(one));
         let stage = performs(one.expect("invariant: an operation has an access"));
         let kind = stage.bits().trailing_zeros() as usize * 2 + usize::from(!writes.is_empty());

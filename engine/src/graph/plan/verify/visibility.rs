@@ -104,7 +104,8 @@ impl<'p> Walk<'p> {
         let shared = shared(plan);
         let slices = running().map(|(slice, ..)| slice).chain(&outputs).chain(&shared);
         let whole = |(slot, make): (usize, &ImageSlot)| (plan.buffers.len() + 1 + slot, 0..make.bytes());
-        let ranges = slices.filter_map(|slice| place(plan, slice)).chain(plan.image_slots.iter().enumerate().map(whole));
+        let ranges =
+            slices.filter_map(|slice| place(plan, slice)).chain(plan.image_slots.iter().enumerate().map(whole));
         let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
         let since = cells.table();
         Walk { plan, stories: Stories::new(barriers), before, now: 0, cells, since, written }
@@ -120,7 +121,8 @@ impl<'p> Walk<'p> {
     ) -> Result<(), VerifyError> {
         let buffer = slice.buffer.index();
         let info = &self.plan.buffers[buffer];
-        let changes = self.written[buffer] || info.image.is_some() || info.entry == BufferState::Queue;
+        let shared = info.entry == BufferState::Queue || info.exit == BufferState::Queue;
+        let changes = self.written[buffer] || shared;
         if !changes && info.kind != BufferKind::Transient {
             return Ok(()); // Nothing to conflict with.
         }
@@ -199,9 +201,7 @@ impl<'p> Walk<'p> {
         let barrier = barrier.unwrap_or_default();
         for transition in transitions {
             let (space, bytes, buffer) = match transition.image {
-                ImageMemory::External(image) => {
-                    (image.index(), self.plan.buffers[image.index()].bytes, image.index())
-                }
+                ImageMemory::External(image) => (image.index(), self.plan.buffers[image.index()].bytes, image.index()),
                 ImageMemory::Slot(slot) => {
                     let placed = |(buffer, place): (usize, &Option<u64>)| {
                         self.plan.buffers[buffer].image.is_some() && *place == Some(u64::from(slot))
@@ -219,11 +219,11 @@ impl<'p> Walk<'p> {
                 let mut read_since = false;
                 for earlier in since.iter().rev() {
                     let reads = earlier.access == Access::Read;
-                    if reads || !read_since {
-                        if let Some(missing) = self.stories.outside(earlier.operation, before, &barrier) {
-                            let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
-                            return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
-                        }
+                    if (reads || !read_since)
+                        && let Some(missing) = self.stories.outside(earlier.operation, before, &barrier)
+                    {
+                        let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
+                        return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
                     }
                     read_since |= reads;
                 }
@@ -307,7 +307,10 @@ fn shared(plan: &Plan) -> Vec<Slice> {
 /// queue leaves them to copies too.
 fn outputs(plan: &Plan) -> Vec<Slice> {
     let left = |info: &BufferInfo| info.kind == BufferKind::External && info.exit == BufferState::Queue;
-    plan.buffers().filter(|(_, info)| info.keep && !left(info)).map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
+    plan.buffers()
+        .filter(|(_, info)| info.keep && !left(info))
+        .map(|(buffer, info)| buffer.slice(0, info.bytes))
+        .collect()
 }
 
 /// The memory of a slice: its space and the bytes there. Nothing for a transient without a place.
