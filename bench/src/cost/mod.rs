@@ -66,7 +66,16 @@ struct Stage<'p> {
 pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
     match &pass.kind {
         PassKind::Fill { target, .. } => Some(Cost { bytes: target.bytes as f64, operations: 0.0 }),
-        PassKind::Copy { source, .. } => Some(Cost { bytes: 2.0 * source.bytes as f64, operations: 0.0 }),
+        PassKind::Copy { source: slice, .. }
+        | PassKind::CopyToImage { source: slice, .. }
+        | PassKind::CopyFromImage { target: slice, .. } => {
+            Some(Cost { bytes: 2.0 * slice.bytes as f64, operations: 0.0 })
+        }
+        // Every texel once; how many there are is the plan's knowledge.
+        PassKind::ClearImage { .. } => {
+            let bytes = pass.accesses.iter().map(|(slice, ..)| slice.bytes as f64).sum();
+            Some(Cost { bytes, operations: 0.0 })
+        }
         PassKind::Compute { shader, specs, push, dispatch, .. } => {
             let spec = |name: &str| {
                 let Some(constant) = shader.specs.iter().find(|s| s.name == name) else { return 0.0 };
