@@ -11,7 +11,7 @@ use super::pass::{Pass, PassKind, Use, writes};
 use super::pass_builder::PassBuilder;
 use super::plan::{self, CompileOptions, Plan};
 use super::ranges::RangeMap;
-use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, Slice};
+use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Pair, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
 /// A declaration under way.
@@ -62,6 +62,18 @@ impl Graph {
         self.declare(name.into(), bytes, BufferKind::Transient, false)
     }
 
+    /// Two buffers that change places: what one replay writes to `current` the next one reads as `previous`, without a
+    /// copy. Both are filled with `value` before the first replay.
+    pub fn history(&mut self, name: impl Into<String>, bytes: u64, value: u32) -> History {
+        let name = name.into();
+        let previous = self.declare(format!("{name} (previous)"), bytes, BufferKind::History, false);
+        let current = self.declare(name, bytes, BufferKind::History, true);
+        for (buffer, partner) in [(previous, current), (current, previous)] {
+            self.buffers[buffer.index()].pair = Some(Pair { partner, value });
+        }
+        History { previous, current }
+    }
+
     pub(super) fn declare(&mut self, name: String, bytes: u64, kind: BufferKind, keep: bool) -> Buffer {
         if bytes == 0 {
             self.errors.push(GraphError::EmptyBuffer { buffer: name.clone() });
@@ -69,7 +81,7 @@ impl Graph {
         let buffer = Buffer(u32::try_from(self.buffers.len()).expect("invariant: fewer than 2^32 buffers"));
         self.written.push((kind == BufferKind::Transient).then(|| RangeMap::new(bytes, false)));
         let state = BufferState::Ready;
-        self.buffers.push(BufferInfo { name, bytes, kind, keep, entry: state, exit: state, image: None });
+        self.buffers.push(BufferInfo { name, bytes, kind, keep, entry: state, exit: state, image: None, pair: None });
         buffer
     }
 
@@ -287,7 +299,11 @@ impl Graph {
 
 /// What a buffer that no pass may write is called in messages.
 fn read_only(info: &BufferInfo) -> &'static str {
-    if info.kind == BufferKind::Uniform { "a uniform" } else { "a read-only input" }
+    match info.kind {
+        BufferKind::Uniform => "a uniform",
+        BufferKind::History => "what the replay before left",
+        BufferKind::External | BufferKind::Transient => "a read-only input",
+    }
 }
 
 /// How a kernel reads or writes what it binds.

@@ -16,6 +16,8 @@
 //! * An **external** buffer belongs to the caller, is bound at replay, and keeps its contents; writing it is what a
 //!   graph is for. An **input** is one that no pass may write. A **uniform** is a small input with a slot for each
 //!   frame in flight.
+//! * A **history** is two buffers that change places from replay to replay: what one replay writes to the current one,
+//!   the next finds in the previous one.
 //! * An access is **read**, **write**, **read and write**, or **accumulate**: atomic additions whose results the kernel
 //!   does not look at. Accumulations into one buffer commute, so passes that only accumulate may share a group.
 //! * A write is taken to leave some bytes as they were, so what was there before stays needed, unless the pass
@@ -56,4 +58,4 @@ pub use pass::{Dispatch, Pass, PassKind, Use};
 pub use pass_builder::PassBuilder;
 pub use plan::verify::{VerifyError, verify};
 pub use plan::{Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Plan, Stages, Transition};
-pub use resource::{Buffer, BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState, Slice};
+pub use resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Image, ImageInfo, ImageState, Pair, Slice};

@@ -91,6 +91,26 @@ pub enum BufferKind {
     Transient,
     /// Bound at replay, small, written by the host: a ring slot per frame in flight. Kernels only read it.
     Uniform,
+    /// One of two that change places from replay to replay; see [`History`].
+    History,
+}
+
+/// Two buffers that change places: what a replay writes to `current`, the next one finds in `previous`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct History {
+    /// What the replay before wrote; no pass may write it.
+    pub previous: Buffer,
+    /// What this replay writes. It holds what the replay before the last wrote until it is written.
+    pub current: Buffer,
+}
+
+/// What a buffer of a history knows of it.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct Pair {
+    /// The other one.
+    pub partner: Buffer,
+    /// The word that both are filled with before the first replay.
+    pub value: u32,
 }
 
 /// The declaration of a buffer.
@@ -110,13 +130,15 @@ pub struct BufferInfo {
     pub exit: BufferState,
     /// What it is made of, if it is an image.
     pub image: Option<ImageInfo>,
+    /// Whom it changes places with, if it belongs to a history.
+    pub pair: Option<Pair>,
 }
 
 impl BufferInfo {
     /// Whether a pass may write it.
     pub fn writable(&self) -> bool {
         match self.kind {
-            BufferKind::External => self.keep,
+            BufferKind::External | BufferKind::History => self.keep,
             BufferKind::Transient => true,
             BufferKind::Uniform => false,
         }

@@ -43,6 +43,8 @@ struct BufferView<'p> {
     entry: BufferState,
     exit: BufferState,
     image: Option<ImageView>,
+    /// The other half of a history.
+    partner: Option<Buffer>,
 }
 
 #[derive(Serialize)]
@@ -98,6 +100,7 @@ fn view(plan: &Plan) -> View<'_> {
                 lifetime: lifetimes[buffer.index()],
                 entry: info.entry,
                 exit: info.exit,
+                partner: info.pair.map(|pair| pair.partner),
                 image: info.image.map(|image| ImageView {
                     size: image.size,
                     format: image.format,

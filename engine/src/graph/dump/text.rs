@@ -35,6 +35,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             BufferKind::External => "external",
             BufferKind::Transient => "transient",
             BufferKind::Uniform => "uniform",
+            BufferKind::History => "history",
         };
         write!(out, "  {} {kind} ", info.name)?;
         match &info.image {
@@ -56,6 +57,12 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
                 }
                 None => {}
             },
+            (BufferKind::History, ..) => {
+                if let Some(pair) = &info.pair {
+                    let partner = &plan.buffers[pair.partner.index()].name;
+                    write!(out, ", {:#x} at first, changes places with {partner}", pair.value)?;
+                }
+            }
             (BufferKind::Uniform, ..) => {}
         }
         writeln!(out, "{}", if info.kind == BufferKind::Transient && info.keep { ", kept" } else { "" })?;

@@ -43,12 +43,19 @@ impl Executor {
         let unbound = || Error::Unbound { buffer: info.name.clone(), plan: self.plan.name.clone() };
         let (memory, base) = match info.kind {
             BufferKind::External => (self.externals[index].as_ref().ok_or_else(unbound)?, 0),
+            BufferKind::History => (self.externals[self.half(index, slot.swapped)].as_ref().ok_or_else(unbound)?, 0),
             BufferKind::Uniform => (slot.uniforms.as_ref().ok_or_else(unbound)?, self.uniform_offsets[index]),
             BufferKind::Transient => {
                 (self.arena.as_ref().ok_or_else(unbound)?, self.plan.placements[index].ok_or_else(unbound)?)
             }
         };
         Ok((memory.0.raw, base + slice.offset))
+    }
+
+    /// Whose memory stands behind a buffer of a history, in replays in which the halves have changed places or not.
+    pub(super) fn half(&self, index: usize, swapped: bool) -> usize {
+        let partner = self.plan.buffers[index].pair.filter(|_| swapped).map(|pair| pair.partner.index());
+        partner.unwrap_or(index)
     }
 
     /// The image behind a handle.

@@ -5,6 +5,7 @@
 //! inside a replay to the plan.
 
 mod bind;
+mod history;
 mod record;
 mod time;
 
@@ -80,6 +81,9 @@ struct Slot {
     queries: vk::QueryPool,
     uniforms: Option<DeviceBuffer>,
     recorded: bool,
+    /// Whether the halves of histories have changed places in its replays: in every other slot, and there is an even
+    /// number of them, so that nothing is recorded again.
+    swapped: bool,
     ticket: Option<Ticket>,
 }
 
@@ -135,11 +139,19 @@ impl Executor {
             let name = format!("image {number} of {}", executor.plan.name);
             executor.slot_images.push(device.image(&name, slot.size, slot.format)?);
         }
-        for _ in 0..executor.options.frames_in_flight.max(1) {
+        executor.make_histories()?;
+        let frames = executor.frames();
+        let slots = if executor.has_histories() { frames.next_multiple_of(2) } else { frames };
+        for _ in 0..slots {
             let slot = executor.slot(uniform_bytes)?;
             executor.slots.push(slot);
         }
         Ok(executor)
+    }
+
+    /// Replays that may be in flight together.
+    fn frames(&self) -> usize {
+        self.options.frames_in_flight.max(1)
     }
 
     /// The plan.
@@ -217,7 +229,13 @@ impl Executor {
     pub fn submit(&mut self, uniforms: &[(Buffer, &[u8])]) -> Result<Ticket> {
         let begin = Instant::now();
         let index = self.next;
-        let waited = self.retire(index, self.device.timeout())?;
+        let mut waited = self.retire(index, self.device.timeout())?;
+        // There may be one slot more than replays may be in flight.
+        let frames = self.frames();
+        if frames < self.slots.len() {
+            let oldest = (index + self.slots.len() - frames) % self.slots.len();
+            waited += self.retire(oldest, self.device.timeout())?;
+        }
         if let Some(memory) = &self.slots[index].uniforms {
             for (buffer, data) in uniforms {
                 memory.write(self.uniform_offsets[buffer.index()], data)?;
@@ -303,6 +321,7 @@ impl Executor {
             queries: vk::QueryPool::null(),
             uniforms,
             recorded: false,
+            swapped: !self.slots.len().is_multiple_of(2),
             ticket: None,
         };
         if let Err(error) = self.fill_slot(&mut slot) {

@@ -47,32 +47,40 @@ pub(super) fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> 
         barriers.push(barrier);
     }
 
-    // A second replay, with the same barriers.
-    let start = length(groups);
+    // More replays, with the same barriers: one, or as many as a history takes to come round and meet itself.
+    let histories = scene.buffers.iter().any(|info| info.pair.is_some());
     let transitions = |at: usize| match at {
         0 => Transitions::Entry,
         at if at == last => Transitions::Exit,
         _ => Transitions::None,
     };
-    let needs = scene.replay(&mut memory, groups, &outputs, start, true);
+    let replays: Vec<(Time, Vec<Need>)> = (1..=if histories { 3 } else { 1 })
+        .map(|number| {
+            let start = number * length(groups);
+            memory.swapped = histories && number % 2 == 1;
+            (start, scene.replay(&mut memory, groups, &outputs, start, true))
+        })
+        .collect();
     let mut first = Barrier::default();
     let mut later = clock;
-    for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
-        // What the barrier's own transitions wait for is its own affair unless it is the first.
-        if at > 0 {
-            later.pass(barrier, start + at as Time + 1, transitions(at));
+    for (start, needs) in &replays {
+        for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
+            // What the barrier's own transitions wait for is its own affair unless it is the first.
+            if at > 0 {
+                later.pass(barrier, start + at as Time + 1, transitions(at));
+            }
+            first = first.merge(&later.lacks(need));
         }
-        first = first.merge(&later.lacks(need));
     }
     barriers[0] = minimal(first, |barrier| {
         let mut clock = clock;
-        clock.pass(barrier, start + 1, Transitions::Entry);
-        let rest = barriers.iter().enumerate().skip(1);
-        needs.first().is_none_or(|need| clock.covers(need))
-            && rest.zip(&needs[1..]).all(|((at, barrier), need)| {
+        replays.iter().all(|(start, needs)| {
+            needs.iter().enumerate().all(|(at, need)| {
+                let barrier = if at == 0 { barrier } else { &barriers[at] };
                 clock.pass(barrier, start + at as Time + 1, transitions(at));
                 clock.covers(need)
             })
+        })
     });
 
     let mut barriers = barriers.into_iter().map(|barrier| (barrier != Barrier::default()).then_some(barrier));

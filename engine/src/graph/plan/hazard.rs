@@ -86,6 +86,8 @@ pub(super) struct Memory<'p> {
     arena: RangeMap<Touched>,
     /// By slot of the transient images.
     slots: Vec<RangeMap<Touched>>,
+    /// Whether the buffers of each history have changed places.
+    pub(super) swapped: bool,
     external: Vec<Option<RangeMap<Touched>>>,
 }
 
@@ -98,13 +100,17 @@ impl<'p> Memory<'p> {
                 // What no pass writes cannot conflict.
                 let shared = info.entry == BufferState::Queue || info.exit == BufferState::Queue;
                 let changes = info.writable() || shared;
-                let tracked = info.kind == BufferKind::External && changes;
+                let tracked = match info.kind {
+                    BufferKind::External => changes,
+                    BufferKind::History => true,
+                    BufferKind::Transient | BufferKind::Uniform => false,
+                };
                 tracked.then(|| RangeMap::new(info.bytes, Touched::default()))
             })
             .collect();
         let arena = RangeMap::new(layout.bytes.max(1), Touched::default());
         let slots = layout.slots.iter().map(|slot| RangeMap::new(slot.bytes(), Touched::default())).collect();
-        Memory { buffers, placements: &layout.placements, arena, slots, external }
+        Memory { buffers, placements: &layout.placements, arena, slots, swapped: false, external }
     }
 
     /// One access at a time: what it needs is added to `need`, and it becomes part of the past.
@@ -193,7 +199,8 @@ impl<'p> Memory<'p> {
         let buffer = slice.buffer.index();
         let info = &self.buffers[buffer];
         if info.kind != BufferKind::Transient {
-            return self.external[buffer].as_mut().map(|map| (map, slice.range()));
+            let partner = info.pair.filter(|_| self.swapped).map(|pair| pair.partner.index());
+            return self.external[partner.unwrap_or(buffer)].as_mut().map(|map| (map, slice.range()));
         }
         let place = self.placements[buffer].expect("invariant: a touched transient is placed");
         match info.image {

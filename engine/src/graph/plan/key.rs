@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::CompileOptions;
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
-use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Slice};
+use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Pair, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// The key of a graph compiled in some way.
@@ -20,15 +20,19 @@ pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: 
     hash.word(alignment);
     hash.word(u64::from(alias) | u64::from(reorder) << 1);
     hash.word(buffers.len() as u64);
-    for BufferInfo { name, bytes, kind, keep, entry, exit, image } in buffers {
+    for BufferInfo { name, bytes, kind, keep, entry, exit, image, pair } in buffers {
         hash.text(name);
         hash.word(*bytes);
         hash.word(match kind {
             BufferKind::External => 0,
             BufferKind::Transient => 1,
             BufferKind::Uniform => 2,
+            BufferKind::History => 3,
         });
         hash.word(u64::from(*keep));
+        if let Some(Pair { partner, value }) = pair {
+            hash.word((partner.index() as u64) << 32 | u64::from(*value));
+        }
         hash.word(*entry as u64 | (*exit as u64) << 8);
         match image {
             None => hash.word(0),

@@ -2,6 +2,7 @@
 //! the verifier must refuse.
 
 mod builder_errors;
+mod history;
 mod images;
 mod kernels;
 mod mutate;

@@ -175,7 +175,10 @@ proptest! {
                 plan.placements[first] = plan.placements[second];
                 let refused = matches!(
                     verify(&plan),
-                    Err(VerifyError::Overlap { .. } | VerifyError::WrongSlot { .. } | VerifyError::Home { .. })
+                    Err(VerifyError::Overlap { .. }
+                        | VerifyError::WrongSlot { .. }
+                        | VerifyError::Layout { .. }
+                        | VerifyError::Home { .. })
                 );
                 prop_assert!(refused, "{} with {} in\n{}", first, second, plan);
             }

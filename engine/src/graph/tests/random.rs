@@ -31,7 +31,7 @@ struct Touch {
 pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
     let touch = (0usize..64, 0u8..8, 0u64..6, 1u64..7, proptest::bool::weighted(0.2))
         .prop_map(|(buffer, access, start, length, discard)| Touch { buffer, access, start, length, discard });
-    let buffers = proptest::collection::vec((0u8..18, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
+    let buffers = proptest::collection::vec((0u8..20, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
     let passes = proptest::collection::vec((0u8..8, proptest::collection::vec(touch, 1..5)), passes / 4..passes);
     (buffers, passes, any::<(bool, bool)>()).prop_map(|(buffers, passes, (alias, reorder))| Recipe {
         buffers,
@@ -49,6 +49,7 @@ impl Recipe {
         for (index, &(kind, cells, keep)) in self.buffers.iter().enumerate() {
             let (name, bytes) = (format!("b{index}"), cells * CELL);
             match kind {
+                18 | 19 => graph.history(name, bytes, 0).current,
                 0 => graph.input(name, bytes),
                 1 => graph.uniform(name, bytes),
                 2 | 3 => graph.external(name, bytes),
@@ -58,7 +59,7 @@ impl Recipe {
                     graph.shared(buffer, state(keep || cells > 2), state(keep || cells < 4));
                     buffer
                 }
-                12..=15 => self.image(&mut graph, name, kind, cells, keep).0,
+                12..=17 => self.image(&mut graph, name, kind, cells, keep).0,
                 _ => {
                     let buffer = graph.transient(name, bytes);
                     if keep {
@@ -224,12 +225,18 @@ impl<'p> Machine<'p> {
     /// What is there; the same undefined thing whatever else is in its place.
     fn load(&mut self, buffer: usize, cell: u64) -> u64 {
         let (owner, value) = *self.cell(buffer, cell);
-        if owner == buffer { value } else { 0xdead }
+        let history = self.plan.buffers[buffer].kind == BufferKind::History;
+        if owner == buffer || history { value } else { 0xdead }
     }
 
     /// What the beginning of a replay does to memory: nobody knows what is in transients and in images that arrive
     /// undefined, and a change of layout from undefined loses what was there.
     fn begin(&mut self) {
+        for (buffer, info) in self.plan.buffers() {
+            if let Some(pair) = info.pair.filter(|_| info.keep) {
+                self.cells.swap(buffer.index(), pair.partner.index());
+            }
+        }
         for (index, info) in self.plan.buffers.iter().enumerate() {
             let undefined = info.image.is_some_and(|image| image.entry == ImageState::Undefined);
             if undefined || info.kind == BufferKind::Transient {
@@ -271,7 +278,7 @@ impl<'p> Machine<'p> {
         let plan = self.plan;
         // A kept transient that nothing uses has neither place nor contents.
         let kept = plan.buffers().filter(|(buffer, info)| {
-            info.keep && (info.kind == BufferKind::External || plan.placements[buffer.index()].is_some())
+            info.keep && (info.kind != BufferKind::Transient || plan.placements[buffer.index()].is_some())
         });
         kept.flat_map(|(buffer, info)| (0..info.bytes / CELL).map(move |cell| (buffer.index(), cell)))
             .map(|(index, cell)| self.load(index, cell))

@@ -2,7 +2,7 @@
 //!
 //! Nothing here calls the compiler's steps: slices become numbered cells instead of maps of ranges, data flow becomes
 //! a graph of versions walked from the outputs, and every single memory operation carries the list of what has
-//! been ordered behind it through two replays in a row. What both share is only the data: declarations, the plan, and
+//! been ordered behind it through two replays in a row, or four if histories change places. What both share is only the data: declarations, the plan, and
 //! the names of stages and accesses.
 //!
 //! Promises, of a plan that it accepts: each pass runs once or was dropped without loss; conflicting passes keep their
@@ -81,6 +81,9 @@ pub enum VerifyError {
     /// An access that the kind of the pass implies and its list of accesses lacks, or the other way round.
     #[error("Pass [{pass}] {what} without saying so in its accesses, or says so without doing it.")]
     Undeclared { pass: String, what: String },
+    /// A history that does not consist of two buffers alike.
+    #[error("Buffer [{buffer}] belongs to a history whose other half does not fit.")]
+    WrongPair { buffer: String },
     /// An image touched in part.
     #[error("Pass [{pass}] touches a part of image [{image}], which only goes as a whole.")]
     PartOfImage { pass: String, image: String },

@@ -1,6 +1,7 @@
 //! Whether conflicting memory operations are kept apart by barriers, through two replays in a row.
 //!
-//! Two suffice: each replay does the same to the same bytes, so what the third meets is what the second met.
+//! Two suffice where each replay does the same to the same bytes: what the third meets is what the second met. The
+//! buffers of a history change places each time, so a plan with histories is taken through four.
 
 use super::cells::Cells;
 use super::shape::performs;
@@ -29,7 +30,8 @@ type Since = Vec<Event>;
 pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     let mut walk = Walk::new(plan);
     let points = plan.groups.len() + 1;
-    for replay in 0..2 {
+    for replay in 0..replays(plan) {
+        walk.replay = replay;
         walk.enter(replay);
         for (at, group) in plan.groups.iter().enumerate() {
             walk.now = walk.before[replay * points + at];
@@ -77,6 +79,7 @@ struct Walk<'p> {
     before: Vec<usize>,
     /// How many barriers came so far.
     now: usize,
+    replay: usize,
     /// Memory spaces: one an external buffer, the arena, and one a slot of the transient images.
     cells: Cells,
     since: Vec<Vec<Since>>,
@@ -88,7 +91,7 @@ impl<'p> Walk<'p> {
     fn new(plan: &'p Plan) -> Self {
         let mut barriers: Vec<Barrier> = Vec::new();
         let mut before = Vec::new();
-        for _ in 0..2 {
+        for _ in 0..replays(plan) {
             for barrier in plan.groups.iter().map(|group| group.barrier).chain([plan.final_barrier]) {
                 barriers.extend(barrier);
                 before.push(barriers.len());
@@ -104,11 +107,12 @@ impl<'p> Walk<'p> {
         let shared = shared(plan);
         let slices = running().map(|(slice, ..)| slice).chain(&outputs).chain(&shared);
         let whole = |(slot, make): (usize, &ImageSlot)| (plan.buffers.len() + 1 + slot, 0..make.bytes());
-        let ranges =
-            slices.filter_map(|slice| place(plan, slice)).chain(plan.image_slots.iter().enumerate().map(whole));
+        // Both halves of a history are cut where either is touched.
+        let both = |slice| [place(plan, slice, 0), place(plan, slice, 1)];
+        let ranges = slices.flat_map(both).flatten().chain(plan.image_slots.iter().enumerate().map(whole));
         let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
         let since = cells.table();
-        Walk { plan, stories: Stories::new(barriers), before, now: 0, cells, since, written }
+        Walk { plan, stories: Stories::new(barriers), before, now: 0, replay: 0, cells, since, written }
     }
 
     fn touch(
@@ -123,10 +127,10 @@ impl<'p> Walk<'p> {
         let info = &self.plan.buffers[buffer];
         let shared = info.entry == BufferState::Queue || info.exit == BufferState::Queue;
         let changes = self.written[buffer] || shared;
-        if !changes && info.kind != BufferKind::Transient {
+        if !changes && matches!(info.kind, BufferKind::External | BufferKind::Uniform) {
             return Ok(()); // Nothing to conflict with.
         }
-        let Some((space, range)) = place(self.plan, slice) else { return Ok(()) };
+        let Some((space, range)) = place(self.plan, slice, self.replay) else { return Ok(()) };
         let accesses = performed(access, used);
         let operation = self.stories.operation(self.now, accesses);
         let event = Event { operation, pass, buffer, replay, access };
@@ -180,7 +184,7 @@ impl<'p> Walk<'p> {
         let operation = self.stories.operation(self.now, Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice) else { continue };
+            let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
             if self.plan.buffers[buffer].entry == BufferState::Queue {
                 for cell in self.cells.of(space, &range) {
                     let event = Event { operation, pass: OTHERS, buffer, replay, access: Access::ReadWrite };
@@ -236,7 +240,7 @@ impl<'p> Walk<'p> {
     fn leave(&mut self) -> Result<(), VerifyError> {
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice) else { continue };
+            let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
             if self.plan.buffers[buffer].exit != BufferState::Queue {
                 continue;
             }
@@ -269,7 +273,9 @@ impl<'p> Walk<'p> {
         let operation = self.stories.operation(self.now, Accesses::TRANSFER_READ);
         for slice in outputs(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice).filter(|_| self.written[buffer]) else { continue };
+            let Some((space, range)) = place(self.plan, &slice, self.replay).filter(|_| self.written[buffer]) else {
+                continue;
+            };
             for cell in self.cells.of(space, &range) {
                 let since = &mut self.since[space][cell];
                 for write in since.iter().filter(|event| event.access != Access::Read) {
@@ -313,8 +319,13 @@ fn outputs(plan: &Plan) -> Vec<Slice> {
         .collect()
 }
 
-/// The memory of a slice: its space and the bytes there. Nothing for a transient without a place.
-fn place(plan: &Plan, slice: &Slice) -> Option<(usize, std::ops::Range<u64>)> {
+/// How many replays in a row show everything.
+fn replays(plan: &Plan) -> usize {
+    if plan.buffers.iter().any(|info| info.kind == BufferKind::History) { 4 } else { 2 }
+}
+
+/// The memory of a slice in a replay: its space and the bytes there. Nothing for a transient without a place.
+fn place(plan: &Plan, slice: &Slice, replay: usize) -> Option<(usize, std::ops::Range<u64>)> {
     let buffer = slice.buffer.index();
     match plan.buffers[buffer].kind {
         BufferKind::Transient => {
@@ -326,6 +337,10 @@ fn place(plan: &Plan, slice: &Slice) -> Option<(usize, std::ops::Range<u64>)> {
             Some((plan.buffers.len(), offset..offset + slice.bytes))
         }
         BufferKind::External | BufferKind::Uniform => Some((buffer, slice.range())),
+        BufferKind::History => {
+            let partner = plan.buffers[buffer].pair?.partner.index();
+            Some((if replay.is_multiple_of(2) { buffer } else { partner }, slice.range()))
+        }
     }
 }
 
