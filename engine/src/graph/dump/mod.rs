@@ -1,13 +1,18 @@
-//! Plans for people and programs: text for reading and for snapshots, JSON for tools, DOT for pictures.
+//! Plans for people and programs: text for reading and for snapshots, JSON for tools, DOT for pictures, and a page of
+//! HTML for looking at everything.
 //!
-//! These three are functions of the plan alone and equal for equal plans. A trace shows measured times.
+//! All are functions of the plan alone and equal for equal plans, unless measured times are given too. A trace shows
+//! nothing but measured times.
 
+mod causes;
 mod dot;
+mod html;
 mod json;
 mod text;
 mod trace;
 
 pub use dot::dot;
+pub use html::html;
 pub use json::json;
 pub use text::text;
 pub use trace::{Track, trace};

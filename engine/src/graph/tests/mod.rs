@@ -6,6 +6,7 @@ mod history;
 mod images;
 mod kernels;
 mod mutate;
+mod page;
 mod phases;
 mod random;
 mod scale;

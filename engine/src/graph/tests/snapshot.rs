@@ -6,7 +6,7 @@ use crate::shader::Access::{Accumulate, Read, ReadWrite, Write};
 use crate::shader::BindingKind;
 
 /// A small training step: project, count, scan, draw indirectly, go back, update.
-fn step() -> Graph {
+pub(super) fn step() -> Graph {
     let mut graph = Graph::new("step");
     let camera = graph.uniform("camera", 256);
     let target = graph.input("target", 4096);

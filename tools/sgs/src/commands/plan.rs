@@ -2,9 +2,10 @@
 
 use super::train::{Options, open_scene, settings};
 use crate::common::Common;
-use sgs_engine::graph::dump;
+use anyhow::Context;
+use sgs_engine::graph::{Plan, dump};
 use sgs_train::Geometry;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -12,12 +13,56 @@ pub struct Args {
     scene: PathBuf,
     #[command(flatten)]
     options: Options,
-    /// Print the compiled graph of a step as well.
-    #[arg(long)]
-    graph: bool,
+    /// Print the compiled graph of a step as well: as text below the summary; as json, dot or html in its place.
+    #[arg(long, value_enum, num_args = 0..=1, default_missing_value = "text", value_name = "FORMAT")]
+    graph: Option<Format>,
+    /// Write the graph there, in the format that the name ends in unless --graph says another.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// How a graph is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Format {
+    /// For reading and comparing.
+    Text,
+    /// For tools.
+    Json,
+    /// For Graphviz.
+    Dot,
+    /// One page for a browser.
+    Html,
+}
+
+impl Format {
+    fn of(path: &Path) -> Option<Format> {
+        match path.extension()?.to_str()? {
+            "txt" | "text" => Some(Format::Text),
+            "json" => Some(Format::Json),
+            "dot" | "gv" => Some(Format::Dot),
+            "html" | "htm" => Some(Format::Html),
+            _ => None,
+        }
+    }
+
+    fn write(self, plan: &Plan) -> String {
+        match self {
+            Format::Text => dump::text(plan),
+            Format::Json => dump::json(plan),
+            Format::Dot => dump::dot(plan),
+            Format::Html => dump::html(plan, &[]),
+        }
+    }
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    // Before any work, so that a wrong name costs nothing.
+    let format = match (&a.output, a.graph) {
+        (Some(path), None) => Some(Format::of(path).with_context(|| {
+            format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display())
+        })?),
+        (_, format) => format,
+    };
     let s = settings(&a.scene, &a.options)?;
     let scene = open_scene(&s)?;
     let device = common.open_device()?;
@@ -26,6 +71,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let (count, model, capacity, gaussian_bytes) = (g.count(&device)?, g.model, g.capacity, g.bytes());
     let plan = training.executor()?.plan().clone();
     let (now, _) = device.memory_use();
+    if let (Some(path), Some(format)) = (&a.output, format) {
+        let text = format.write(&plan);
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+    }
     if common.json.is_some() {
         let value = serde_json::json!({
             "views": scene.split.train.len(),
@@ -43,6 +92,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         if common.answer(&value)? {
             return Ok(());
         }
+    }
+    // A program that reads standard output wants nothing else there.
+    if let (None, Some(format @ (Format::Json | Format::Dot | Format::Html))) = (&a.output, format) {
+        println!("{}", format.write(&plan));
+        return Ok(());
     }
     let mib = |b: u64| b as f64 / f64::from(1 << 20);
     println!(
@@ -76,8 +130,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         mib(plan.arena_unaliased_bytes)
     );
     println!("in all      {:.1} MiB of device memory before growth", mib(now));
-    if a.graph {
-        println!("\n{}", dump::text(&plan));
+    match (&a.output, format) {
+        (Some(path), _) => println!("graph       {}", path.display()),
+        (None, Some(_)) => println!("\n{}", dump::text(&plan)),
+        (None, None) => {}
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use crate::common::Common;
 use crate::ui::{Bar, interrupted};
 use anyhow::bail;
-use sgs_engine::graph::dump::{Track, trace};
+use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, SceneOptions};
 use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
@@ -241,7 +241,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         std::process::exit(1);
     }
     training.splats()?.write_ply(&run.path("scene.ply"))?;
-    write_profile(&run, &training.take_times())?;
+    let times = training.take_times();
+    write_profile(&run, &times)?;
+    let page = html(training.executor()?.plan(), &times);
+    sgs_scene::atomic_write(&run.path("graph.html"), |f| f.write_all(page.as_bytes()))?;
     let seconds = started.elapsed().as_secs_f64();
     let summary = serde_json::json!({
         "steps": steps,

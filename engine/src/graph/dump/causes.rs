@@ -1,0 +1,199 @@
+//! Why each barrier of a plan is there: the conflicting accesses that meet at it.
+//!
+//! For explaining, not for proving: it walks two replays with what touched every byte, and gives each conflict to the
+//! first barrier between its two sides that covers it by itself. Whether all conflicts are covered is the verifier's
+//! business ([`crate::graph::verify`]).
+
+use std::collections::BTreeSet;
+
+use crate::graph::pass::Use;
+use crate::graph::plan::verify::Hazard;
+use crate::graph::plan::{Accesses, Barrier, Plan};
+use crate::graph::ranges::RangeMap;
+use crate::graph::resource::{BufferKind, Slice};
+use crate::shader::Access;
+
+/// Two accesses that a barrier keeps apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cause {
+    /// What would go wrong.
+    pub(super) hazard: Hazard,
+    /// The earlier pass and its buffer. No pass: whoever reads the outputs between two replays.
+    pub(super) first: (Option<usize>, usize),
+    /// The later one. Another buffer than the first one's if memory changes hands.
+    pub(super) second: (Option<usize>, usize),
+    /// Whether the earlier access belongs to the replay before.
+    pub(super) across: bool,
+    /// Whether no single barrier covers it, but several in a chain of which this is one.
+    pub(super) chained: bool,
+}
+
+/// Something that touched a byte.
+#[derive(Clone, Copy)]
+struct Event {
+    pass: Option<usize>,
+    buffer: usize,
+    access: Access,
+    accesses: Accesses,
+    /// Position in the stream of groups, each replay's readers of outputs included.
+    at: usize,
+}
+
+/// By group, and last for the barrier after the last group: what meets there.
+pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
+    let mut walk = Walk::new(plan);
+    let groups = plan.groups.len();
+    for replay in 0..2 {
+        for (at, group) in plan.groups.iter().enumerate() {
+            for &pass in &group.passes {
+                for (slice, access, used) in &plan.passes[pass].accesses {
+                    let (buffer, accesses) = (slice.buffer.index(), performed(*access, *used));
+                    let at = replay * (groups + 1) + at;
+                    walk.touch(slice, Event { pass: Some(pass), buffer, access: *access, accesses, at });
+                }
+            }
+        }
+        let at = replay * (groups + 1) + groups;
+        for (buffer, info) in plan.buffers().filter(|(_, info)| info.keep) {
+            let slice = buffer.slice(0, info.bytes);
+            let (accesses, buffer) = (Accesses::TRANSFER_READ, buffer.index());
+            walk.touch(&slice, Event { pass: None, buffer, access: Access::Read, accesses, at });
+        }
+    }
+    walk.finish()
+}
+
+struct Walk<'p> {
+    plan: &'p Plan,
+    /// One an external buffer, and the arena last.
+    memory: Vec<RangeMap<Vec<Event>>>,
+    seen: BTreeSet<[usize; 6]>,
+    found: Vec<Vec<Cause>>,
+    /// What no barrier covers by itself, with the positions of its sides.
+    chained: Vec<(Cause, Event, Event)>,
+}
+
+impl<'p> Walk<'p> {
+    fn new(plan: &'p Plan) -> Self {
+        let sizes = plan.buffers.iter().map(|info| info.bytes).chain([plan.arena_bytes.max(1)]);
+        Walk {
+            plan,
+            memory: sizes.map(|bytes| RangeMap::new(bytes, Vec::new())).collect(),
+            seen: BTreeSet::new(),
+            found: vec![Vec::new(); plan.groups.len() + 1],
+            chained: Vec::new(),
+        }
+    }
+
+    fn touch(&mut self, slice: &Slice, event: Event) {
+        let (space, offset) = match self.plan.buffers[event.buffer].kind {
+            BufferKind::Transient => match self.plan.placements[event.buffer] {
+                Some(offset) => (self.plan.buffers.len(), offset),
+                None => return,
+            },
+            _ => (event.buffer, 0),
+        };
+        let range = slice.range();
+        let mut conflicts = Vec::new();
+        self.memory[space].update(range.start + offset..range.end + offset, |since| {
+            let mut read_since = false;
+            for earlier in since.iter().rev() {
+                // A reader between two writes stands for the first of them.
+                let hidden = earlier.access != Access::Read && event.access == Access::Write && read_since;
+                if let (Some(hazard), false) = (conflict(earlier, &event), hidden) {
+                    let seen = if read_since { stores() } else { Accesses::NONE };
+                    conflicts.push((hazard, *earlier, event.accesses.without(seen)));
+                }
+                read_since |= earlier.access == Access::Read;
+            }
+            if matches!(event.access, Access::Write | Access::ReadWrite) {
+                since.clear();
+            }
+            since.push(event);
+        });
+        for (hazard, earlier, visible) in conflicts {
+            self.add(hazard, &earlier, &event, visible);
+        }
+    }
+
+    /// `visible`: the accesses of the second side that must see what the first one wrote.
+    fn add(&mut self, hazard: Hazard, first: &Event, second: &Event, visible: Accesses) {
+        let length = self.plan.groups.len() + 1;
+        let number = |pass: Option<usize>| pass.map_or(0, |pass| pass + 1);
+        let across = first.at / length != second.at / length;
+        let key = [number(first.pass), first.buffer, number(second.pass), second.buffer, hazard as usize, across.into()];
+        // What is within the second replay was within the first.
+        if first.at == second.at || first.at >= length || !self.seen.insert(key) {
+            return;
+        }
+        let (one, other) = ((first.pass, first.buffer), (second.pass, second.buffer));
+        let cause = Cause { hazard, first: one, second: other, across, chained: false };
+        let covered = |at: &usize| self.barrier(*at).is_some_and(|b| covers(&b, first, second, visible));
+        match (first.at + 1..=second.at).find(covered) {
+            Some(at) => self.found[at % length].push(cause),
+            None => self.chained.push((Cause { chained: true, ..cause }, *first, *second)),
+        }
+    }
+
+    /// The barrier before a position of the stream.
+    fn barrier(&self, at: usize) -> Option<Barrier> {
+        let at = at % (self.plan.groups.len() + 1);
+        self.plan.groups.get(at).map_or(self.plan.final_barrier, |group| group.barrier)
+    }
+
+    /// Gives every chain to the barriers at its ends, and to those that would else be there for nothing.
+    fn finish(mut self) -> Vec<Vec<Cause>> {
+        let length = self.plan.groups.len() + 1;
+        for (cause, first, second) in std::mem::take(&mut self.chained) {
+            for at in first.at + 1..=second.at {
+                let Some(barrier) = self.barrier(at) else { continue };
+                let ends = barrier.src_stage.contains(first.accesses.stages())
+                    || barrier.dst_stage.contains(second.accesses.stages());
+                let found = &mut self.found[at % length];
+                if (ends || found.is_empty()) && !found.contains(&cause) {
+                    found.push(cause);
+                }
+            }
+        }
+        self.found
+    }
+}
+
+/// The accesses of the device that an access is.
+fn performed(access: Access, used: Use) -> Accesses {
+    match (used, access) {
+        (Use::Indirect, _) => Accesses::INDIRECT_READ,
+        (Use::Uniform, _) => Accesses::UNIFORM_READ,
+        (Use::Transfer, Access::Read) => Accesses::TRANSFER_READ,
+        (Use::Transfer, _) => Accesses::TRANSFER_WRITE,
+        (Use::Compute, Access::Read) => Accesses::STORAGE_READ,
+        (Use::Compute, Access::Write) => Accesses::STORAGE_WRITE,
+        (Use::Compute, _) => Accesses::STORAGE_READ | Accesses::STORAGE_WRITE,
+    }
+}
+
+/// What goes wrong if the two run in the wrong order or at once, if anything does.
+fn conflict(first: &Event, second: &Event) -> Option<Hazard> {
+    match (first.access, second.access) {
+        (Access::Read, Access::Read) => None,
+        (Access::Accumulate, Access::Accumulate) if first.buffer == second.buffer => None,
+        (Access::Read, _) => Some(Hazard::WriteAfterRead),
+        (_, Access::Read | Access::ReadWrite | Access::Accumulate) if first.buffer == second.buffer => {
+            Some(Hazard::ReadAfterWrite)
+        }
+        _ => Some(Hazard::WriteAfterWrite),
+    }
+}
+
+/// Whether a barrier alone keeps the two apart.
+fn covers(barrier: &Barrier, first: &Event, second: &Event, visible: Accesses) -> bool {
+    let written = first.accesses.intersection(stores());
+    barrier.src_stage.contains(first.accesses.stages())
+        && barrier.dst_stage.contains(second.accesses.stages())
+        && (written.is_empty() || barrier.src_access.contains(written) && barrier.dst_access.contains(visible))
+}
+
+/// Every access that writes.
+fn stores() -> Accesses {
+    Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE
+}
