@@ -121,7 +121,8 @@ impl<'p> Walk<'p> {
         let length = self.plan.groups.len() + 1;
         let number = |pass: Option<usize>| pass.map_or(0, |pass| pass + 1);
         let across = first.at / length != second.at / length;
-        let key = [number(first.pass), first.buffer, number(second.pass), second.buffer, hazard as usize, across.into()];
+        let key =
+            [number(first.pass), first.buffer, number(second.pass), second.buffer, hazard as usize, across.into()];
         // What is within the second replay was within the first.
         if first.at == second.at || first.at >= length || !self.seen.insert(key) {
             return;

@@ -35,7 +35,8 @@ fn lacks(page: &str, plan: &Plan) -> Vec<String> {
         if !card.is_some_and(|card| words(card).contains(&pass.name)) {
             missing.push(format!("pass {}", pass.name));
         }
-        let touched = card.map_or(0, |card| card.descendants().filter(|n| n.attribute("data-buffer").is_some()).count());
+        let touched =
+            card.map_or(0, |card| card.descendants().filter(|n| n.attribute("data-buffer").is_some()).count());
         if touched != pass.accesses.len() {
             missing.push(format!("accesses of {}: {touched}", pass.name));
         }

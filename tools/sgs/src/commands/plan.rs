@@ -57,12 +57,13 @@ impl Format {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     // Before any work, so that a wrong name costs nothing.
-    let format = match (&a.output, a.graph) {
-        (Some(path), None) => Some(Format::of(path).with_context(|| {
-            format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display())
-        })?),
-        (_, format) => format,
-    };
+    let format =
+        match (&a.output, a.graph) {
+            (Some(path), None) => Some(Format::of(path).with_context(|| {
+                format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display())
+            })?),
+            (_, format) => format,
+        };
     let s = settings(&a.scene, &a.options)?;
     let scene = open_scene(&s)?;
     let device = common.open_device()?;

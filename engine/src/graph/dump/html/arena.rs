@@ -88,13 +88,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
 }
 
 /// Ticks of groups below and of offsets at the left.
-fn axes(
-    out: &mut String,
-    columns: usize,
-    arena: u64,
-    x: impl Fn(usize) -> f64,
-    y: impl Fn(u64) -> f64,
-) -> fmt::Result {
+fn axes(out: &mut String, columns: usize, arena: u64, x: impl Fn(usize) -> f64, y: impl Fn(u64) -> f64) -> fmt::Result {
     let step = columns.div_ceil(24).max(1);
     for at in (0..columns).step_by(step) {
         let middle = (x(at) + x(at + 1)) / 2.0;

@@ -37,7 +37,9 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
         }
         let by = |wanted: &dyn Fn(Access) -> bool| {
             let passes = plan.groups.iter().flat_map(|group| &group.passes);
-            passes.filter(|&&pass| plan.passes[pass].accesses.iter().any(|a| a.0.buffer.index() == index && wanted(a.1))).count()
+            passes
+                .filter(|&&pass| plan.passes[pass].accesses.iter().any(|a| a.0.buffer.index() == index && wanted(a.1)))
+                .count()
         };
         let place = plan.placements[index].map_or_else(String::new, |offset| offset.to_string());
         writeln!(

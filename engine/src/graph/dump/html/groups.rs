@@ -15,7 +15,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     for (at, group) in plan.groups.iter().enumerate() {
         writeln!(out, "<section class=\"group\" id=\"g{at}\">")?;
         barrier(page, at, group.barrier, out)?;
-        writeln!(out, "<h3>group {at}</h3><div class=\"passes\">")?;
+        writeln!(out, "<h3 title=\"group {at}\">{at}</h3><div class=\"passes\">")?;
         for &index in &group.passes {
             pass(page, index, out)?;
         }
@@ -27,8 +27,11 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
         writeln!(out, "<h3>end: outputs may be read</h3></section>")?;
     }
     if !plan.culled.is_empty() {
-        writeln!(out, "<section class=\"group\" id=\"dropped\"><h3>dropped: no output needs them</h3>\
-             <div class=\"passes\">")?;
+        writeln!(
+            out,
+            "<section class=\"group\" id=\"dropped\"><h3>dropped: no output needs them</h3>\
+             <div class=\"passes\">"
+        )?;
         for &index in &plan.culled {
             pass(page, index, out)?;
         }
@@ -79,16 +82,11 @@ fn line(page: &Page<'_>, cause: &Cause, out: &mut String) -> fmt::Result {
         Hazard::WriteAfterWrite => ("write after write", "waw"),
     };
     write!(out, "<li><span class=\"hazard {class}\">{short}</span> ")?;
-    let mut side = |(pass, buffer): (Option<usize>, usize)| {
-        match pass {
-            Some(pass) => write!(out, "<a href=\"#p{pass}\">{}</a> ", Text(&page.plan.passes[pass].name))?,
-            None => write!(out, "<em>readers of the outputs</em> ")?,
-        }
-        chip(page, buffer, "", "", out)
-    };
-    side(cause.first)?;
-    side(cause.second)?;
-    if cause.first.1 != cause.second.1 {
+    let hands = cause.first.1 != cause.second.1;
+    side(page, cause.first, hands, out)?;
+    write!(out, " → ")?;
+    side(page, cause.second, true, out)?;
+    if hands {
         write!(out, " <small>memory changes hands</small>")?;
     }
     if cause.across {
@@ -98,6 +96,15 @@ fn line(page: &Page<'_>, cause: &Cause, out: &mut String) -> fmt::Result {
         write!(out, " <small>together with other barriers</small>")?;
     }
     writeln!(out, "</li>")
+}
+
+/// One side of a hazard, with its buffer if asked for.
+fn side(page: &Page<'_>, side: (Option<usize>, usize), buffer: bool, out: &mut String) -> fmt::Result {
+    match side.0 {
+        Some(pass) => write!(out, "<a href=\"#p{pass}\">{}</a> ", Text(&page.plan.passes[pass].name))?,
+        None => write!(out, "<em>readers of the outputs</em> ")?,
+    }
+    if buffer { chip(page, side.1, "", "", out) } else { Ok(()) }
 }
 
 fn pass(page: &Page<'_>, index: usize, out: &mut String) -> fmt::Result {
@@ -110,8 +117,9 @@ fn pass(page: &Page<'_>, index: usize, out: &mut String) -> fmt::Result {
     let mut time = String::new();
     if let (Some(nanoseconds), Some(total)) = (page.times[index], page.total()) {
         let share = 100.0 * nanoseconds / total.max(1.0);
+        let bar = 100.0 * nanoseconds / page.longest().max(1.0);
         time = format!(
-            "<span class=\"time\" style=\"--time:{share:.1}%\">{} <small>{share:.1} %</small></span>",
+            "<span class=\"time\" style=\"--time:{bar:.1}%\">{} <small>{share:.1} %</small></span>",
             duration(nanoseconds)
         );
     }

@@ -16,7 +16,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     for (line, &pass) in plan.groups.iter().flat_map(|group| &group.passes).enumerate() {
         line_of[pass] = Some(line);
     }
-    let longest = page.times.iter().flatten().copied().fold(0.0, f64::max);
+    let longest = page.longest();
     let height = LINE * page.running();
     writeln!(out, "<nav id=\"map\" aria-label=\"passes\"><h2>passes</h2><div class=\"lines\">")?;
     writeln!(out, "<svg class=\"arcs\" width=\"{GUTTER}\" height=\"{height}\" aria-hidden=\"true\">")?;
@@ -61,6 +61,9 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
             )?;
         }
     }
-    writeln!(out, "</ol></div><p class=\"legend\">Point at a pass: <em class=\"in\">what it follows</em>, \
-         <em class=\"out\">what follows it</em>. A line stands for a barrier; the number is the group.</p></nav>")
+    writeln!(
+        out,
+        "</ol></div><p class=\"legend\">Point at a pass: <em class=\"in\">what it follows</em>, \
+         <em class=\"out\">what follows it</em>. A line stands for a barrier; the number is the group.</p></nav>"
+    )
 }

@@ -70,6 +70,11 @@ impl<'p> Page<'p> {
         self.times.iter().flatten().copied().reduce(|a, b| a + b)
     }
 
+    /// Nanoseconds of the slowest pass.
+    fn longest(&self) -> f64 {
+        self.times.iter().flatten().copied().fold(0.0, f64::max)
+    }
+
     fn barriers(&self) -> usize {
         self.plan.groups.iter().filter_map(|group| group.barrier).chain(self.plan.final_barrier).count()
     }
@@ -123,7 +128,11 @@ fn totals(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let bound = plan.buffers.iter().filter(|info| info.kind == BufferKind::External).map(|info| info.bytes).sum();
     tile(bytes(bound), "bound from outside", exact(bound))?;
     if let Some(total) = page.total() {
-        tile(duration(total), "measured", "sum of the passes' medians; with timestamps passes do not overlap".into())?;
+        tile(
+            duration(total),
+            "of passes, measured",
+            "sum of the passes' medians; with timestamps passes do not overlap".into(),
+        )?;
     }
     writeln!(out, "</div>")
 }
