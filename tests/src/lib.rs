@@ -5,7 +5,9 @@ pub mod busy;
 pub mod cli;
 pub mod compare;
 pub mod gpu;
+pub mod kernels;
 pub mod place;
+pub mod random;
 pub mod rooms;
 pub mod scenes;
 

@@ -355,3 +355,28 @@ fn a_run_is_resumed_by_the_file_that_it_was_begun_with() {
     std::fs::write(&file, "seed = 4\n").unwrap();
     place.train(&["--config", &file, "--resume"]).refused(&["seed = 3", "not 4"]);
 }
+
+#[test]
+fn a_plan_is_written_in_every_format() {
+    let place = Place::new(Room::default());
+    let scene = place.text("scene");
+    let plain = sgs(&["plan", &scene]).ok();
+    let text = sgs(&["plan", &scene, "--graph"]).ok();
+    assert!(text.stdout.starts_with(plain.stdout.trim_end()), "{}", text.stdout);
+    assert!(text.stdout.contains("\nplan geometry_step "), "{}", text.stdout);
+    assert_eq!(sgs(&["plan", &scene, "--graph", "json"]).ok().json()["name"], "geometry_step");
+    let page = sgs(&["plan", &scene, "--graph", "html"]).ok().stdout;
+    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+    for (file, begins) in [("a.dot", "digraph"), ("a.html", "<!DOCTYPE html>"), ("a.json", "{"), ("a.txt", "plan ")] {
+        let path = place.text(file);
+        let said = sgs(&["plan", &scene, "-o", &path]).ok().stdout;
+        assert!(said.contains(&path), "{said}");
+        assert!(std::fs::read_to_string(&path).unwrap().starts_with(begins), "{file}");
+    }
+    // The format that is asked for beats the one of the name.
+    let path = place.text("b.html");
+    sgs(&["plan", &scene, "--graph", "dot", "-o", &path]).ok();
+    assert!(std::fs::read_to_string(&path).unwrap().starts_with("digraph"));
+    sgs(&["plan", &scene, "-o", &place.text("a.xyz")]).refused(&["a.xyz", "--graph"]);
+    assert_eq!(sgs(&["plan", &scene, "--graph", "pdf"]).status, Some(2));
+}

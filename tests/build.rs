@@ -1,0 +1,33 @@
+//! Compiles the small kernels of the tests and writes a table of them, with what each does to its bindings.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+fn main() {
+    let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").expect("set by cargo")).join("kernels");
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));
+    println!("cargo:rerun-if-changed={}", root.display());
+    println!("cargo:rerun-if-changed=build.rs");
+    let kernels = sgs_shader_compiler::compile_folder(&root).unwrap_or_else(|e| fail(&e.to_string()));
+    let mut table = String::from("&[\n");
+    for kernel in &kernels {
+        let bindings: Vec<_> = kernel.bindings.iter().map(|b| (&b.name, b.number, b.uniform, b.access)).collect();
+        let mut listed = String::new();
+        for (name, number, uniform, access) in bindings {
+            let _ = write!(listed, "({name:?}, {number}, {uniform}, Access::{access:?}), ");
+        }
+        let push = kernel.push.as_ref().map_or(0, |p| p.bytes);
+        let _ = writeln!(
+            table,
+            "Entry {{ name: {:?}, push_bytes: {push}, bindings: &[{listed}], spirv: &{:?} }},",
+            kernel.name, kernel.spirv
+        );
+    }
+    table.push(']');
+    std::fs::write(out.join("test_kernels.rs"), table).unwrap_or_else(|e| fail(&e.to_string()));
+}
+
+fn fail(message: &str) -> ! {
+    eprintln!("{message}");
+    std::process::exit(1)
+}

@@ -1,0 +1,45 @@
+//! Kernels made for tests (`tests/kernels`): integers only, so that a result is right or wrong and never close.
+
+use sgs_engine::shader::{Access, Binding, BindingKind, Shader};
+use std::borrow::Cow;
+use std::sync::Arc;
+
+/// A kernel as the build script found it.
+struct Entry {
+    name: &'static str,
+    push_bytes: u32,
+    bindings: &'static [(&'static str, u32, bool, Access)],
+    spirv: &'static [u32],
+}
+
+static TABLE: &[Entry] = include!(concat!(env!("OUT_DIR"), "/test_kernels.rs"));
+
+/// The kernel of that name; fails if there is none.
+#[track_caller]
+pub fn kernel(name: &str) -> Arc<Shader> {
+    let Some(entry) = TABLE.iter().find(|entry| entry.name == name) else { panic!("no test kernel is called {name}") };
+    Arc::new(Shader {
+        name: Cow::Borrowed(entry.name),
+        spirv: Cow::Borrowed(entry.spirv),
+        bindings: entry
+            .bindings
+            .iter()
+            .map(|&(name, number, uniform, access)| Binding {
+                name: Cow::Borrowed(name),
+                number,
+                kind: if uniform { BindingKind::Uniform } else { BindingKind::Storage },
+                access,
+            })
+            .collect(),
+        push_bytes: entry.push_bytes,
+        specs: Vec::new(),
+    })
+}
+
+/// What `mixed` of `words.glsl` computes.
+pub fn mixed(a: u32, b: u32) -> u32 {
+    let mut x = a ^ b.wrapping_mul(0x9e37_79b9);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x85eb_ca6b);
+    x ^ (x >> 13)
+}
