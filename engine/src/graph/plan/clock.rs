@@ -8,7 +8,7 @@
 //! accesses. Those at the beginning of a replay are one kind of operation, those at its end another: each kind happens
 //! at one point of a replay, to the same images every time, so that one number is exact for them too.
 
-use super::hazard::{INSIDE, MEMORY_ROWS, Need, ROWS, TRANSITION_ACCESS, Time, WRITES, stage_index};
+use super::hazard::{INSIDE, MEMORY_ROWS, Need, ROWS, TRANSITION_ACCESS, Time, WRITES};
 use super::scope::{Accesses, Barrier, Stages};
 
 /// Where in a replay layouts change.
@@ -38,8 +38,8 @@ impl Transitions {
 pub(super) struct Clock {
     /// By stage of an operation (or kind of transition) and stage that has waited for it; last, the latest barrier.
     ordered: [[Time; INSIDE + 1]; ROWS],
-    /// By kind of write.
-    available: [Time; WRITES.len()],
+    /// By kind of write and stage that has waited until it was available.
+    available: [[Time; Stages::EACH.len()]; WRITES.len()],
     /// By kind of write (or of transition) and access; last, the latest barrier.
     visible: [[Time; TRANSITION_ACCESS + 1]; MEMORY_ROWS],
 }
@@ -71,10 +71,18 @@ impl Clock {
         for kind in 0..MEMORY_ROWS {
             let (reaches, inside) = match WRITES.get(kind) {
                 Some(&(access, stage)) => {
-                    if barrier.src_access.contains(access) && barrier.src_stage.contains(stage) {
-                        self.available[kind] = before;
+                    // What one barrier has made available another makes visible only if it waits for what waited for
+                    // the one.
+                    let named = barrier.src_access.contains(access) && barrier.src_stage.contains(stage);
+                    let available = &mut self.available[kind];
+                    let waited =
+                        Stages::EACH.iter().zip(*available).filter(|(bit, _)| barrier.src_stage.contains(**bit));
+                    let reaches = waited.map(|(_, time)| time).max().unwrap_or(0).max(if named { before } else { 0 });
+                    for (&bit, available) in Stages::EACH.iter().zip(available) {
+                        if barrier.dst_stage.contains(bit) {
+                            *available = (*available).max(reaches);
+                        }
                     }
-                    let reaches = covered[stage_index(stage)].min(self.available[kind]);
                     (reaches, reaches)
                 }
                 // A transition makes available what it writes.

@@ -40,6 +40,47 @@ fn a_missing_barrier_is_named() {
     );
 }
 
+/// What was made available for one stage does not become visible through a barrier that waits for another: nothing puts
+/// the first barrier before the second.
+#[test]
+fn availability_and_visibility_must_be_one_chain() {
+    let mut graph = Graph::new("chain");
+    let [counts, filled, seen, out] = ["counts", "filled", "seen", "out"].map(|name| graph.external(name, 256));
+    pass(&mut graph, "make", &[(counts.slice(0, 256), Write)]);
+    graph.fill("fill", filled, 0).unwrap();
+    pass(&mut graph, "look", &[(counts.slice(0, 256), Read), (seen.slice(0, 256), ReadWrite)]);
+    let kernel = super::kernels::kernel("use", &[Read, Write]);
+    let pass = graph.pass("use", &kernel).bind("b0", filled).bind("b1", out);
+    pass.dispatch_indirect(counts, 0).unwrap();
+    let mut plan = graph.compile(&CompileOptions::default()).unwrap();
+    let barrier =
+        |src_stage, src_access, dst_stage, dst_access| Barrier { src_stage, src_access, dst_stage, dst_access };
+    let ready = barrier(
+        Stages::TRANSFER | Stages::COMPUTE,
+        Accesses::TRANSFER_WRITE,
+        Stages::COMPUTE | Stages::INDIRECT,
+        Accesses::STORAGE_READ | Accesses::INDIRECT_READ,
+    );
+    let barriers = [
+        Barrier::FULL,
+        barrier(Stages::COMPUTE, Accesses::NONE, Stages::TRANSFER, Accesses::NONE),
+        // The counts become available here, and visible to kernels.
+        barrier(Stages::COMPUTE, Accesses::STORAGE_WRITE, Stages::COMPUTE, Accesses::STORAGE_READ),
+        ready,
+    ];
+    plan.groups = (0..4).map(|at| Group { barrier: Some(barriers[at]), passes: vec![at] }).collect();
+    plan.final_barrier = Some(plan.final_barrier.unwrap().merge(&Barrier::FULL));
+    // It waits for kernels, and so for what waited until the counts were available.
+    assert_eq!(verify(&plan), Ok(()));
+    // Still behind the kernel that wrote the counts, through the fill. But the barrier in between is not.
+    plan.groups[3].barrier = Some(Barrier { src_stage: Stages::TRANSFER, ..ready });
+    assert_eq!(
+        verify(&plan).unwrap_err().to_string(),
+        "Pass [use] on buffer [counts] has a read after write with pass [make] on buffer [counts] at byte 0 within 1 \
+         replay(s), but no barrier makes the write visible to indirect_read."
+    );
+}
+
 #[test]
 fn a_barrier_must_be_one_that_vulkan_takes() {
     let damaged = refused(|plan| plan.groups[1].barrier.as_mut().unwrap().dst_stage = Stages::TRANSFER);

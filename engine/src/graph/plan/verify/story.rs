@@ -1,8 +1,9 @@
 //! What has happened since a memory operation: Vulkan's happens-before, one operation at a time.
 //!
 //! A barrier concerns an operation if it waits for the operation's stage or for a stage that an earlier barrier
-//! already held back behind it. It makes a write available if it names the write's own stage and access, and what is
-//! available visible to the accesses it names. Stages count only as named: that a pipeline runs some before others is
+//! already held back behind it. It makes a write available if it names the write's own stage and access, and visible to
+//! the accesses it names what it makes available itself or what was made available before something that it waits for.
+//! Stages count only as named: that a pipeline runs some before others is
 //! not made use of.
 //!
 //! Operations between the same two barriers that are alike in stage and access have the same story, which is told
@@ -20,7 +21,8 @@ struct Story {
     writes: Accesses,
     /// Stages whose later operations come after it.
     ordered: Stages,
-    available: bool,
+    /// Stages whose later operations come after it was made available.
+    available: Stages,
     /// Accesses that see it.
     visible: Accesses,
     /// How many barriers of the stream have been counted.
@@ -34,10 +36,9 @@ impl Story {
             return;
         }
         self.ordered |= barrier.dst_stage;
-        if barrier.src_stage.contains(self.stage) && barrier.src_access.contains(self.writes) {
-            self.available = true;
-        }
-        if self.available {
+        let names = barrier.src_stage.contains(self.stage) && barrier.src_access.contains(self.writes);
+        if names || !self.available.intersection(barrier.src_stage).is_empty() {
+            self.available |= barrier.dst_stage;
             self.visible |= barrier.dst_access;
         }
     }
@@ -79,7 +80,7 @@ impl Stories {
             stage,
             writes,
             ordered: Stages::NONE,
-            available: false,
+            available: Stages::NONE,
             visible: Accesses::NONE,
             told: barriers,
         });
@@ -94,7 +95,7 @@ impl Stories {
             stage: Stages::NONE,
             writes: Accesses::NONE,
             ordered: barrier.dst_stage,
-            available: true,
+            available: barrier.dst_stage,
             visible: barrier.dst_access,
             told: barriers,
         });
@@ -109,7 +110,8 @@ impl Stories {
             return Some(Missing::Order(story.stage));
         }
         let names = barrier.src_stage.contains(story.stage) && barrier.src_access.contains(story.writes);
-        (!story.available && !names && !story.writes.is_empty()).then_some(Missing::Visibility(story.writes))
+        let seen = names || !story.available.intersection(barrier.src_stage).is_empty();
+        (!seen && !story.writes.is_empty()).then_some(Missing::Visibility(story.writes))
     }
 
     fn tell(&mut self, operation: Operation, barriers: usize) -> Story {
