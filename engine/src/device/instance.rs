@@ -5,23 +5,55 @@ use super::objects::{ObjectKind, Objects};
 use crate::error::{Error, Result};
 use ash::{ext, vk};
 use std::ffi::{CStr, c_void};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread::{self, ThreadId};
 
 const LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
 /// Collects validation messages of one instance.
 #[derive(Debug, Default)]
-pub struct Messages(Mutex<Vec<String>>);
+pub struct Messages {
+    said: Mutex<Vec<String>>,
+    /// What each thread is recording, the outermost first: messages come on the thread that they are about.
+    labels: Mutex<Vec<(ThreadId, String)>>,
+}
 
 impl Messages {
     /// Everything reported so far, emptied.
     pub fn take(&self) -> Vec<String> {
-        std::mem::take(&mut *self.0.lock().unwrap_or_else(|e| e.into_inner()))
+        std::mem::take(&mut *lock(&self.said))
+    }
+
+    /// What this thread records from here on carries a name.
+    pub(crate) fn open(&self, label: &str) {
+        lock(&self.labels).push((thread::current().id(), label.to_owned()));
+    }
+
+    /// What this thread opened last ends here.
+    pub(crate) fn close(&self) {
+        let mut labels = lock(&self.labels);
+        if let Some(last) = labels.iter().rposition(|(owner, _)| *owner == thread::current().id()) {
+            labels.remove(last);
+        }
+    }
+
+    /// Whatever this thread left open, by failing in the middle, ends here.
+    pub(crate) fn close_all(&self) {
+        lock(&self.labels).retain(|(owner, _)| *owner != thread::current().id());
+    }
+
+    fn open_labels(&self) -> Vec<String> {
+        let here = thread::current().id();
+        lock(&self.labels).iter().filter(|(owner, _)| *owner == here).map(|(_, label)| label.clone()).collect()
     }
 
     fn push(&self, message: String) {
-        self.0.lock().unwrap_or_else(|e| e.into_inner()).push(message);
+        lock(&self.said).push(message);
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|e| e.into_inner())
 }
 
 /// An instance with its loader and, in validation mode, its messenger.
@@ -31,6 +63,8 @@ pub(crate) struct Instance {
     _entry: ash::Entry,
     pub messages: Arc<Messages>,
     pub validation: bool,
+    /// Of the validation layer, if it is used.
+    pub layer_version: Option<(u32, u32, u32)>,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     pub debug_utils: bool,
     objects: Objects,
@@ -48,8 +82,11 @@ impl Instance {
         let extensions = gate.call("vkEnumerateInstanceExtensionProperties", "instance", || unsafe {
             entry.enumerate_instance_extension_properties(None)
         })?;
-        let has_layer = layers.iter().any(|l| l.layer_name_as_c_str() == Ok(LAYER));
-        if validation && !has_layer {
+        let layer = layers.iter().find(|l| l.layer_name_as_c_str() == Ok(LAYER)).filter(|_| validation);
+        let layer_version = layer
+            .map(|l| l.spec_version)
+            .map(|v| (vk::api_version_major(v), vk::api_version_minor(v), vk::api_version_patch(v)));
+        if validation && layer.is_none() {
             return Err(Error::NoValidation);
         }
         let debug_utils =
@@ -99,6 +136,7 @@ impl Instance {
             _entry: entry,
             messages,
             validation,
+            layer_version,
             messenger,
             debug_utils,
             objects: gate.objects.clone(),
@@ -145,8 +183,18 @@ unsafe extern "system" fn on_message(
     }
     // SAFETY: the layer passes valid data for the duration of the call, and `user` is the sink registered with it,
     // which outlives the messenger.
-    let (text, messages) = unsafe { ((*data).message_as_c_str(), &*user.cast::<Messages>()) };
-    let text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    let (data, messages) = unsafe { (&*data, &*user.cast::<Messages>()) };
+    // SAFETY: as above; the text ends in a zero.
+    let text = unsafe { data.message_as_c_str() };
+    let mut text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    // SAFETY: as above; the layer gives as many labels as it says.
+    let labels = unsafe { labels(data) };
+    // Layers give labels only with messages about the command buffer itself.
+    let (place, labels) =
+        if labels.is_empty() { ("Recording", messages.open_labels()) } else { ("In the command buffer", labels) };
+    if !labels.is_empty() {
+        text = format!("{text} {place}: {}.", labels.join(", "));
+    }
     // Images are used in the general layout on purpose (docs/adr/0010-images-and-layouts.md).
     let layout_advice =
         kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE) && text.contains("InvalidImageLayout");
@@ -157,4 +205,25 @@ unsafe extern "system" fn on_message(
         messages.push(text);
     }
     vk::FALSE
+}
+
+/// The labels that were open in the command buffer that a message is about, the outermost first.
+///
+/// # Safety
+/// The data must be as a layer gives it.
+unsafe fn labels(data: &vk::DebugUtilsMessengerCallbackDataEXT<'_>) -> Vec<String> {
+    if data.p_cmd_buf_labels.is_null() {
+        return Vec::new();
+    }
+    // SAFETY: the caller's promise: so many labels are there.
+    let labels = unsafe { std::slice::from_raw_parts(data.p_cmd_buf_labels, data.cmd_buf_label_count as usize) };
+    // Layers give the innermost first.
+    let names = labels.iter().rev().filter_map(|label| {
+        // SAFETY: the caller's promise: names end in a zero.
+        unsafe { label.label_name_as_c_str() }
+    });
+    let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into_owned()).collect();
+    // Version 1.3.239 gives each of them twice.
+    names.dedup();
+    names
 }

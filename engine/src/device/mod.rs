@@ -159,7 +159,7 @@ impl Device {
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, "device opened");
-        Ok(Device(Arc::new(Shared {
+        let device = Device(Arc::new(Shared {
             raw,
             info,
             queue_family,
@@ -173,7 +173,10 @@ impl Device {
             closing: options.closing,
             gate,
             instance,
-        })))
+        }));
+        device.0.name(queue, "queue");
+        device.0.name(timeline, "timeline");
+        Ok(device)
     }
 
     /// What is known of the device.
@@ -184,6 +187,11 @@ impl Device {
     /// Validation messages so far (empty without validation).
     pub fn messages(&self) -> &Arc<Messages> {
         &self.0.instance.messages
+    }
+
+    /// Version of the validation layer, where it runs: what it can see differs.
+    pub fn validation_version(&self) -> Option<(u32, u32, u32)> {
+        self.0.instance.layer_version
     }
 
     /// Whether validation runs.

@@ -1,7 +1,8 @@
 //! Why each barrier of a plan is there: the conflicting accesses that meet at it.
 //!
 //! For explaining, not for proving: it walks two replays with what touched every byte, and gives each conflict to the
-//! first barrier between its two sides that covers it by itself. Whether all conflicts are covered is the verifier's
+//! first barrier between its two sides that covers it by itself. Changes of layout and users outside of the plan are
+//! not among them. Whether all conflicts are covered is the verifier's
 //! business ([`crate::graph::verify`]).
 
 use std::collections::BTreeSet;
@@ -65,7 +66,7 @@ pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
 
 struct Walk<'p> {
     plan: &'p Plan,
-    /// One an external buffer, and the arena last.
+    /// One an external buffer or image, then the arena, then one an image slot.
     memory: Vec<RangeMap<Vec<Event>>>,
     seen: BTreeSet<[usize; 6]>,
     found: Vec<Vec<Cause>>,
@@ -75,7 +76,8 @@ struct Walk<'p> {
 
 impl<'p> Walk<'p> {
     fn new(plan: &'p Plan) -> Self {
-        let sizes = plan.buffers.iter().map(|info| info.bytes).chain([plan.arena_bytes.max(1)]);
+        let slots = plan.image_slots.iter().map(|slot| slot.bytes());
+        let sizes = plan.buffers.iter().map(|info| info.bytes).chain([plan.arena_bytes.max(1)]).chain(slots);
         Walk {
             plan,
             memory: sizes.map(|bytes| RangeMap::new(bytes, Vec::new())).collect(),
@@ -86,11 +88,13 @@ impl<'p> Walk<'p> {
     }
 
     fn touch(&mut self, slice: &Slice, event: Event) {
-        let (space, offset) = match self.plan.buffers[event.buffer].kind {
-            BufferKind::Transient => match self.plan.placements[event.buffer] {
-                Some(offset) => (self.plan.buffers.len(), offset),
-                None => return,
-            },
+        let info = &self.plan.buffers[event.buffer];
+        let (space, offset) = match (info.kind, self.plan.placements[event.buffer]) {
+            (BufferKind::Transient, Some(slot)) if info.image.is_some() => {
+                (self.plan.buffers.len() + 1 + slot as usize, 0)
+            }
+            (BufferKind::Transient, Some(offset)) => (self.plan.buffers.len(), offset),
+            (BufferKind::Transient, None) => return,
             _ => (event.buffer, 0),
         };
         let range = slice.range();

@@ -342,6 +342,7 @@ impl Executor {
         slot.commands = shared
             .gate
             .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
+        shared.name(slot.commands, name);
         slot.descriptors = self.descriptor_pool()?;
         if self.times.enabled() {
             let info = vk::QueryPoolCreateInfo::default()

@@ -60,6 +60,9 @@ impl Executor {
     /// Records the passes, from behind the entry's barrier up to the exit's.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
         let plan = &self.plan;
+        // A recording that failed before may have left some open.
+        self.device.0.instance.messages.close_all();
+        self.open_label(commands, &plan.name);
         if self.options.poison && (self.arena.is_some() || !self.slot_images.is_empty()) {
             let raw = &self.device.0.raw;
             if let Some(arena) = &self.arena {
@@ -82,12 +85,17 @@ impl Executor {
             if let (Some(barrier), true) = (&group.barrier, g > 0) {
                 self.barrier(commands, &translate(barrier));
             }
+            self.open_label(commands, &format!("group {g}"));
             for &pass in &group.passes {
                 self.stamp(commands, slot, pass, false);
+                self.open_label(commands, &plan.passes[pass].name);
                 self.pass(commands, slot, plan, pass)?;
+                self.close_label(commands);
                 self.stamp(commands, slot, pass, true);
             }
+            self.close_label(commands);
         }
+        self.close_label(commands);
         Ok(())
     }
 
@@ -95,12 +103,6 @@ impl Executor {
         let shared = &self.device.0;
         let raw = &shared.raw;
         let pass = &plan.passes[pass];
-        if let Some(labels) = &shared.labels {
-            let name = std::ffi::CString::new(pass.name.as_str()).unwrap_or_default();
-            let label = vk::DebugUtilsLabelEXT::default().label_name(&name);
-            // SAFETY: the command buffer is being recorded; begin and end come in pairs.
-            unsafe { labels.cmd_begin_debug_utils_label(commands, &label) };
-        }
         match &pass.kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
                 let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
@@ -157,10 +159,6 @@ impl Executor {
                 unsafe { raw.cmd_clear_color_image(commands, image.0.raw, home, &color, &[WHOLE]) };
             }
         }
-        if let Some(labels) = &shared.labels {
-            // SAFETY: closes the label opened above.
-            unsafe { labels.cmd_end_debug_utils_label(commands) };
-        }
         Ok(())
     }
 
@@ -198,6 +196,29 @@ impl Executor {
     /// The layout that an image is in between entry and exit.
     fn home(&self, image: Image) -> vk::ImageLayout {
         layout(self.plan.homes[image.index()].unwrap_or(ImageState::General))
+    }
+
+    /// What is recorded from here to the matching [`Executor::close_label`] carries a name in capture tools and messages.
+    fn open_label(&self, commands: vk::CommandBuffer, name: &str) {
+        let shared = &self.device.0;
+        if shared.instance.validation {
+            shared.instance.messages.open(name);
+        }
+        let Some(labels) = &shared.labels else { return };
+        let name = std::ffi::CString::new(name).unwrap_or_default();
+        let label = vk::DebugUtilsLabelEXT::default().label_name(&name);
+        // SAFETY: the command buffer is being recorded; labels are opened and closed in pairs.
+        unsafe { labels.cmd_begin_debug_utils_label(commands, &label) };
+    }
+
+    fn close_label(&self, commands: vk::CommandBuffer) {
+        let shared = &self.device.0;
+        if shared.instance.validation {
+            shared.instance.messages.close();
+        }
+        let Some(labels) = &shared.labels else { return };
+        // SAFETY: as above; one is open.
+        unsafe { labels.cmd_end_debug_utils_label(commands) };
     }
 
     pub(super) fn barrier(&self, commands: vk::CommandBuffer, barrier: &vk::MemoryBarrier2<'_>) {

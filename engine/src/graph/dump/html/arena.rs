@@ -28,6 +28,9 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let mut live = vec![0u64; columns];
     for (index, life) in page.lifetimes.iter().enumerate() {
         let Some((first, last)) = *life else { continue };
+        if plan.buffers[index].image.is_some() {
+            continue;
+        }
         live[first..=last.min(columns - 1)].iter_mut().for_each(|sum| *sum += plan.buffers[index].bytes);
     }
     let most = live.iter().copied().max().unwrap_or(0);
@@ -62,6 +65,10 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     axes(out, columns, plan.arena_bytes, x, y)?;
     for (index, info) in plan.buffers.iter().enumerate() {
         let (Some(offset), Some((first, last))) = (plan.placements[index], page.lifetimes[index]) else { continue };
+        // Images have slots of their own.
+        if info.image.is_some() {
+            continue;
+        }
         let name = Text(&info.name);
         let (left, right) = (x(first), x((last + 1).min(columns)));
         let (top, bottom) = (y(offset), y(offset + info.bytes));

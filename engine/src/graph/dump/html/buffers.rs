@@ -26,6 +26,10 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
             BufferKind::Transient => "transient",
             BufferKind::Uniform => "uniform",
         };
+        let kind = match &info.image {
+            Some(image) => format!("{kind} image {}x{} {}", image.size[0], image.size[1], image.format),
+            None => kind.to_owned(),
+        };
         let mut strip = String::new();
         if let Some((first, last)) = page.lifetimes[index].or(page.used[index]) {
             let (from, to) = (100.0 * first as f64 / columns, 100.0 * (last + 1) as f64 / columns);
@@ -41,7 +45,10 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
                 .filter(|&&pass| plan.passes[pass].accesses.iter().any(|a| a.0.buffer.index() == index && wanted(a.1)))
                 .count()
         };
-        let place = plan.placements[index].map_or_else(String::new, |offset| offset.to_string());
+        let place = plan.placements[index].map_or_else(String::new, |place| match info.image {
+            Some(_) => format!("slot {place}"),
+            None => place.to_string(),
+        });
         writeln!(
             out,
             "<tr id=\"b{index}\" data-buffer=\"{index}\" data-find=\"{name} {kind}\" style=\"--hue:{}\"><th>{name}</th>\

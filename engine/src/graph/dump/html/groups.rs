@@ -4,9 +4,10 @@ use std::fmt::{self, Write};
 
 use super::{Page, Text, bytes, duration, hue, list};
 use crate::graph::dump::causes::Cause;
-use crate::graph::dump::{describe, labels, verb};
+use crate::graph::dump::{describe, labels, transition, verb};
 use crate::graph::plan::Barrier;
 use crate::graph::plan::verify::Hazard;
+use crate::graph::resource::BufferState;
 
 /// Writes every group, the end, and what was dropped.
 pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
@@ -72,7 +73,29 @@ fn barrier(page: &Page<'_>, at: usize, barrier: Option<Barrier>, out: &mut Strin
     for cause in causes {
         line(page, cause, out)?;
     }
+    outside(page, at, out)?;
     writeln!(out, "</ul></details>")
+}
+
+/// What the first and the last barrier are there for besides: changes of layout, and those who use buffers between
+/// replays.
+fn outside(page: &Page<'_>, at: usize, out: &mut String) -> fmt::Result {
+    let plan = page.plan;
+    let (first, last) = (at == 0, at == plan.groups.len());
+    let changes = plan.entry.iter().filter(|_| first).chain(plan.exit.iter().filter(|_| last));
+    for change in changes {
+        writeln!(out, "<li>{}</li>", Text(&transition(plan, change)))?;
+    }
+    for (buffer, info) in plan.buffers() {
+        let (word, state) = if first { ("before", info.entry) } else { ("after", info.exit) };
+        if (first || last) && state != BufferState::Ready {
+            let who = if state == BufferState::Host { "the host" } else { "other commands on the queue" };
+            write!(out, "<li>{who} {word} the replay ")?;
+            chip(page, buffer.index(), "", "", out)?;
+            writeln!(out, "</li>")?;
+        }
+    }
+    Ok(())
 }
 
 fn line(page: &Page<'_>, cause: &Cause, out: &mut String) -> fmt::Result {

@@ -125,6 +125,10 @@ fn totals(page: &Page<'_>, out: &mut String) -> fmt::Result {
     tile(bytes(plan.arena_bytes), "arena", exact(plan.arena_bytes))?;
     tile(bytes(plan.arena_unaliased_bytes), "without sharing", exact(plan.arena_unaliased_bytes))?;
     tile(format!("{share:.0} %"), "saved", exact(saved))?;
+    if !plan.image_slots.is_empty() {
+        let images = plan.image_slots.iter().map(|slot| slot.bytes()).sum();
+        tile(bytes(images), "image slots", exact(images))?;
+    }
     let bound = plan.buffers.iter().filter(|info| info.kind == BufferKind::External).map(|info| info.bytes).sum();
     tile(bytes(bound), "bound from outside", exact(bound))?;
     if let Some(total) = page.total() {
