@@ -1,5 +1,6 @@
 //! Compiles the small kernels of the tests and writes a table of them, with what each does to its bindings.
 
+use sgs_shader_compiler::BindingKind;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -11,10 +12,14 @@ fn main() {
     let kernels = sgs_shader_compiler::compile_folder(&root).unwrap_or_else(|e| fail(&e.to_string()));
     let mut table = String::from("&[\n");
     for kernel in &kernels {
-        let bindings: Vec<_> = kernel.bindings.iter().map(|b| (&b.name, b.number, b.uniform, b.access)).collect();
         let mut listed = String::new();
-        for (name, number, uniform, access) in bindings {
-            let _ = write!(listed, "({name:?}, {number}, {uniform}, Access::{access:?}), ");
+        for b in &kernel.bindings {
+            let kind = match b.kind {
+                BindingKind::Storage => "Storage".to_owned(),
+                BindingKind::Uniform => "Uniform".to_owned(),
+                BindingKind::Image(format) => format!("Image(sgs_engine::ImageFormat::{format})"),
+            };
+            let _ = write!(listed, "({:?}, {}, BindingKind::{kind}, Access::{:?}), ", b.name, b.number, b.access);
         }
         let push = kernel.push.as_ref().map_or(0, |p| p.bytes);
         let _ = writeln!(

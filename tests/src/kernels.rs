@@ -8,7 +8,7 @@ use std::sync::Arc;
 struct Entry {
     name: &'static str,
     push_bytes: u32,
-    bindings: &'static [(&'static str, u32, bool, Access)],
+    bindings: &'static [(&'static str, u32, BindingKind, Access)],
     spirv: &'static [u32],
 }
 
@@ -24,12 +24,7 @@ pub fn kernel(name: &str) -> Arc<Shader> {
         bindings: entry
             .bindings
             .iter()
-            .map(|&(name, number, uniform, access)| Binding {
-                name: Cow::Borrowed(name),
-                number,
-                kind: if uniform { BindingKind::Uniform } else { BindingKind::Storage },
-                access,
-            })
+            .map(|&(name, number, kind, access)| Binding { name: Cow::Borrowed(name), number, kind, access })
             .collect(),
         push_bytes: entry.push_bytes,
         specs: Vec::new(),

@@ -194,7 +194,8 @@ fn overlap(plan: &mut Plan) -> bool {
 #[test]
 fn wrong_plans_are_noticed() {
     let bench = Bench::new();
-    let damages: [(&str, fn(&mut Plan) -> bool); 3] = [("reseed", reseed), ("swap", swap), ("overlap", overlap)];
+    type Damage = fn(&mut Plan) -> bool;
+    let damages: [(&str, Damage); 3] = [("reseed", reseed), ("swap", swap), ("overlap", overlap)];
     for (what, damage) in damages {
         let [mut damaged, mut noticed] = [0; 2];
         for seed in 0..800 {

@@ -168,7 +168,7 @@ fn a_barrier_names_what_it_is_for() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn every_plan_has_a_complete_page(recipe in recipes(40)) {
