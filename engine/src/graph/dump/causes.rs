@@ -1,6 +1,6 @@
 //! Why each barrier of a plan is there: the conflicting accesses that meet at it.
 //!
-//! For explaining, not for proving: it walks two replays with what touched every byte, and gives each conflict to the
+//! For explaining, not for proving: it walks some replays with what touched every byte, and gives each conflict to the
 //! first barrier between its two sides that covers it by itself. Changes of layout and users outside of the plan are
 //! not among them. Whether all conflicts are covered is the verifier's
 //! business ([`crate::graph::verify`]).
@@ -44,7 +44,9 @@ struct Event {
 pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
     let mut walk = Walk::new(plan);
     let groups = plan.groups.len();
-    for replay in 0..2 {
+    // The halves of a history are back in their places after two.
+    let histories = plan.buffers.iter().any(|info| info.kind == BufferKind::History);
+    for replay in 0..if histories { 4 } else { 2 } {
         for (at, group) in plan.groups.iter().enumerate() {
             for &pass in &group.passes {
                 for (slice, access, used) in &plan.passes[pass].accesses {
@@ -95,6 +97,10 @@ impl<'p> Walk<'p> {
             }
             (BufferKind::Transient, Some(offset)) => (self.plan.buffers.len(), offset),
             (BufferKind::Transient, None) => return,
+            (BufferKind::History, _) => match info.pair {
+                Some(pair) if event.at / (self.plan.groups.len() + 1) % 2 == 1 => (pair.partner.index(), 0),
+                _ => (event.buffer, 0),
+            },
             _ => (event.buffer, 0),
         };
         let range = slice.range();
@@ -183,9 +189,8 @@ fn conflict(first: &Event, second: &Event) -> Option<Hazard> {
         (Access::Read, Access::Read) => None,
         (Access::Accumulate, Access::Accumulate) if first.buffer == second.buffer => None,
         (Access::Read, _) => Some(Hazard::WriteAfterRead),
-        (_, Access::Read | Access::ReadWrite | Access::Accumulate) if first.buffer == second.buffer => {
-            Some(Hazard::ReadAfterWrite)
-        }
+        (_, Access::Read) => Some(Hazard::ReadAfterWrite),
+        (_, Access::ReadWrite | Access::Accumulate) if first.buffer == second.buffer => Some(Hazard::ReadAfterWrite),
         _ => Some(Hazard::WriteAfterWrite),
     }
 }
