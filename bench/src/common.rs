@@ -28,6 +28,9 @@ pub struct Common {
     /// Slower by less than this share of the baseline is always noise.
     #[arg(long, global = true, value_name = "SHARE", default_value_t = 0.05)]
     pub tolerance: f64,
+    /// After how many seconds a wait for the device gives up.
+    #[arg(long, global = true, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..))]
+    pub timeout: u64,
     /// Run with Vulkan validation; any message is an error. Times mean little then.
     #[arg(long, global = true, hide = true)]
     pub validate: bool,
@@ -36,7 +39,12 @@ pub struct Common {
 impl Common {
     /// Opens the device that was asked for.
     pub fn open_device(&self) -> anyhow::Result<Device> {
-        let options = DeviceOptions { select: self.device.clone(), validation: self.validate, ..Default::default() };
+        let options = DeviceOptions {
+            select: self.device.clone(),
+            validation: self.validate,
+            timeout: std::time::Duration::from_secs(self.timeout),
+            ..Default::default()
+        };
         Ok(Device::open(&options)?)
     }
 

@@ -47,6 +47,18 @@ pub enum Error {
         /// The allocator's words.
         reason: String,
     },
+    /// The memory budget does not allow it.
+    #[error("{bytes} bytes for \"{what}\" exceed the memory budget: {used} of {budget} bytes are in use.")]
+    OverBudget {
+        /// The buffer or image.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// Bytes in use.
+        used: u64,
+        /// Bytes that may be.
+        budget: u64,
+    },
     /// A buffer exceeds what one binding may cover.
     #[error("Buffer \"{what}\" needs {bytes} bytes, but one storage binding covers at most {limit} on this device.")]
     BindingTooLarge {

@@ -13,4 +13,4 @@ pub mod shader;
 pub use device::{Device, DeviceInfo, DeviceOptions, Ticket, devices};
 pub use error::{Error, Result};
 pub use format::ImageFormat;
-pub use memory::{Activity, DeviceBuffer, DeviceImage, Location};
+pub use memory::{Activity, Budget, BudgetSource, DeviceBuffer, DeviceImage, Location, STAGING_BYTES};

@@ -42,6 +42,8 @@ pub struct DeviceOptions {
     /// How long closing the device waits for work that an earlier wait gave up on. Work that outlasts this too never
     /// ends as far as we can know; what it uses is then left to the system.
     pub closing: Duration,
+    /// Bytes that buffers and images may take, all in; as many as the device or its driver has if absent.
+    pub memory_budget: Option<u64>,
     /// Failures on purpose, from the first call of opening on; nothing is planned by default.
     pub faults: Faults,
     /// Where live objects are counted.
@@ -56,6 +58,7 @@ impl Default for DeviceOptions {
             pipeline_cache: None,
             timeout: Duration::from_secs(300),
             closing: Duration::from_secs(30),
+            memory_budget: None,
             faults: Faults::default(),
             objects: Objects::default(),
         }
@@ -157,6 +160,7 @@ impl Device {
         };
         // SAFETY: the queue was created with the device.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
+        memory.set_budget(options.memory_budget);
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, "device opened");
         let device = Device(Arc::new(Shared {

@@ -3,10 +3,13 @@
 //! Promises: a buffer lives as long as its last handle and names itself in errors; usage is counted. Leaves lifetimes of
 //! transients to the plan, which places them all in one arena buffer.
 
+mod budget;
 pub(crate) mod image;
 mod transfer;
 
+pub use budget::{Budget, BudgetSource};
 pub use image::DeviceImage;
+pub use transfer::STAGING_BYTES;
 
 use crate::device::{Busy, Device, DeviceInfo, ObjectKind, Parked, Shared};
 use crate::error::{Error, Result};
@@ -28,6 +31,7 @@ pub enum Location {
 
 pub(crate) struct Memory {
     state: Mutex<State>,
+    limits: budget::Limits,
 }
 
 struct State {
@@ -82,6 +86,7 @@ impl Memory {
         })?;
         Ok(Memory {
             state: Mutex::new(State { allocator: Some(allocator), used: 0, peak: 0, activity: Activity::default() }),
+            limits: budget::Limits::new(instance, physical, info),
         })
     }
 
@@ -158,7 +163,7 @@ impl Device {
     /// Makes a buffer of at least `bytes` (never of size zero).
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`] with the name and size.
+    /// [`Error::OutOfMemory`], or [`Error::OverBudget`], with the name and size.
     pub fn buffer(&self, name: &str, bytes: u64, location: Location) -> Result<DeviceBuffer> {
         let shared: &Shared = &self.0;
         shared.collect();
@@ -240,6 +245,7 @@ impl Shared {
                 other => other,
             })
         };
+        self.memory.check_budget(what, bytes, desc.location == MemoryLocation::GpuOnly)?;
         planned("vkAllocateMemory")?;
         if desc.location != MemoryLocation::GpuOnly {
             planned("vkMapMemory")?;

@@ -5,8 +5,8 @@ use crate::device::{Busy, Device, ObjectKind, Parked, Ticket};
 use crate::error::Result;
 use ash::vk;
 
-/// Staging memory is reused in pieces of this size.
-const CHUNK: u64 = 4 << 20;
+/// Bytes of staging memory that an upload or download takes at most, reused piece by piece.
+pub const STAGING_BYTES: u64 = 4 << 20;
 
 impl Device {
     /// Writes `data` into a device buffer and waits.
@@ -19,11 +19,14 @@ impl Device {
         if data.is_empty() {
             return Ok(());
         }
-        let staging = self.buffer("staging (upload)", CHUNK.min(data.len() as u64), Location::Upload)?;
-        for (i, piece) in data.chunks(CHUNK as usize).enumerate() {
+        let staging = self.buffer("staging (upload)", STAGING_BYTES.min(data.len() as u64), Location::Upload)?;
+        for (i, piece) in data.chunks(STAGING_BYTES as usize).enumerate() {
             staging.write(0, piece)?;
-            let region =
-                vk::BufferCopy { src_offset: 0, dst_offset: offset + i as u64 * CHUNK, size: piece.len() as u64 };
+            let region = vk::BufferCopy {
+                src_offset: 0,
+                dst_offset: offset + i as u64 * STAGING_BYTES,
+                size: piece.len() as u64,
+            };
             self.copy_now(&staging, buffer, region)?;
         }
         Ok(())
@@ -40,10 +43,13 @@ impl Device {
         if data.is_empty() {
             return Ok(data);
         }
-        let staging = self.buffer("staging (download)", CHUNK.min(bytes), Location::Readback)?;
-        for (i, piece) in data.chunks_mut(CHUNK as usize).enumerate() {
-            let region =
-                vk::BufferCopy { src_offset: offset + i as u64 * CHUNK, dst_offset: 0, size: piece.len() as u64 };
+        let staging = self.buffer("staging (download)", STAGING_BYTES.min(bytes), Location::Readback)?;
+        for (i, piece) in data.chunks_mut(STAGING_BYTES as usize).enumerate() {
+            let region = vk::BufferCopy {
+                src_offset: offset + i as u64 * STAGING_BYTES,
+                dst_offset: 0,
+                size: piece.len() as u64,
+            };
             self.copy_now(buffer, &staging, region)?;
             staging.read(0, piece)?;
         }

@@ -3,9 +3,9 @@
 use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
 use crate::optim::opacity_reset::opacity_reset;
-use crate::scene::{Gaussians, Group};
+use crate::scene::{Gaussians, Group, Handles, Layout};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
-use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
 use sgs_shaders::structs::{Densify as Settings, DensifyStats};
 use std::sync::Arc;
@@ -24,19 +24,31 @@ impl DensifyStep {
     /// # Errors
     /// If memory runs out, or the Gaussians have no optimizer.
     pub fn new(device: &Device, tuning: &Tuning, gaussians: &Gaussians, arena: Option<DeviceBuffer>) -> Result<Self> {
-        let mut g = Graph::new("densify");
-        let settings = g.uniform("densify_settings", size_of::<Settings>() as u64);
-        let handles = gaussians.declare(&mut g, true);
-        let out = g.external("densify_stats", size_of::<DensifyStats>() as u64);
-        let what = Densify::of(&handles, settings, out).ok_or_else(not_training)?;
-        densify(&mut g, *tuning, &what)?;
-        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let (plan, settings, handles, out) = DensifyStep::declare(tuning, &gaussians.layout())?;
         let options = ExecOptions { frames_in_flight: 1, arena, ..Default::default() };
         let mut exec = Executor::new(device, plan, options)?;
         gaussians.bind(&mut exec, &handles)?;
         let stats = device.buffer("densify_stats", size_of::<DensifyStats>() as u64, Location::Readback)?;
         exec.bind(out, &stats)?;
         Ok(DensifyStep { exec, settings, stats })
+    }
+
+    fn declare(tuning: &Tuning, gaussians: &Layout) -> Result<(Arc<Plan>, Buffer, Handles, Buffer)> {
+        let mut g = Graph::new("densify");
+        let settings = g.uniform("densify_settings", size_of::<Settings>() as u64);
+        let handles = gaussians.declare(&mut g, true);
+        let out = g.external("densify_stats", size_of::<DensifyStats>() as u64);
+        let what = Densify::of(&handles, settings, out).ok_or_else(not_training)?;
+        densify(&mut g, *tuning, &what)?;
+        Ok((Arc::new(g.compile(&CompileOptions::default())?), settings, handles, out))
+    }
+
+    /// The plan for Gaussians that do not exist yet, for what it would cost.
+    ///
+    /// # Errors
+    /// If they have no optimizer.
+    pub fn plan(tuning: &Tuning, gaussians: &Layout) -> Result<Arc<Plan>> {
+        Ok(DensifyStep::declare(tuning, gaussians)?.0)
     }
 
     /// Densifies once and waits for the outcome.

@@ -8,13 +8,13 @@ use crate::loss::{
     GeometryLoss, Photometric, geometry_loss, loss_sum, photometric, photometric_bwd, photometric_bwd_in_place,
 };
 use crate::optim::{AdamUnseen, Rate, adam_unseen};
-use crate::scene::{Gaussians, Group, Handles};
+use crate::scene::{Gaussians, Group, Handles, Layout};
 use crate::splat::{
     BackwardKernel, Blended, Channels, FusedAdam, Screen, blend, blend_bwd, blend_debt, intersect, project,
     project_bwd_adam,
 };
 use sgs_engine::graph::exec::{ExecOptions, Executor};
-use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError, Plan};
 use sgs_engine::{Device, DeviceBuffer, Result, Ticket};
 use sgs_shaders::report;
 use std::sync::Arc;
@@ -62,14 +62,8 @@ impl GeometryStep {
         status: &Status,
         options: GeometryOptions,
     ) -> Result<GeometryStep> {
-        let mut g = Graph::new("geometry_step");
-        let step = g.uniform("step", size_of::<Step>() as u64);
-        let handles = gaussians.declare(&mut g, true);
-        let status_handles = status.declare(&mut g);
-        let target_buffer = g.input("targets", targets.bytes());
-        let prior_buffer = priors.map(|p| g.input("normal_priors", p.bytes()));
-        build(&mut g, tuning, step, &handles, &status_handles, target_buffer, prior_buffer, &options)?;
-        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let Declared { plan, step, handles, status: status_handles, targets: target_buffer, priors: prior_buffer } =
+            declare(tuning, &gaussians.layout(), targets.bytes(), priors.map(DeviceBuffer::bytes), &options)?;
         let exec_options = ExecOptions {
             frames_in_flight: options.frames_in_flight,
             timestamps: options.timestamps,
@@ -83,6 +77,21 @@ impl GeometryStep {
             exec.bind(handle, memory)?;
         }
         Ok(GeometryStep { exec, step, tile: tuning.tile, options })
+    }
+
+    /// The plan of a step that does not exist yet, for what it would cost. `targets`, `priors`: bytes of the photographs
+    /// and the normals.
+    ///
+    /// # Errors
+    /// If the sizes make no graph.
+    pub fn plan(
+        tuning: &Tuning,
+        gaussians: &Layout,
+        targets: u64,
+        priors: Option<u64>,
+        options: &GeometryOptions,
+    ) -> Result<Arc<Plan>> {
+        Ok(declare(tuning, gaussians, targets, priors, options)?.plan)
     }
 
     /// Replays the step with these values.
@@ -113,6 +122,34 @@ impl GeometryStep {
     pub fn executor(&mut self) -> &mut Executor {
         &mut self.exec
     }
+}
+
+/// A compiled step and what is bound to it.
+struct Declared {
+    plan: Arc<Plan>,
+    step: Buffer,
+    handles: Handles,
+    status: StatusHandles,
+    targets: Buffer,
+    priors: Option<Buffer>,
+}
+
+fn declare(
+    tuning: &Tuning,
+    gaussians: &Layout,
+    targets: u64,
+    priors: Option<u64>,
+    options: &GeometryOptions,
+) -> Result<Declared> {
+    let mut g = Graph::new("geometry_step");
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let handles = gaussians.declare(&mut g, true);
+    let status = Status::declare(&mut g);
+    let targets = g.input("targets", targets);
+    let priors = priors.map(|bytes| g.input("normal_priors", bytes));
+    build(&mut g, tuning, step, &handles, &status, targets, priors, options)?;
+    let plan = Arc::new(g.compile(&CompileOptions::default())?);
+    Ok(Declared { plan, step, handles, status, targets, priors })
 }
 
 /// The learning rate that a group follows.

@@ -73,11 +73,14 @@ impl Status {
         Ok(report)
     }
 
-    pub(crate) fn declare(&self, g: &mut Graph) -> StatusHandles {
+    /// Bytes that all of it takes.
+    pub const BYTES: u64 = 8 + RING as u64 * size_of::<StepReport>() as u64;
+
+    pub(crate) fn declare(g: &mut Graph) -> StatusHandles {
         StatusHandles {
             flags: g.external("flags", 4),
             skipped: g.external("skipped", 4),
-            reports: g.external("reports", self.reports.bytes()),
+            reports: g.external("reports", Status::BYTES - 8),
         }
     }
 

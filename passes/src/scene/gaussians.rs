@@ -33,6 +33,57 @@ impl GaussianData {
     }
 }
 
+/// What buffers Gaussians take, whether they exist or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// What they carry.
+    pub model: Model,
+    /// Most there can be.
+    pub capacity: u32,
+    /// Whether there are moments.
+    pub training: bool,
+    /// Whether densification statistics are kept; without training there are none.
+    pub statistics: bool,
+}
+
+impl Layout {
+    /// A group that is absent is bound to a word that specialized kernels never touch.
+    fn scalars(&self, group: Group) -> u64 {
+        if self.model.has(group) { u64::from(self.capacity) * u64::from(group.width()) } else { 4 }
+    }
+
+    /// Bytes of the parameters.
+    pub fn parameter_bytes(&self) -> u64 {
+        Group::ALL.into_iter().map(|g| 4 * self.scalars(g)).sum()
+    }
+
+    /// Bytes of Adam's moments.
+    pub fn moment_bytes(&self) -> u64 {
+        if self.training { 2 * self.parameter_bytes() } else { 0 }
+    }
+
+    /// Bytes of the densification statistics.
+    pub fn statistics_bytes(&self) -> u64 {
+        match (self.training, self.statistics) {
+            (true, true) => u64::from(self.capacity) * u64::from(STATISTICS) * 4,
+            (true, false) => 4,
+            _ => 0,
+        }
+    }
+
+    /// Declares the buffers in a graph; kernels may write them if `training`.
+    pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
+        let mut add = |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
+        let parameters = Group::ALL.map(|group| add(group.name(), 4 * self.scalars(group)));
+        let optimizer = self.training && training;
+        let moments = optimizer
+            .then(|| Group::ALL.map(|group| add(&format!("{}_moments", group.name()), 8 * self.scalars(group))));
+        let statistics = optimizer.then(|| add("statistics", self.statistics_bytes()));
+        let work = add("gaussians", size_of::<Work>() as u64);
+        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
+    }
+}
+
 /// Gaussians in device memory, with room to grow.
 #[derive(Debug)]
 pub struct Gaussians {
@@ -62,22 +113,23 @@ impl Gaussians {
     /// If memory runs out.
     pub fn with(device: &Device, model: Model, capacity: u32, training: bool, statistics: bool) -> Result<Gaussians> {
         let capacity = capacity.max(1);
-        // A group that is absent is bound to a word that specialized kernels never touch.
-        let scalars = |g: Group| if model.has(g) { u64::from(capacity) * u64::from(g.width()) } else { 4 };
+        let layout = Layout { model, capacity, training, statistics };
         let make = |suffix: &str, bytes: u64| -> Result<[DeviceBuffer; 9]> {
             let mut made = Vec::with_capacity(9);
             for g in Group::ALL {
-                made.push(device.buffer(&format!("{}{suffix}", g.name()), scalars(g) * bytes, Location::Device)?);
+                made.push(device.buffer(
+                    &format!("{}{suffix}", g.name()),
+                    layout.scalars(g) * bytes,
+                    Location::Device,
+                )?);
             }
             Ok(made.try_into().unwrap_or_else(|_| unreachable!("nine were made")))
         };
         let parameters = make("", 4)?;
         let moments = if training { Some(make("_moments", 8)?) } else { None };
-        let statistics = if training {
-            let bytes = if statistics { u64::from(capacity) * u64::from(STATISTICS) * 4 } else { 4 };
-            Some(device.buffer("statistics", bytes, Location::Device)?)
-        } else {
-            None
+        let statistics = match layout.statistics_bytes() {
+            0 => None,
+            bytes => Some(device.buffer("statistics", bytes, Location::Device)?),
         };
         let work = device.buffer("gaussians", size_of::<Work>() as u64, Location::Device)?;
         let gaussians = Gaussians { model, capacity, parameters, moments, statistics, work };
@@ -192,24 +244,15 @@ impl Gaussians {
         Ok(())
     }
 
+    /// What they take.
+    pub fn layout(&self) -> Layout {
+        let (training, statistics) = (self.moments.is_some(), self.has_statistics());
+        Layout { model: self.model, capacity: self.capacity, training, statistics }
+    }
+
     /// Declares the buffers in a graph; kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
-        let mut add = |name: &str, buffer: &DeviceBuffer| {
-            if training { g.external(name, buffer.bytes()) } else { g.input(name, buffer.bytes()) }
-        };
-        let parameters = Group::ALL.map(|group| add(group.name(), &self.parameters[group as usize]));
-        let moments = match (&self.moments, training) {
-            (Some(m), true) => {
-                Some(Group::ALL.map(|group| add(&format!("{}_moments", group.name()), &m[group as usize])))
-            }
-            _ => None,
-        };
-        let statistics = match (&self.statistics, training) {
-            (Some(s), true) => Some(add("statistics", s)),
-            _ => None,
-        };
-        let work = add("gaussians", &self.work);
-        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
+        self.layout().declare(g, training)
     }
 
     /// Puts the buffers behind their handles.

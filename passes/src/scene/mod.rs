@@ -5,5 +5,5 @@
 mod gaussians;
 mod model;
 
-pub use gaussians::{GaussianData, Gaussians, Handles, STATISTICS};
+pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
 pub use model::{Group, Model};

@@ -3,6 +3,7 @@
 use clap::Args;
 use sgs_engine::{Device, DeviceOptions};
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Options of every command.
 #[derive(Args, Clone, Debug)]
@@ -19,6 +20,9 @@ pub struct Common {
     /// Errors only.
     #[arg(short, long, global = true)]
     pub quiet: bool,
+    /// After how long a wait for the device gives up.
+    #[arg(long, global = true, value_name = "SECONDS", value_parser = seconds)]
+    pub timeout: Option<Duration>,
     /// Run with Vulkan validation; any message is an error.
     #[arg(long, global = true, hide = true)]
     pub validate: bool,
@@ -27,11 +31,13 @@ pub struct Common {
 impl Common {
     /// Opens the device that was asked for.
     pub fn open_device(&self) -> anyhow::Result<Device> {
+        let defaults = DeviceOptions::default();
         let options = DeviceOptions {
             select: self.device.clone(),
             validation: self.validate,
             pipeline_cache: cache_folder(),
-            ..Default::default()
+            timeout: self.timeout.unwrap_or(defaults.timeout),
+            ..defaults
         };
         Ok(Device::open(&options)?)
     }
@@ -48,6 +54,11 @@ impl Common {
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
         Ok(false)
     }
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let value = text.parse::<f64>().ok().filter(|s| *s > 0.0);
+    value.and_then(|s| Duration::try_from_secs_f64(s).ok()).ok_or_else(|| "a number of seconds above 0".into())
 }
 
 fn cache_folder() -> Option<PathBuf> {

@@ -19,14 +19,20 @@ pub struct TrainingData {
     pub largest: [u32; 2],
 }
 
-impl TrainingData {
-    /// Loads the training views of a scene. Priors are used only if `normals` says so and they are there.
-    ///
-    /// # Errors
-    /// If an image or prior cannot be read, or memory runs out.
-    pub fn load(device: &Device, scene: &Scene, normals: bool) -> Result<TrainingData> {
+/// Training views on the host, as they go to the device.
+pub(crate) struct Packed {
+    images: Vec<Vec<u32>>,
+    normals: Option<Vec<Vec<u32>>>,
+    views: Vec<(Camera, u32)>,
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+}
+
+impl Packed {
+    /// Reads the training views of a scene. Priors are used only if `normals` says so and they are there.
+    pub fn read(scene: &Scene, normals: bool) -> Result<Packed> {
         let train = &scene.split.train;
-        let packed: Vec<Vec<u32>> =
+        let images: Vec<Vec<u32>> =
             train.par_iter().map(|&i| Ok(pack_image(&scene.load_image(i)?))).collect::<Result<_>>()?;
         let mut views = Vec::new();
         let mut offset = 0_u64;
@@ -40,33 +46,55 @@ impl TrainingData {
             views.push((c, first));
             offset += u64::from(c.size[0]) * u64::from(c.size[1]);
         }
-        let targets = upload(device, "targets", &packed)?;
-        let normals = if normals {
+        let mut packed = Packed { images, normals: None, views, largest };
+        if normals {
             let maps: Vec<Option<Vec<u32>>> = train
                 .par_iter()
                 .map(|&i| Ok(scene.normal_prior(i)?.map(|n| pack_normals(&n))))
                 .collect::<Result<_>>()?;
             // A view without a prior among views with one is trained without: all zeros mean nothing is known.
             if maps.iter().any(Option::is_some) {
-                let filled: Vec<Vec<u32>> = maps
-                    .into_iter()
-                    .zip(&packed)
-                    .map(|(map, image)| map.unwrap_or_else(|| vec![0; image.len()]))
-                    .collect();
-                Some(upload(device, "normal_priors", &filled)?)
-            } else {
-                None
+                let filled = maps.into_iter().zip(&packed.images);
+                packed.normals = Some(filled.map(|(map, image)| map.unwrap_or_else(|| vec![0; image.len()])).collect());
             }
-        } else {
-            None
-        };
-        Ok(TrainingData { targets, normals, views, largest })
+        }
+        Ok(packed)
+    }
+
+    /// Bytes of the photographs.
+    pub fn image_bytes(&self) -> u64 {
+        bytes(&self.images)
+    }
+
+    /// Bytes of the normal priors, if there are any.
+    pub fn normal_bytes(&self) -> Option<u64> {
+        self.normals.as_deref().map(bytes)
+    }
+
+    /// Puts them into device memory.
+    pub fn upload(self, device: &Device) -> Result<TrainingData> {
+        let targets = upload(device, "targets", &self.images)?;
+        let normals = self.normals.map(|maps| upload(device, "normal_priors", &maps)).transpose()?;
+        Ok(TrainingData { targets, normals, views: self.views, largest: self.largest })
     }
 }
 
+impl TrainingData {
+    /// Loads the training views of a scene. Priors are used only if `normals` says so and they are there.
+    ///
+    /// # Errors
+    /// If an image or prior cannot be read, or memory runs out.
+    pub fn load(device: &Device, scene: &Scene, normals: bool) -> Result<TrainingData> {
+        Packed::read(scene, normals)?.upload(device)
+    }
+}
+
+fn bytes(parts: &[Vec<u32>]) -> u64 {
+    4 * parts.iter().map(|p| p.len() as u64).sum::<u64>()
+}
+
 fn upload(device: &Device, name: &str, parts: &[Vec<u32>]) -> Result<DeviceBuffer> {
-    let words: u64 = parts.iter().map(|p| p.len() as u64).sum();
-    let buffer = device.buffer(name, 4 * words, Location::Device)?;
+    let buffer = device.buffer(name, bytes(parts), Location::Device)?;
     let mut offset = 0;
     for part in parts {
         device.upload(&buffer, offset, bytemuck::cast_slice(part))?;

@@ -17,6 +17,9 @@ pub enum TrainError {
     /// A setting is wrong.
     #[error("{0}")]
     Setting(String),
+    /// The device's memory does not suffice.
+    #[error("{0}")]
+    Memory(String),
     /// A file of a run cannot be used.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {

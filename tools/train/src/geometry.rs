@@ -6,17 +6,18 @@
 
 use crate::checkpoint;
 use crate::convert::{gaussian_data, splats};
-use crate::data::TrainingData;
+use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
+use crate::memory::{Needs, allowed};
 use crate::schedule::Schedule;
 use crate::settings::{Backward, Settings};
-use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
+use sgs_engine::{BudgetSource, Device, Error};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport,
 };
-use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::scene::{Gaussians, Layout, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
 use std::path::Path;
@@ -57,6 +58,9 @@ pub struct Geometry {
     options: GeometryOptions,
     /// Densification never goes beyond this many.
     most: u32,
+    /// Whether memory is why, and it was not said yet.
+    scarce: bool,
+    needs: Needs,
     /// Last step that was submitted.
     submitted: u32,
     /// Last step whose report was seen to be clean.
@@ -74,8 +78,12 @@ impl Geometry {
         settings.check()?;
         let g = &settings.geometry;
         let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
-        let data = TrainingData::load(device, scene, wants_normals)?;
-        let model = Model { sh_degree: g.sh_degree, normals: data.normals.is_some() };
+        let budget = settings.memory.budget;
+        if budget > 0 {
+            device.set_memory_budget(Some(budget));
+        }
+        let data = Packed::read(scene, wants_normals)?;
+        let model = Model { sh_degree: g.sh_degree, normals: data.normal_bytes().is_some() };
         let initial;
         let start = match start {
             Some(s) => s,
@@ -85,16 +93,9 @@ impl Geometry {
             }
         };
         let count = start.len() as u32;
-        let most = most_gaussians(device, model, settings, &data)?;
-        if count > most {
-            return Err(TrainError::Setting(format!(
-                "The scene starts with {count} Gaussians, but at most {most} fit into the device's memory and bindings; \
-                 use fewer points, a lower geometry.sh_degree, or a higher geometry.densify.max_mib."
-            )));
-        }
-        let capacity = if g.densify.enabled { room_for(count, most.min(g.densify.max_gaussians)) } else { count };
-        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
-        gaussians.upload(device, &gaussian_data(start, model))?;
+        let most = most_gaussians(device, model, settings, &data);
+        let wanted = most.min(g.densify.max_gaussians);
+        let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
         let tuning = Tuning::for_device(device.info());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         let options = GeometryOptions {
@@ -107,9 +108,21 @@ impl Geometry {
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
+        let layout = Layout { model, capacity: capacity.max(1), training: true, statistics: g.densify.enabled };
+        let needs = Needs::of(device, &tuning, &layout, data.image_bytes(), data.normal_bytes(), &options)?;
+        needs.check(&allowed(device, settings))?;
+        if count > most {
+            return Err(TrainError::Memory(format!(
+                "The scene starts with {count} Gaussians, but at most {most} fit into the device's memory and bindings; \
+                 use fewer points, a lower geometry.sh_degree, or a larger budget."
+            )));
+        }
+        let data = data.upload(device)?;
+        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
+        gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, scene.extent(), data.views.len());
-        let most = most.min(g.densify.max_gaussians);
+        let scarce = most < g.densify.max_gaussians;
         let mut settings = settings.clone();
         // Processors run lanes one after the other: engine-bench shows the pixel kernel ahead on them by far.
         if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
@@ -127,7 +140,9 @@ impl Geometry {
             densify: None,
             reset: None,
             options,
-            most,
+            most: wanted,
+            scarce,
+            needs,
             submitted: 0,
             done: 0,
             settled: 0,
@@ -276,12 +291,11 @@ impl Geometry {
             if let Some(densify) = &mut self.densify {
                 let stats = densify.run(&settings)?;
                 tracing::info!(step, ?stats, "densified");
-                let most = self.most;
-                if stats.after > self.gaussians.capacity / 4 * 3 && self.gaussians.capacity < most {
-                    self.densify = None;
-                    self.reset = None;
-                    self.gaussians = self.gaussians.grown(&self.device, room_for(stats.after, most))?;
-                    self.rebuild()?;
+                if stats.after > self.gaussians.capacity / 4 * 3 && self.gaussians.capacity < self.most {
+                    self.grow(stats.after)?;
+                }
+                if self.scarce && stats.after >= self.most {
+                    self.full();
                 }
                 heard(&Progress::Densified { step, stats });
             }
@@ -295,6 +309,38 @@ impl Geometry {
             }
         }
         Ok(())
+    }
+
+    /// Makes room for more Gaussians. Where memory refuses, they stay as many as fit now.
+    fn grow(&mut self, count: u32) -> Result<()> {
+        // What can be made again goes first: for a moment there are two of the rest.
+        self.densify = None;
+        self.reset = None;
+        self.exec = None;
+        let old = self.gaussians.capacity;
+        match self.gaussians.grown(&self.device, room_for(count, self.most)) {
+            Ok(grown) => self.gaussians = grown,
+            Err(Error::OutOfMemory { .. } | Error::OverBudget { .. }) => {
+                self.most = old;
+                self.scarce = true;
+                self.full();
+            }
+            Err(error) => return Err(error.into()),
+        }
+        self.rebuild()
+    }
+
+    /// Says once that densification has come to the end of memory.
+    fn full(&mut self) {
+        if std::mem::take(&mut self.scarce) {
+            let budget = allowed(&self.device, &self.settings).budget >> 20;
+            tracing::warn!("Densification stops at {} Gaussians: no more fit into {budget} MiB.", self.most);
+        }
+    }
+
+    /// What the first step was reckoned to take of the device's memory.
+    pub fn needs(&self) -> &Needs {
+        &self.needs
     }
 
     /// Times both backward kernels on the step as it is, with parameters held, and takes the faster one. The splat
@@ -406,26 +452,18 @@ impl Geometry {
 }
 
 /// How many Gaussians memory allows: the budget less the photographs, and no binding beyond the device's range.
-fn most_gaussians(device: &Device, model: Model, settings: &Settings, data: &TrainingData) -> Result<u32> {
+fn most_gaussians(device: &Device, model: Model, settings: &Settings, data: &Packed) -> u32 {
     // Parameters and moments; per visible splat and per tile entry of the transients, at three entries a splat.
     let a_gaussian = u64::from(model.width()) * 12 + 12 + 4 * u64::from(model.width().min(16)) + 3 * 100;
     let pixels = u64::from(data.largest[0]) * u64::from(data.largest[1]);
-    let fixed = data.targets.bytes() + data.normals.as_ref().map_or(0, sgs_engine::DeviceBuffer::bytes) + 160 * pixels;
-    let budget = match settings.geometry.densify.max_mib {
-        0 => device.info().memory_bytes / 10 * 9,
-        mib => (mib << 20).min(device.info().memory_bytes),
-    };
-    if budget <= fixed {
-        return Err(TrainError::Setting(format!(
-            "The photographs and one picture need {} MiB, but only {} MiB are allowed; use --scale or --views.",
-            fixed.div_ceil(1 << 20),
-            budget >> 20
-        )));
-    }
-    let by_memory = (budget - fixed) / a_gaussian;
+    let fixed = data.image_bytes() + data.normal_bytes().unwrap_or(0) + 160 * pixels;
+    let b = allowed(device, settings);
+    // What nobody promised is not used up.
+    let budget = if b.source == BudgetSource::Heap && b.budget == b.heap { b.heap / 10 * 9 } else { b.budget };
+    let by_memory = budget.saturating_sub(fixed) / a_gaussian;
     let widest = model.groups().map(|g| u64::from(g.width()) * 8).max().unwrap_or(8);
     let by_binding = device.info().max_storage_range / widest;
-    Ok(u32::try_from(by_memory.min(by_binding)).unwrap_or(u32::MAX))
+    u32::try_from(by_memory.min(by_binding)).unwrap_or(u32::MAX)
 }
 
 /// Half as many again, so that densification rarely has to grow.

@@ -20,6 +20,8 @@ pub struct Settings {
     pub exposure: f32,
     /// Random points where the scene has none.
     pub random_points: usize,
+    /// Memory of the device.
+    pub memory: MemorySettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
 }
@@ -33,9 +35,18 @@ impl Default for Settings {
             scale: 1.0,
             exposure: 1.0,
             random_points: 20_000,
+            memory: MemorySettings::default(),
             geometry: GeometrySettings::default(),
         }
     }
+}
+
+/// Memory of the device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MemorySettings {
+    /// Most bytes that training may take, all in; 0 for what the device or its driver has.
+    pub budget: u64,
 }
 
 /// The geometry stage.
@@ -257,6 +268,9 @@ impl Settings {
                 self.seed,
                 i64::MAX
             ));
+        }
+        if i64::try_from(self.memory.budget).is_err() {
+            return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
         }
         if g.sh_degree > 3 {
             return fail(format!("geometry.sh_degree is {}, but must be 0 to 3.", g.sh_degree));

@@ -3,6 +3,7 @@
 use super::train::{Options, open_scene, settings};
 use crate::common::Common;
 use anyhow::Context;
+use sgs_engine::BudgetSource;
 use sgs_engine::graph::{Plan, dump};
 use sgs_train::Geometry;
 use std::path::{Path, PathBuf};
@@ -76,6 +77,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let text = format.write(&plan);
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
+    let (needs, budget) = (*training.needs(), device.budget());
     if common.json.is_some() {
         let value = serde_json::json!({
             "views": scene.split.train.len(),
@@ -87,6 +89,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "arena_bytes": plan.arena_bytes,
             "arena_unaliased_bytes": plan.arena_unaliased_bytes,
             "device_bytes": now,
+            "needs": needs,
+            "needs_bytes": needs.total(),
+            "budget": budget,
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
         });
@@ -130,7 +135,19 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         mib(plan.arena_bytes),
         mib(plan.arena_unaliased_bytes)
     );
-    println!("in all      {:.1} MiB of device memory before growth", mib(now));
+    for (name, bytes) in needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
+        println!("memory      {:>9.1} MiB {name}", mib(bytes));
+    }
+    let source = match budget.source {
+        BudgetSource::Given => "as set",
+        BudgetSource::Driver => "by the driver",
+        BudgetSource::Heap => "the device's heap",
+    };
+    println!(
+        "in all      {:>9.1} MiB before growth, of a budget of {:.1} MiB ({source})",
+        mib(needs.total()),
+        mib(budget.budget)
+    );
     match (&a.output, format) {
         (Some(path), _) => println!("graph       {}", path.display()),
         (None, Some(_)) => println!("\n{}", dump::text(&plan)),

@@ -33,6 +33,9 @@ pub struct Options {
     /// Seed of everything random.
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
+    /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml).
+    #[arg(long, value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
+    pub memory_budget: Option<u64>,
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -102,6 +105,9 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
     if let Some(seed) = o.seed {
         s.seed = seed;
     }
+    if let Some(bytes) = o.memory_budget {
+        s.memory.budget = bytes;
+    }
     s.check()?;
     if o.views == Some(0) {
         bail!("--views is 0, but there must be at least one training view.");
@@ -155,8 +161,8 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
     if asked.geometry.backward == Backward::Auto {
         asked.geometry.backward = began.geometry.backward;
     }
-    // The scene may have moved.
-    let began = Settings { scene: asked.scene.clone(), ..began };
+    // The scene may have moved, and there may be more memory than before.
+    let began = Settings { scene: asked.scene.clone(), memory: asked.memory, ..began };
     if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
         bail!(
             "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",

@@ -1,0 +1,176 @@
+//! The memory budget: the sum before the first step is what is taken, what does not fit is refused with the figures, and
+//! where growth is refused nothing that was reached is lost.
+
+use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
+use sgs_scene::{Scene, SceneOptions};
+use sgs_tests::Gpu;
+use sgs_tests::cli::sgs;
+use sgs_tests::place::Place;
+use sgs_tests::rooms::Room;
+use sgs_train::{Geometry, Progress, Settings, TrainError};
+
+fn settings(steps: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = steps;
+    let d = &mut s.geometry.densify;
+    (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 12, 5e-5, 3000);
+    s
+}
+
+#[test]
+fn what_exceeds_a_budget_is_refused_with_the_figures() {
+    let select = std::env::var("SGS_TEST_DEVICE").ok();
+    let options = DeviceOptions { select, validation: true, memory_budget: Some(1 << 20), ..Default::default() };
+    let device = Device::open(&options).unwrap();
+    let b = device.budget();
+    assert_eq!((b.budget, b.used, b.source), (1 << 20, 0, BudgetSource::Given));
+    assert!(b.heap >= b.budget);
+    let kept = device.buffer("kept", 1 << 19, Location::Device).unwrap();
+    let error = device.buffer("too much", (1 << 19) + 4, Location::Device).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "524292 bytes for \"too much\" exceed the memory budget: 524288 of 1048576 bytes are in use."
+    );
+    let image = device.image("picture", [512, 512], ImageFormat::Rgba8Unorm).unwrap_err();
+    assert!(matches!(image, Error::OverBudget { used: 524_288, .. }), "{image}");
+    assert!(matches!(device.buffer("host", 1 << 20, Location::Upload), Err(Error::OverBudget { .. })));
+    // Exactly the budget fits, and what was refused has left nothing.
+    let rest = device.buffer("rest", 1 << 19, Location::Device).unwrap();
+    assert_eq!(device.budget().left(), 0);
+    drop(kept);
+    assert_eq!(device.budget().used, 1 << 19);
+    device.set_memory_budget(None);
+    assert_ne!(device.budget().source, BudgetSource::Given);
+    drop((device.buffer("more", 4 << 20, Location::Device).unwrap(), rest));
+    assert_eq!(device.messages().take(), Vec::<String>::new());
+}
+
+#[test]
+fn the_sum_before_the_first_step_is_what_is_taken() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    for densify in [true, false] {
+        let mut s = settings(4);
+        s.geometry.densify.enabled = densify;
+        s.geometry.entry_capacity = 1 << 15;
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let needs = *training.needs();
+        assert!(needs.priors > 0 && (needs.statistics > 4) == densify);
+        assert_eq!(gpu.device().memory_use().0, needs.total() - needs.staging - needs.densify_arena);
+        training.train(2, |_| {}, || true).unwrap();
+        drop(training);
+
+        // With that budget there is a step; with a byte less there is a sentence, and nothing was begun.
+        s.memory.budget = needs.total() - 1;
+        let error = Geometry::new(gpu.device(), &scene, &s, None).err().unwrap();
+        assert!(matches!(error, TrainError::Memory(_)), "{error}");
+        for word in ["The first step needs", "photographs", "moments", "arena", "--memory-budget"] {
+            assert!(error.to_string().contains(word), "{word}: {error}");
+        }
+        assert_eq!(gpu.device().memory_use().0, 0);
+        s.memory.budget = needs.total();
+        Geometry::new(gpu.device(), &scene, &s, None).unwrap().train(2, |_| {}, || true).unwrap();
+        gpu.device().set_memory_budget(None);
+    }
+}
+
+/// Tile entries that do not fit must be given room; when that is refused, training says so and can go on later.
+#[test]
+fn refused_growth_loses_nothing() {
+    let place = Place::new(Room::default());
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let mut s = settings(30);
+    let straight = {
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        training.train(30, |_| {}, || true).unwrap();
+        training.splats().unwrap()
+    };
+    s.geometry.entry_capacity = 8;
+    let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    // Enough for everything but a larger arena.
+    gpu.device().set_memory_budget(Some(gpu.device().memory_use().0 + 4096));
+    let error = training.train(30, |_| {}, || true).unwrap_err();
+    assert!(
+        matches!(&error, TrainError::Engine(Error::OverBudget { what, .. }) if what == "arena of geometry_step"),
+        "{error}"
+    );
+    // Asked again it says the same.
+    assert!(matches!(training.train(30, |_| {}, || true), Err(TrainError::Engine(Error::OverBudget { .. }))));
+    gpu.device().set_memory_budget(None);
+    training.train(30, |_| {}, || true).unwrap();
+    assert!(training.splats().unwrap() == straight, "the refusal changed the result");
+}
+
+#[test]
+fn densification_stops_where_memory_ends() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let mut s = settings(16);
+    (s.geometry.densify.grad_threshold, s.geometry.densify.interval) = (0.0, 1);
+    (s.geometry.densify.max_gaussians, s.geometry.densify.prune_weight) = (100_000, 0.0);
+    let train = |s: &Settings| {
+        let mut after = Vec::new();
+        let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
+        let heard = |p: &Progress| {
+            if let Progress::Densified { stats, .. } = p {
+                after.push(stats.after);
+            }
+        };
+        training.train(16, heard, || true).unwrap();
+        (after, gpu.device().memory_use().1, training.needs().total())
+    };
+    let (free, _, needs) = train(&s);
+    let most = *free.iter().max().unwrap();
+    assert!(most > 60_000, "{free:?}");
+    // Room for the first steps and a little growth.
+    s.memory.budget = needs + needs / 2;
+    let (bound, _, _) = train(&s);
+    assert!(*bound.iter().max().unwrap() < most, "{bound:?}");
+    assert_eq!(bound.len(), free.len());
+    gpu.device().set_memory_budget(None);
+}
+
+#[test]
+fn the_program_says_what_does_not_fit() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let arguments = |more: &[&str]| -> Vec<String> {
+        let mut all: Vec<String> = ["train", &scene, "-o", &run, "--geometry-steps", "16"].map(String::from).to_vec();
+        for pair in [
+            "geometry.densify.from=5",
+            "geometry.densify.interval=1",
+            "geometry.densify.grad_threshold=0.0",
+            "geometry.densify.prune_weight=0.0",
+            "geometry.densify.max_gaussians=100000",
+            "geometry.checkpoint_interval=4",
+        ] {
+            all.extend(["--set".into(), pair.into()]);
+        }
+        all.extend(more.iter().map(|s| (*s).to_owned()));
+        all
+    };
+    let refused = sgs(&arguments(&["--memory-budget", "2M"]));
+    refused.refused(&["The first step needs", "MiB of device memory", "the budget leaves 2.0 of 2.0 MiB"]);
+    sgs(&arguments(&["--memory-budget", "lots"])).assert_no_panic();
+
+    let plan = sgs(&["plan", &scene, "--memory-budget", "4G", "--json"]).ok().json();
+    let total = plan["needs_bytes"].as_u64().unwrap();
+    let parts: u64 = plan["needs"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert_eq!(total, parts);
+    assert!(plan["budget"]["heap"].as_u64() >= plan["budget"]["budget"].as_u64());
+    let text = sgs(&["plan", &scene]).ok().stdout;
+    for word in ["photographs", "parameters", "moments", "staging", "in all", "of a budget of"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+
+    // Half as much again as the first step: densification stops and says so once.
+    let budget = (total + total / 2).to_string();
+    let bound = sgs(&arguments(&["--memory-budget", &budget])).ok();
+    assert_eq!(bound.stderr.matches("Densification stops at").count(), 1, "{}", bound.stderr);
+    let summary = String::from_utf8(place.read("run/training.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");
+}

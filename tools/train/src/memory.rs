@@ -1,0 +1,172 @@
+//! What training will take of the device's memory, added up before anything is made.
+//!
+//! Promises that the sum is the one of the buffers that the first step has, byte for byte, plus the staging memory of an
+//! upload. Leaves room for growth to densification, which stops where the budget ends.
+
+use crate::error::{Result, TrainError};
+use crate::settings::Settings;
+use serde::Serialize;
+use sgs_engine::{Budget, Device, STAGING_BYTES};
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, Status, Step};
+use sgs_passes::scene::Layout;
+
+/// Bytes of device memory by what they are for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Needs {
+    /// Training photographs.
+    pub photographs: u64,
+    /// Normal priors.
+    pub priors: u64,
+    /// Parameters of the Gaussians, at first capacity.
+    pub parameters: u64,
+    /// Adam's moments.
+    pub moments: u64,
+    /// Densification statistics.
+    pub statistics: u64,
+    /// Transients of a step.
+    pub arena: u64,
+    /// Transients of densification, where they do not fit into those of a step.
+    pub densify_arena: u64,
+    /// Uniforms and reports.
+    pub small: u64,
+    /// Staging memory of an upload.
+    pub staging: u64,
+}
+
+impl Needs {
+    /// Adds up what the first steps take.
+    pub(crate) fn of(
+        device: &Device,
+        tuning: &Tuning,
+        layout: &Layout,
+        photographs: u64,
+        priors: Option<u64>,
+        options: &GeometryOptions,
+    ) -> Result<Needs> {
+        let plan = GeometryStep::plan(tuning, layout, photographs, priors, options)?;
+        let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
+        let uniform = (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16));
+        Ok(Needs {
+            photographs,
+            priors: priors.unwrap_or(0),
+            parameters: layout.parameter_bytes(),
+            moments: layout.moment_bytes(),
+            statistics: layout.statistics_bytes(),
+            arena: plan.arena_bytes,
+            densify_arena: if densify > plan.arena_bytes { densify } else { 0 },
+            small: options.frames_in_flight as u64 * uniform + Status::BYTES + 16,
+            staging: STAGING_BYTES,
+        })
+    }
+
+    /// All of it.
+    pub fn total(&self) -> u64 {
+        self.parts().into_iter().map(|(_, bytes)| bytes).sum()
+    }
+
+    /// What for, and how many bytes.
+    pub fn parts(&self) -> [(&'static str, u64); 9] {
+        [
+            ("photographs", self.photographs),
+            ("normal priors", self.priors),
+            ("parameters", self.parameters),
+            ("moments", self.moments),
+            ("statistics", self.statistics),
+            ("arena", self.arena),
+            ("arena of densification", self.densify_arena),
+            ("uniforms and reports", self.small),
+            ("staging", self.staging),
+        ]
+    }
+
+    /// Refuses if it does not fit.
+    pub(crate) fn check(&self, budget: &Budget) -> Result<()> {
+        if self.total() <= budget.left() {
+            return Ok(());
+        }
+        let mib = |bytes: u64| format!("{:.1}", bytes as f64 / f64::from(1 << 20));
+        let parts: Vec<String> = self
+            .parts()
+            .into_iter()
+            .filter(|(_, bytes)| *bytes >= 1 << 16)
+            .map(|(name, bytes)| format!("{name} {}", mib(bytes)))
+            .collect();
+        Err(TrainError::Memory(format!(
+            "The first step needs {} MiB of device memory ({}), but the budget leaves {} of {} MiB; use --scale, --views, \
+             fewer points, a lower geometry.sh_degree, or a larger --memory-budget.",
+            mib(self.total()),
+            parts.join(", "),
+            mib(budget.left()),
+            mib(budget.budget)
+        )))
+    }
+}
+
+/// The budget that settings and device allow together.
+pub(crate) fn allowed(device: &Device, settings: &Settings) -> Budget {
+    let b = device.budget();
+    match settings.geometry.densify.max_mib {
+        0 => b,
+        mib => Budget { budget: b.budget.min(mib << 20), ..b },
+    }
+}
+
+/// Bytes from text such as `500000000`, `512M`, `4G` or `1.5GiB`: powers of 1024.
+///
+/// # Errors
+/// A sentence that says what it should look like.
+pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+    let wrong = || format!("\"{text}\" is no size; write bytes or a number with K, M or G, as 4G");
+    let upper = text.trim().to_ascii_uppercase();
+    let short = upper.strip_suffix("IB").or(upper.strip_suffix('B')).unwrap_or(&upper);
+    let (number, unit) = match short.strip_suffix(['K', 'M', 'G', 'T']) {
+        Some(number) => (number, 10 * (1 + "KMGT".find(&short[short.len() - 1..]).unwrap_or(0) as u32)),
+        None => (short, 0),
+    };
+    let value: f64 = number.trim().parse().map_err(|_| wrong())?;
+    let bytes = value * (1_u64 << unit) as f64;
+    // Beyond this, TOML has no numbers.
+    if !(bytes >= 1.0 && bytes <= i64::MAX as f64) {
+        return Err(wrong());
+    }
+    Ok(bytes as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_engine::BudgetSource;
+
+    #[test]
+    fn sizes_are_read() {
+        for (text, bytes) in [
+            ("500", 500),
+            ("4G", 4 << 30),
+            ("512m", 512 << 20),
+            ("1.5GiB", 3 << 29),
+            ("64 KB", 64 << 10),
+            ("1T", 1 << 40),
+        ] {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "G", "-1", "0", "4X", "nan", "1e30", "4GG"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_with_the_figures() {
+        let needs = Needs { photographs: 3 << 20, arena: 2 << 20, small: 100, ..Needs::default() };
+        let budget = |budget, used| Budget { heap: 1 << 30, budget, used, source: BudgetSource::Given };
+        assert!(needs.check(&budget(needs.total(), 0)).is_ok());
+        let refused = needs.check(&budget(needs.total(), 1)).unwrap_err().to_string();
+        assert!(
+            refused.starts_with(
+                "The first step needs 5.0 MiB of device memory (photographs 3.0, arena 2.0), but the budget leaves 5.0 of \
+                 5.0 MiB"
+            ),
+            "{refused}"
+        );
+    }
+}
