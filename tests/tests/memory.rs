@@ -65,7 +65,7 @@ fn the_sum_before_the_first_step_is_what_is_taken() {
         s.memory.budget = needs.total() - 1;
         let error = Geometry::new(gpu.device(), &scene, &s, None).err().unwrap();
         assert!(matches!(error, TrainError::Memory(_)), "{error}");
-        for word in ["The first step needs", "photographs", "moments", "arena", "--memory-budget"] {
+        for word in ["The first step needs", "parameters", "moments", "arena", "--memory-budget"] {
             assert!(error.to_string().contains(word), "{word}: {error}");
         }
         assert_eq!(gpu.device().memory_use().0, 0);
