@@ -152,6 +152,19 @@ fn unfinished(pass: &Option<String>) -> String {
     pass.as_ref().map_or_else(String::new, |p| format!("; pass \"{p}\" has not ended"))
 }
 
+impl Error {
+    /// Whether memory, of the device, of the host or of the budget, did not suffice.
+    pub fn is_out_of_memory(&self) -> bool {
+        match self {
+            Error::OutOfMemory { .. } | Error::OverBudget { .. } => true,
+            Error::Vulkan { result, .. } => {
+                matches!(*result, vk::Result::ERROR_OUT_OF_DEVICE_MEMORY | vk::Result::ERROR_OUT_OF_HOST_MEMORY)
+            }
+            _ => false,
+        }
+    }
+}
+
 /// Result with the engine's error.
 pub type Result<T> = std::result::Result<T, Error>;
 

@@ -89,6 +89,9 @@ fn refused_growth_loses_nothing() {
     };
     s.geometry.entry_capacity = 8;
     let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    training.train(4, |_| {}, || true).unwrap();
+    training.save(&place.path("state")).unwrap();
+    let state = place.read("state");
     // Enough for everything but a larger arena.
     gpu.device().set_memory_budget(Some(gpu.device().memory_use().0 + 4096));
     let error = training.train(30, |_| {}, || true).unwrap_err();
@@ -101,6 +104,12 @@ fn refused_growth_loses_nothing() {
     gpu.device().set_memory_budget(None);
     training.train(30, |_| {}, || true).unwrap();
     assert!(training.splats().unwrap() == straight, "the refusal changed the result");
+    // As it does from the checkpoint.
+    assert!(place.read("state") == state);
+    let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    training.restore(&place.path("state")).unwrap();
+    training.train(30, |_| {}, || true).unwrap();
+    assert!(training.splats().unwrap() == straight);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::memory::{Needs, allowed};
 use crate::schedule::Schedule;
 use crate::settings::{Backward, Settings};
 use sgs_engine::graph::exec::PassTime;
-use sgs_engine::{BudgetSource, Device, Error};
+use sgs_engine::{BudgetSource, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport,
@@ -320,7 +320,8 @@ impl Geometry {
         let old = self.gaussians.capacity;
         match self.gaussians.grown(&self.device, room_for(count, self.most)) {
             Ok(grown) => self.gaussians = grown,
-            Err(Error::OutOfMemory { .. } | Error::OverBudget { .. }) => {
+            Err(error) if error.is_out_of_memory() => {
+                tracing::debug!(%error, "no room for more Gaussians");
                 self.most = old;
                 self.scarce = true;
                 self.full();

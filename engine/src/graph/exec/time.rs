@@ -78,12 +78,7 @@ impl Times {
                 Err(_) => None,
             }
         };
-        for &pass in &self.live {
-            if unfinished(pass)? {
-                return Some(self.passes[pass].name.clone());
-            }
-        }
-        None
+        first_open(&self.live, unfinished).map(|pass| self.passes[pass].name.clone())
     }
 
     pub fn take(&mut self) -> Vec<PassTime> {
@@ -94,5 +89,29 @@ impl Times {
             taken.push(PassTime { name: pass.name.clone(), start, nanoseconds });
         }
         taken
+    }
+}
+
+/// The first pass that has not ended; none if there is no telling.
+fn first_open(live: &[usize], mut open: impl FnMut(usize) -> Option<bool>) -> Option<usize> {
+    for &pass in live {
+        if open(pass)? {
+            return Some(pass);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_pass_without_an_end_is_named() {
+        let live = [2, 0, 5];
+        assert_eq!(first_open(&live, |p| Some(p == 0 || p == 5)), Some(0));
+        assert_eq!(first_open(&live, |p| Some(p == 5)), Some(5));
+        assert_eq!(first_open(&live, |_| Some(false)), None);
+        assert_eq!(first_open(&live, |p| (p != 0).then_some(p == 5)), None);
     }
 }
