@@ -1,6 +1,7 @@
 //! Options of every command, and opening the device by them.
 
 use crate::report::compare::compare;
+use crate::report::set::ReportSet;
 use crate::report::{DeviceLine, Report};
 use anyhow::Context;
 use clap::Args;
@@ -80,10 +81,8 @@ impl Common {
             anyhow::bail!("Validation reported: {first}");
         }
         let Some(path) = &self.compare else { return Ok(()) };
-        let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
-        let baseline: Report = serde_json::from_str(&text)
-            .map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))?;
-        let outcome = compare(&baseline, report, self.tolerance)?;
+        let baseline = ReportSet::read(path)?;
+        let outcome = compare(baseline.like(report)?, report, self.tolerance)?;
         eprint!("{}", outcome.text());
         anyhow::ensure!(
             outcome.slower.is_empty(),

@@ -4,7 +4,7 @@ use crate::commands::ceiling::Ceiling;
 use crate::cost::{Counts, cost};
 use crate::report::{PassRow, Report};
 use crate::stats::Summary;
-use sgs_engine::graph::exec::{ExecOptions, Executor, PassTime};
+use sgs_engine::graph::exec::{ExecOptions, Executor, HostTimes, PassTime};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use std::sync::Arc;
@@ -74,6 +74,11 @@ impl Rig {
             wall.push(begin.elapsed().as_nanos() as f64);
         }
         Ok((self.exec.take_times(), wall))
+    }
+
+    /// What replaying has cost the host.
+    pub fn host_times(&self) -> HostTimes {
+        self.exec.host_times()
     }
 
     /// The plan.

@@ -38,6 +38,10 @@ enum Command {
     Scaling(commands::scaling::Args),
     /// What the device can do at best: copies, arithmetic, dispatches, barriers.
     Ceiling,
+    /// Put reports of one device into one file.
+    Join(commands::results::Join),
+    /// Print files of reports as a table in Markdown.
+    Table(commands::results::Table),
 }
 
 fn main() {
@@ -47,6 +51,8 @@ fn main() {
         Command::Step(a) => commands::step::run(&cli.common, a),
         Command::Scaling(a) => commands::scaling::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
+        Command::Join(a) => commands::results::join(a),
+        Command::Table(a) => commands::results::print(a),
     };
     if let Err(error) = result {
         eprintln!("engine-bench: {error:#}");

@@ -42,6 +42,8 @@ pub struct Run {
     pub wall: Vec<f64>,
     /// Milliseconds of the host's own work, one a step: schedule, uniforms, submission, report; waiting left out.
     pub host: Vec<f64>,
+    /// Seconds of a replay besides its submission, and of its submission, both of the host.
+    pub replay: (f64, f64),
     /// Processor seconds of the whole process, of all steps.
     pub cpu_seconds: Option<f64>,
     /// Whether memory in use, buffers and transfers were the same before and after.
@@ -111,6 +113,7 @@ impl<'w> Trainer<'w> {
         let (first, last) = (self.step + IN_FLIGHT, self.step + IN_FLIGHT + steps);
         let cpu = cpu_seconds();
         run.memory[0] = self.memory();
+        let replayed = self.exec.executor().host_times();
         for step in first + 1..=last {
             let begin = Instant::now();
             let before = self.exec.executor().host_times();
@@ -127,6 +130,7 @@ impl<'w> Trainer<'w> {
             }
         }
         run.memory[1] = self.memory();
+        run.replay = self.exec.executor().host_times().since(&replayed);
         run.cpu_seconds = cpu.zip(cpu_seconds()).map(|(a, b)| b - a);
         self.exec.finish()?;
         for step in last + 1 - IN_FLIGHT..=last {

@@ -45,12 +45,17 @@ fn a_step_is_measured_traced_and_compared() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let trace = path("trace.json");
-    let step = [&["step", "--normals", "--densify", "--trace", &trace], &TINY[..]].concat();
+    let page = path("step.html");
+    let step = [&["step", "--normals", "--densify", "--trace", &trace, "--html", &page], &TINY[..]].concat();
     let mut report = succeeds(&step);
     assert!(report["passes"].as_array().unwrap().iter().all(|p| p["bytes"].is_number()));
     let read = |p: &str| serde_json::from_slice::<Value>(&std::fs::read(p).unwrap()).unwrap();
     let events = read(&trace)["traceEvents"].as_array().unwrap().clone();
     assert!(events.iter().any(|e| e["name"] == "project_bwd_adam" && e["dur"].as_f64().unwrap() > 0.0));
+
+    assert!(std::fs::read_to_string(&page).unwrap().contains("of passes, measured"));
+    let fact = |name: &str| report["facts"].as_array().unwrap().iter().any(|f| f["name"] == name);
+    assert!(fact("host, a replay without its submission, us") && fact("host, the submission of a replay, us"));
 
     // Against a baseline that was a hundred times slower nothing is; against one that was faster all is.
     for (factor, slower) in [(100.0, false), (1e-3, true)] {
@@ -85,4 +90,33 @@ fn what_cannot_be_done_is_said_in_a_sentence() {
         assert_eq!(out.status.code(), Some(code), "{arguments:?}: {said}");
         assert!(!said.contains("panicked") && (code == 2 || said.lines().count() == 1), "{said}");
     }
+}
+
+#[test]
+fn everything_is_measured_by_one_script_into_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("run-all");
+    let mut command = Command::new("sh");
+    command.arg(script).args([env!("CARGO_BIN_EXE_engine-bench"), "tiny", "true"]);
+    command.env("OUT", folder.path()).env("REPEATS", "2").env("ELEMENTS", "5003");
+    command.env("SIZES", "--gaussians 2000 --size 64x48 --warmup 1");
+    match std::env::var("SGS_TEST_DEVICE") {
+        Ok(device) => command.env("DEVICE", device),
+        Err(_) => command.env_remove("DEVICE"),
+    };
+    let out = command.output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let file = folder.path().join("tiny.json");
+    let set: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let commands: Vec<_> = set["reports"].as_array().unwrap().iter().map(|r| r["command"].as_str().unwrap()).collect();
+    assert_eq!(commands, ["ceiling", "passes", "scaling", "step", "step"]);
+    let table = bench(&["table", file.to_str().unwrap()]);
+    let table = String::from_utf8_lossy(&table.stdout).into_owned();
+    assert!(table.contains("| step: step by the host's clock | synthetic room, 2000 gaussians, 64x48 |"), "{table}");
+    // A test program that fails stops everything.
+    let mut command = Command::new("sh");
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("run-all"));
+    command.args([env!("CARGO_BIN_EXE_engine-bench"), "failing", "false"]).env("OUT", folder.path());
+    assert!(!command.output().unwrap().status.success());
+    assert!(!folder.path().join("failing.json").exists());
 }

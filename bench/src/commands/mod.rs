@@ -1,6 +1,8 @@
 //! The commands, one a file.
 
 pub mod ceiling;
+pub mod compile;
 pub mod passes;
+pub mod results;
 pub mod scaling;
 pub mod step;

@@ -12,7 +12,7 @@ use crate::trainer::{Run, Trainer, first_entry_capacity};
 use crate::workload::{Synthetic, Workload, directory, synthetic};
 use sgs_engine::Device;
 use sgs_engine::graph::Plan;
-use sgs_engine::graph::dump::{Track, trace};
+use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Renderer, StepReport};
@@ -52,6 +52,9 @@ pub struct Args {
     /// Write a Chrome trace of one step and one render.
     #[arg(long, value_name = "FILE.json")]
     pub trace: Option<PathBuf>,
+    /// Write the plan of the step, with measured times, as a page.
+    #[arg(long, value_name = "FILE.html")]
+    pub html: Option<PathBuf>,
 }
 
 /// Which step.
@@ -161,6 +164,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         };
         densify::one(&context, &mut report)?;
     }
+    super::compile::measure(&device, &mut report, common.repeats)?;
+    if let Some(path) = &a.html {
+        let page = html(&plan, &timed.times);
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, page.as_bytes()))?;
+    }
     if let Some(path) = &a.trace {
         let replay = timed.reports.len() / 2;
         let tracks = [
@@ -229,6 +237,9 @@ fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
         report.fact("processor seconds of a step, all threads", seconds / run.reports.len().max(1) as f64);
     }
     report.fact("the host's share of a step", host.median / wall.median);
+    let (rest, submitting) = run.replay;
+    report.fact("host, a replay without its submission, us", rest * 1e6);
+    report.fact("host, the submission of a replay, us", submitting * 1e6);
     let [(before, was), (after, is)] = run.memory;
     anyhow::ensure!(
         run.unchanged,

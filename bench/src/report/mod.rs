@@ -1,6 +1,7 @@
 //! What a command found: for people as tables, for programs as JSON. Fields may be added; what stands keeps its meaning.
 
 pub mod compare;
+pub mod set;
 mod text;
 
 use crate::commands::ceiling::Ceiling;

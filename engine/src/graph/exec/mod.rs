@@ -69,8 +69,20 @@ pub struct HostTimes {
     pub recorded: u64,
     /// Spent in [`Executor::submit`], waiting excluded: uniforms, recording, the submission itself.
     pub working: Duration,
+    /// Of this, spent inside `vkQueueSubmit2`: the driver's.
+    pub submitting: Duration,
     /// Spent waiting for the device, in [`Executor::submit`] and [`Executor::finish`].
     pub waiting: Duration,
+}
+
+impl HostTimes {
+    /// Since an earlier look: seconds of a replay besides its submission, and of its submission; zero without replays.
+    pub fn since(&self, earlier: &HostTimes) -> (f64, f64) {
+        let replays = (self.replays - earlier.replays).max(1) as f64;
+        let submitting = (self.submitting - earlier.submitting).as_secs_f64();
+        let working = (self.working - earlier.working).as_secs_f64();
+        ((working - submitting).max(0.0) / replays, submitting / replays)
+    }
 }
 
 /// What one replay in flight owns.
@@ -246,7 +258,9 @@ impl Executor {
             self.host.recorded += 1;
         }
         let slot = &mut self.slots[index];
+        let handed = Instant::now();
         let ticket = self.device.0.submit(slot.commands, &self.plan.name)?;
+        self.host.submitting += handed.elapsed();
         slot.ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
         self.host.replays += 1;

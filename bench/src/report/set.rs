@@ -1,0 +1,180 @@
+//! All reports of one device in one file, and the table that the README shows of them.
+
+use super::{Report, ValueRow};
+use anyhow::Context;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+use std::path::Path;
+
+/// What was measured on one device.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ReportSet {
+    /// One a command and choice of sizes.
+    pub reports: Vec<Report>,
+}
+
+/// Facts worth a line.
+const FACTS: [&str; 4] = [
+    "step: passes, groups, barriers",
+    "step: arena, and without sharing memory, MB",
+    "host, a replay without its submission, us",
+    "device memory but photographs, bytes a Gaussian",
+];
+
+impl ReportSet {
+    /// A file of reports, or of a single one.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is neither.
+    pub fn read(path: &Path) -> anyhow::Result<ReportSet> {
+        let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
+        let value: serde_json::Value = serde_json::from_str(&text)
+            .map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))?;
+        let set = if value.get("reports").is_some() {
+            serde_json::from_value(value)
+        } else {
+            serde_json::from_value(value).map(|report| ReportSet { reports: vec![report] })
+        };
+        set.map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))
+    }
+
+    /// The report that another one can be set against: of the same command, with the same settings if there is one.
+    ///
+    /// # Errors
+    /// If there is none of that command.
+    pub fn like(&self, other: &Report) -> anyhow::Result<&Report> {
+        let mut of_command = self.reports.iter().filter(|r| r.command == other.command);
+        let same = of_command.clone().find(|r| r.settings == other.settings);
+        same.or_else(|| of_command.next())
+            .with_context(|| format!("The baseline has no report of \"{}\".", other.command))
+    }
+
+    /// Puts several into one, in the order of their commands and settings.
+    ///
+    /// # Errors
+    /// If they are of different devices, or two are of the same.
+    pub fn join(sets: Vec<ReportSet>) -> anyhow::Result<ReportSet> {
+        let mut reports: Vec<Report> = sets.into_iter().flat_map(|set| set.reports).collect();
+        reports.sort_by_key(key);
+        for pair in reports.windows(2) {
+            let [a, b] = pair else { continue };
+            anyhow::ensure!(a.device == b.device, "\"{}\" and \"{}\" differ.", a.device.name, b.device.name);
+            anyhow::ensure!(key(a) != key(b), "There are two reports of \"{}\" with equal settings.", a.command);
+        }
+        Ok(ReportSet { reports })
+    }
+}
+
+fn key(r: &Report) -> (String, String) {
+    (r.command.clone(), serde_json::to_string(&r.settings).unwrap_or_default())
+}
+
+/// The table: a line a time, with its spread, and a few facts.
+pub fn table(sets: &[ReportSet]) -> String {
+    let mut out = String::from("| device | measured | sizes | median | MAD | repeats |\n|---|---|---|---|---|---|\n");
+    for report in sets.iter().flat_map(|set| &set.reports) {
+        let sizes: Vec<String> = ["scene", "gaussians", "size", "elements"]
+            .iter()
+            .filter_map(|name| Some((name, report.settings.get(*name)?)))
+            .map(|(name, value)| match value.as_str() {
+                Some(text) => text.to_owned(),
+                None => format!("{value} {name}"),
+            })
+            .collect();
+        let sizes = sizes.join(", ");
+        let device = &report.device.name;
+        for ValueRow { name, unit, value, .. } in report.values.iter().filter(|v| v.compared) {
+            let _ = writeln!(
+                out,
+                "| {device} | {}: {name} | {sizes} | {} {unit} | {} | {} |",
+                report.command,
+                digits(value.median),
+                digits(value.mad),
+                value.samples
+            );
+        }
+        for fact in report.facts.iter().filter(|f| FACTS.contains(&f.name.as_str())) {
+            let value = match fact.value.as_f64() {
+                Some(number) => digits(number),
+                None => fact.value.as_str().unwrap_or_default().to_owned(),
+            };
+            let _ = writeln!(out, "| {device} | {} | {sizes} | {value} | | |", fact.name);
+        }
+    }
+    out
+}
+
+/// Three digits that count, no more.
+fn digits(value: f64) -> String {
+    let decimals = (2 - value.abs().max(1e-9).log10().floor() as i32).clamp(0, 6) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::DeviceLine;
+    use crate::stats::Summary;
+
+    fn report(command: &str, gaussians: u32) -> Report {
+        let device = DeviceLine {
+            name: "a".into(),
+            kind: "cpu".into(),
+            driver: "b".into(),
+            api: "1.3.0".into(),
+            subgroup_size: 8,
+        };
+        let mut report = Report::new(command, device, 3, 1);
+        report.setting("gaussians", gaussians);
+        report.time("whole", "ms", Summary::of(&[12.34, 12.35, 99.0]));
+        report.value("not compared", "ms", Summary::of(&[1.0]));
+        report.fact("step: passes, groups, barriers", "3, 2, 2");
+        report.fact("unimportant", 1);
+        report
+    }
+
+    #[test]
+    fn a_line_a_time_and_the_facts_that_matter() {
+        let set = ReportSet { reports: vec![report("step", 100)] };
+        assert_eq!(
+            table(&[set]),
+            "| device | measured | sizes | median | MAD | repeats |\n|---|---|---|---|---|---|\n\
+             | a | step: whole | 100 gaussians | 12.3 ms | 0.0100 | 3 |\n\
+             | a | step: passes, groups, barriers | 100 gaussians | 3, 2, 2 | | |\n"
+        );
+    }
+
+    #[test]
+    fn sets_are_joined_found_and_refused() {
+        let single = |command, gaussians| ReportSet { reports: vec![report(command, gaussians)] };
+        let all = ReportSet::join(vec![single("step", 200), single("passes", 100), single("step", 100)]).unwrap();
+        assert_eq!(all.reports.iter().map(|r| r.command.as_str()).collect::<Vec<_>>(), ["passes", "step", "step"]);
+        assert_eq!(all.like(&report("step", 200)).unwrap().settings["gaussians"], 200);
+        assert!(all.like(&report("scaling", 200)).is_err());
+        assert!(ReportSet::join(vec![single("step", 100), single("step", 100)]).is_err());
+        let mut other = report("step", 300);
+        other.device.driver = "c".into();
+        assert!(ReportSet::join(vec![single("step", 100), ReportSet { reports: vec![other] }]).is_err());
+    }
+
+    #[test]
+    fn the_readme_shows_what_was_measured() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut files: Vec<_> = std::fs::read_dir(root.join("results"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "json"))
+            .collect();
+        files.sort();
+        let sets: Vec<ReportSet> = files.iter().map(|path| ReportSet::read(path).unwrap()).collect();
+        let readme = std::fs::read_to_string(root.join("../README.md")).unwrap();
+        let (_, rest) =
+            readme.split_once("<!-- engine-bench table -->\n").expect("the README has a place for the table");
+        let (shown, _) = rest.split_once("<!-- end -->").expect("the table ends");
+        assert!(
+            shown == table(&sets),
+            "the README should show (engine-bench table bench/results/*.json)\n{}",
+            table(&sets)
+        );
+    }
+}
