@@ -126,7 +126,7 @@ mod tests {
         };
         let mut report = Report::new(command, device, 3, 1);
         report.setting("gaussians", gaussians);
-        report.time("whole", "ms", Summary::of(&[12.34, 12.35, 99.0]));
+        report.time("whole", "ms", Summary::of(&[12.34, 12.36, 99.0]));
         report.value("not compared", "ms", Summary::of(&[1.0]));
         report.fact("step: passes, groups, barriers", "3, 2, 2");
         report.fact("unimportant", 1);
@@ -139,7 +139,7 @@ mod tests {
         assert_eq!(
             table(&[set]),
             "| device | measured | sizes | median | MAD | repeats |\n|---|---|---|---|---|---|\n\
-             | a | step: whole | 100 gaussians | 12.3 ms | 0.0100 | 3 |\n\
+             | a | step: whole | 100 gaussians | 12.4 ms | 0.0200 | 3 |\n\
              | a | step: passes, groups, barriers | 100 gaussians | 3, 2, 2 | | |\n"
         );
     }
