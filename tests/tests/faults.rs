@@ -41,6 +41,7 @@ fn workload(device: &Device) -> Result<Vec<u32>> {
     device.upload_image(&image, bytemuck::cast_slice(&seeds[..64]))?;
     let texels = device.download_image(&image)?;
     assert_eq!(texels, bytemuck::cast_slice::<u32, u8>(&seeds[..64]));
+    pictures(device, &seeds[..64])?;
 
     let mut graph = Graph::new("work");
     let settings = graph.uniform("settings", 4);
@@ -74,6 +75,35 @@ fn workload(device: &Device) -> Result<Vec<u32>> {
     device.is_done(ticket)?;
     exec.finish()?;
     device.download_as(&out, WORDS as usize)
+}
+
+/// A transient image and a history, replayed.
+fn pictures(device: &Device, texels: &[u32]) -> Result<()> {
+    let bytes = 4 * texels.len() as u64;
+    let mut graph = Graph::new("pictures");
+    let (from, to) = (graph.input("texels", bytes), graph.external("texels back", bytes));
+    let (before, picture) =
+        (graph.external("texels before", bytes), graph.transient_image("passing", [8, 8], ImageFormat::R32Float));
+    let history = graph.history("history", bytes, 5);
+    graph.copy_to_image("in", from, picture)?;
+    graph.copy_from_image("out", picture, to)?;
+    graph.copy("look back", history.previous, before)?;
+    graph.copy("keep", from, history.current)?;
+    let plan = Arc::new(graph.compile(&CompileOptions::default())?);
+    let mut exec = Executor::new(device, plan, ExecOptions::default())?;
+    let mut made = Vec::new();
+    for (buffer, name) in [(from, "texels"), (to, "texels back"), (before, "texels before")] {
+        made.push(device.buffer(name, bytes, Location::Device)?);
+        exec.bind(buffer, &made[made.len() - 1])?;
+    }
+    device.upload(&made[0], 0, bytemuck::cast_slice(texels))?;
+    for expected in [5, texels[0], texels[0]] {
+        exec.submit(&[])?;
+        exec.finish()?;
+        assert_eq!(device.download_as::<u32>(&made[2], 1)?, [expected]);
+    }
+    assert_eq!(device.download_as::<u32>(&made[1], texels.len())?, texels);
+    Ok(())
 }
 
 fn expected() -> Vec<u32> {
