@@ -14,9 +14,9 @@ pub enum Access {
     Read,
     /// Only stores; whatever was there before is lost as far as the graph knows only if the pass says so.
     Write,
-    /// Loads and stores, or atomics whose result is used.
+    /// Loads and stores, or atomics that do not merely add.
     ReadWrite,
-    /// Only atomic additions and the like whose results are unused: passes that accumulate commute.
+    /// Only atomic additions and subtractions whose results are unused: passes that accumulate commute.
     Accumulate,
 }
 

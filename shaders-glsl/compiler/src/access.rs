@@ -13,7 +13,8 @@ pub enum Access {
     Write,
     /// Both, or atomics whose result is used.
     ReadWrite,
-    /// Only atomics that commute and whose result is unused.
+    /// Only atomic additions and subtractions whose result is unused. Minima, maxima and bits commute among themselves, but
+    /// not with additions, and a binding has no word for which of them it is.
     Accumulate,
 }
 
@@ -45,8 +46,8 @@ mod op {
     pub const ATOMIC_COMPARE_EXCHANGE: u32 = 230;
     pub const ATOMIC_XOR: u32 = 242;
     pub const ATOMIC_FADD: u32 = 6035;
-    /// Increment, decrement, add, subtract, minima, maxima, and, or, xor.
-    pub const ATOMIC_COMMUTING: std::ops::RangeInclusive<u32> = 232..=ATOMIC_XOR;
+    /// Increment, decrement, add, subtract.
+    pub const ATOMIC_ADDITIVE: std::ops::RangeInclusive<u32> = 232..=235;
 }
 
 const DECORATION_BINDING: u32 = 33;
@@ -118,8 +119,8 @@ pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
                 }
             }
             o if is_atomic(o) => {
-                let commutes = op::ATOMIC_COMMUTING.contains(&o) || o == op::ATOMIC_FADD;
-                if commutes && !used.contains(&i[2]) {
+                let adds = op::ATOMIC_ADDITIVE.contains(&o) || o == op::ATOMIC_FADD;
+                if adds && !used.contains(&i[2]) {
                     mark(&root, &mut seen, i[3], |s| s.accumulate = true);
                 } else {
                     mark(&root, &mut seen, i[3], |s| (s.read, s.write) = (true, true));
