@@ -5,12 +5,16 @@ CARGO ?= cargo
 OUT ?= out/demo
 DEMO_STEPS ?= 1200
 
-.PHONY: help demo test bench lint docs check setup
+# With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
+PYTHON ?= python3
+
+.PHONY: help demo test test-priors bench lint docs check setup
 .NOTPARALLEL:
 
 help:
 	@echo "make demo    synthesize a room, train on it, leave pictures in $(OUT)"
 	@echo "make test    everything that CI checks"
+	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
 	@echo "make docs    the API documentation, in target/doc"
@@ -25,7 +29,12 @@ demo: setup
 
 # The tests include the layers, so this is lint and more.
 test: check
+	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
 	$(CARGO) test --workspace --locked
+
+test-priors:
+	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"
+	$(PYTHON) -B -m unittest discover -s tools/priors/tests
 
 lint: check
 	$(CARGO) test --locked -p sgs-tests --test layers

@@ -7,6 +7,7 @@ pub mod compare;
 pub mod gpu;
 pub mod kernels;
 pub mod place;
+pub mod priors;
 pub mod random;
 pub mod rooms;
 pub mod scenes;

@@ -29,8 +29,8 @@ pub use camera::{Camera, Distortion, MAX_IMAGE_SIDE};
 pub use error::{Result, SceneError};
 pub use ground_truth::{GroundTruth, GroundTruthKind};
 pub use image::{
-    ExrImage, Image, NpyArray, linear_to_srgb, read_exr, resize, resize_valid, srgb_to_linear, undistort,
-    undistort_coverage, write_exr, write_png,
+    ExrImage, Image, NpyArray, linear_to_srgb, read_exr, read_ids, resize, resize_valid, srgb_to_linear, undistort,
+    undistort_coverage, write_exr, write_ids, write_npy_f16, write_npy_f32, write_png,
 };
 pub use maps::{MaskedMap, NormalFrame, RegionMap};
 pub use points::{Pcg, PointCloud, RandomBox};
@@ -39,4 +39,4 @@ pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
 pub use splats::{SH_C0, Splats};
 pub use split::Split;
-pub use view::{LoadOptions, View};
+pub use view::{LoadOptions, Photograph, View};

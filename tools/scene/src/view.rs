@@ -27,6 +27,15 @@ pub struct View {
     declared_in: PathBuf,
 }
 
+/// A photograph as it lies on the disk: at its own size and with its lens distortion, which is how priors show it too.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Photograph {
+    /// RGB.
+    pub image: Image,
+    /// Whether the values are linear (exposed, not clipped) rather than sRGB-encoded.
+    pub linear: bool,
+}
+
 /// How photographs become what training compares with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoadOptions {
@@ -70,6 +79,15 @@ impl View {
     pub fn load_linear(&self, options: &LoadOptions) -> Result<Image> {
         let (raster, encoding) = self.read()?;
         Ok(self.bring(self.linear(raster, encoding, options)?))
+    }
+
+    /// The photograph as stored, for whoever makes priors. Alpha is composited on black.
+    pub fn load_stored(&self, options: &LoadOptions) -> Result<Photograph> {
+        let (raster, encoding) = self.read()?;
+        Ok(match encoding {
+            Encoding::Srgb => Photograph { image: raster, linear: false },
+            Encoding::Linear => Photograph { image: self.linear(raster, encoding, options)?, linear: true },
+        })
     }
 
     /// One channel, 1 where the lens saw the pixel, 0 where undistortion had to repeat the image's border. `None` for
@@ -203,6 +221,8 @@ mod tests {
         let half = view.load_image(&LoadOptions { exposure: 0.125 }).unwrap();
         assert!((half.data[1] - linear_to_srgb(0.5)).abs() < 1e-6);
         assert_eq!(view.load_linear(&LoadOptions { exposure: 0.5 }).unwrap().data[..3], [0.09, 2.0, -0.25]);
+        let stored = view.load_stored(&LoadOptions { exposure: 0.5 }).unwrap();
+        assert!(stored.linear && stored.image.data[..3] == [0.09, 2.0, -0.25]);
         let error = view.load_image(&LoadOptions { exposure: f32::NAN }).unwrap_err().to_string();
         assert_eq!(error, "exposure is NaN, but the exposure must be a positive number");
     }
@@ -242,6 +262,8 @@ mod tests {
         let bent = view.load_image(&LoadOptions::default()).unwrap();
         assert_ne!(straight, bent);
         assert_eq!((bent.width, bent.height), (80, 60));
+        let stored = view.load_stored(&LoadOptions::default()).unwrap();
+        assert!(!stored.linear && (stored.image.width, stored.image.height) == (160, 120));
         let coverage = view.coverage().unwrap();
         assert_eq!((coverage.width, coverage.pixel(0, 0)[0], coverage.pixel(40, 30)[0]), (80, 0.0, 1.0));
     }

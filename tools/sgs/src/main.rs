@@ -25,6 +25,8 @@ struct Cli {
 enum Command {
     /// Make an indoor scene directory with path-traced images, priors and ground truth.
     Synth(commands::synth::Args),
+    /// Run a provider of networks over a scene's images and write its priors.
+    Priors(commands::priors::Args),
     /// Print what will be modeled, why, and what it costs; train nothing.
     Plan(commands::plan::Args),
     /// Train on a scene directory.
@@ -61,6 +63,7 @@ fn main() {
     ui::start_logging(&cli.common);
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),
+        Command::Priors(a) => commands::priors::run(&cli.common, a),
         Command::Plan(a) => commands::plan::run(&cli.common, a),
         Command::Train(a) => commands::train::run(&cli.common, a),
         Command::Eval(a) => commands::eval::run(&cli.common, a),

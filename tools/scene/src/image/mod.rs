@@ -8,6 +8,7 @@ mod color;
 mod exr;
 mod file;
 mod npy;
+mod npy_write;
 mod png;
 mod resize;
 mod undistort;
@@ -18,8 +19,8 @@ pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size};
 pub use npy::NpyArray;
 #[cfg(test)]
 pub(crate) use npy::tests::npy as npy_for_tests;
-pub(crate) use png::read_ids;
-pub use png::write_png;
+pub use npy_write::{write_npy_f16, write_npy_f32};
+pub use png::{read_ids, write_ids, write_png};
 pub use resize::{resize, resize_valid};
 pub use undistort::{undistort, undistort_coverage};
 

@@ -31,8 +31,21 @@ pub fn write_png(path: &Path, image: &Image) -> Result<()> {
     })
 }
 
+/// Writes whole numbers, row by row, as a gray PNG with 16 bits.
+pub fn write_ids(path: &Path, width: u32, height: u32, ids: &[u16]) -> Result<()> {
+    if ids.is_empty() || ids.len() as u64 != u64::from(width) * u64::from(height) {
+        let problem = format!("a size of {width}×{height} does not fit {} numbers", ids.len());
+        return Err(SceneError::image(path, problem));
+    }
+    // The encoder takes native words and turns them into the file's big-endian ones.
+    let bytes: Vec<u8> = ids.iter().flat_map(|id| id.to_ne_bytes()).collect();
+    atomic_write(path, |out| {
+        PngEncoder::new(out).write_image(&bytes, width, height, ExtendedColorType::L16).map_err(io::Error::other)
+    })
+}
+
 /// The width, height and whole numbers of a gray PNG with 8 or 16 bits.
-pub(crate) fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
+pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
     match file::decode(path, ImageFormat::Png)? {
         DynamicImage::ImageLuma8(image) => {
             Ok((image.width(), image.height(), image.into_raw().into_iter().map(u16::from).collect()))
@@ -80,7 +93,10 @@ mod tests {
         let path = directory.path().join("ids.png");
         let ids: Vec<u16> = vec![0, 1, 300, 65_535];
         ::image::ImageBuffer::<::image::Luma<u16>, _>::from_raw(2, 2, ids.clone()).unwrap().save(&path).unwrap();
+        assert_eq!(read_ids(&path).unwrap(), (2, 2, ids.clone()));
+        write_ids(&path, 2, 2, &ids).unwrap();
         assert_eq!(read_ids(&path).unwrap(), (2, 2, ids));
+        assert!(write_ids(&path, 2, 2, &[1; 3]).unwrap_err().to_string().contains("2×2 does not fit 3 numbers"));
         let (image, _) = read_raster(&path).unwrap();
         assert_eq!(image.data[3], 1.0);
         assert_eq!(image.data[2], 300.0 / 65_535.0);

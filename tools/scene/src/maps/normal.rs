@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::{bring, read};
 use crate::error::{Result, SceneError};
@@ -11,7 +11,7 @@ use crate::image::{Encoding, Image};
 use crate::view::View;
 
 /// The coordinates in which a file's normals are given.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum NormalFrame {
     /// The scene's own.
     #[serde(rename = "world")]

@@ -4,6 +4,7 @@ pub mod devices;
 pub mod eval;
 pub mod export;
 pub mod plan;
+pub mod priors;
 pub mod render;
 pub mod synth;
 pub mod train;

@@ -1,0 +1,284 @@
+//! `sgs priors`: a provider over a scene's photographs, from the command to files that training takes.
+
+use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
+use sgs_synth::{SceneName, SynthOptions};
+use sgs_tests::Place;
+use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
+use sgs_tests::priors::provider;
+use sgs_tests::rooms::Room;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A room with ground truth of normals and depth, and without priors.
+fn room() -> Place {
+    let place = Place::new(Room { views: 5, truth: true, ..Room::default() });
+    // The stand-in reads neither tiles nor PIZ, which the room's files are made of.
+    for path in files(&place.path("scene/gt/normal")).keys() {
+        let image = read_exr(path).unwrap().image;
+        let shape = [image.height, image.width, 3].map(|n| n as usize);
+        write_npy_f32(&path.with_extension("npy"), &shape, &image.data).unwrap();
+    }
+    place
+}
+
+fn priors(place: &Place, how: &str, more: &[&str]) -> Finished {
+    let (scene, provider) = (place.text("scene"), provider(how));
+    let mut arguments = vec!["priors", &scene, "--provider", &provider, "--json"];
+    arguments.extend(more);
+    sgs(&arguments)
+}
+
+/// The stand-in for the place's own scene.
+fn stand_in(place: &Place, options: &str) -> String {
+    format!("'stand-in={}' {options}", place.text("scene"))
+}
+
+fn open(place: &Place) -> Scene {
+    Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
+}
+
+/// All files below a folder, with their content.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        match entry.path() {
+            path if path.is_dir() => found.extend(files(&path)),
+            path => drop(found.insert(path.clone(), std::fs::read(&path).unwrap())),
+        }
+    }
+    found
+}
+
+/// How many files were written and kept.
+fn counts(finished: Finished) -> (usize, u64) {
+    let json = finished.ok().json();
+    (json["written"].as_array().unwrap().len(), json["kept"].as_u64().unwrap())
+}
+
+#[track_caller]
+fn assert_near(a: &Image, b: &Image, most: f32) {
+    assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
+    let worst = a.data.iter().zip(&b.data).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+    assert!(worst <= most, "differs by {worst}, at most {most} was expected");
+}
+
+/// Compares the normal priors of views with the truth.
+#[track_caller]
+fn assert_normals(place: &Place, views: &[usize], most: f32) {
+    let scene = open(place);
+    for &view in views {
+        let truth = GroundTruth::of(&scene).load(GroundTruthKind::Normal, view).unwrap().unwrap();
+        assert_near(&scene.normal_prior(view).unwrap().unwrap(), &truth, most);
+    }
+}
+
+#[test]
+fn normals_in_every_frame_become_the_same_and_train() {
+    for frame in ["world", "camera-opencv", "camera-opengl", "camera-stablenormal"] {
+        let place = room();
+        let how = stand_in(&place, &format!("--noise 0 --frame {frame}"));
+        assert_eq!(counts(priors(&place, &how, &[])), (4, 0));
+        let json = String::from_utf8(place.read("scene/priors/priors.json")).unwrap();
+        assert!(json.contains(&format!("\"frame\": \"{frame}\"")), "{json}");
+        assert_normals(&place, &[0, 2, 3, 4], 2e-3);
+        assert!(open(&place).normal_prior(1).unwrap().is_none(), "view 1 is a test view");
+    }
+    // The comparison itself: noise must show.
+    let place = room();
+    priors(&place, &stand_in(&place, "--noise 0.05"), &[]).ok();
+    let result = std::panic::catch_unwind(|| assert_normals(&place, &[0], 2e-3));
+    assert!(result.is_err(), "noise was not noticed");
+    sgs(&place.arguments("run", 3, &["--no-densify"])).ok();
+    let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
+    assert!(log.lines().count() > 0);
+    let plan = sgs(&["plan", &place.text("scene")]).ok();
+    assert!(plan.stdout.contains("the scene has normal priors"), "{}", plan.stdout);
+}
+
+#[test]
+fn files_of_two_frames_end_in_one() {
+    let place = room();
+    assert_eq!(counts(priors(&place, &stand_in(&place, "--noise 0 --frame camera-opengl"), &[])), (4, 0));
+    let before = files(&place.path("scene/priors"));
+    let how = stand_in(&place, "--noise 0 --frame world");
+    assert_eq!(counts(priors(&place, &how, &["--views", "all"])), (1, 4));
+    assert_normals(&place, &[0, 1, 2, 3, 4], 2e-3);
+    // What was there is untouched, and nothing but the new file has come.
+    let after = files(&place.path("scene/priors"));
+    assert!(before.iter().all(|(path, bytes)| after.get(path) == Some(bytes)) && after.len() == before.len() + 1);
+}
+
+#[test]
+fn every_kind_from_a_synthesized_scene() {
+    let place = room();
+    let scene = place.path("box");
+    let options = SynthOptions {
+        scene: SceneName::Box,
+        views: 3,
+        test_views: 1,
+        width: 40,
+        height: 32,
+        samples_per_pixel: 4,
+        relit: false,
+        ..SynthOptions::default()
+    };
+    sgs_synth::generate(&scene, &options, &|_, _| {}).unwrap();
+    std::fs::remove_dir_all(scene.join("priors")).unwrap();
+    let path = scene.display().to_string();
+    let fill = |options: &str, more: &[&str]| {
+        let provider = provider(&format!("'stand-in={path}' {options}"));
+        let mut arguments = vec!["priors", &path, "--provider", &provider, "--json", "--views", "all"];
+        arguments.extend(more);
+        counts(sgs(&arguments))
+    };
+    // Six kinds for four views, names and embeddings.
+    assert_eq!(fill("--noise 0", &[]), (26, 0));
+    let opened = Scene::open(&scene, &SceneOptions::default()).unwrap();
+    let embeddings = opened.text_embeddings().unwrap().unwrap();
+    for view in 0..4 {
+        let truth = |kind| GroundTruth::of(&opened).load(kind, view).unwrap().unwrap();
+        assert_near(&opened.normal_prior(view).unwrap().unwrap(), &truth(GroundTruthKind::Normal), 2e-3);
+        // 8 bits of sRGB are up to one hundredth of linear light.
+        assert_near(&opened.albedo_prior(view).unwrap().unwrap().image, &truth(GroundTruthKind::Albedo), 0.01);
+        let roughness = opened.roughness_prior(view).unwrap().unwrap().image;
+        assert_near(&roughness, &truth(GroundTruthKind::Roughness), 0.003);
+        let metallic = opened.metallic_prior(view).unwrap().unwrap().image;
+        assert_near(&metallic, &truth(GroundTruthKind::Metallic), 0.003);
+        let regions = opened.region_prior(view).unwrap().unwrap();
+        let features = opened.semantic_prior(view).unwrap().unwrap();
+        assert_eq!((features.width, features.height, features.channels), (5, 4, 512));
+        for (cell, feature) in features.data.chunks(512).enumerate() {
+            let dot = |e: &[f32]| e.iter().zip(feature).map(|(a, b)| a * b.to_f32()).sum::<f32>();
+            let scores: Vec<f32> = embeddings.data.chunks(512).map(dot).collect();
+            let best = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b])).unwrap();
+            assert!((scores[best] - 1.0).abs() < 0.01);
+            // The stand-in takes the class in the middle of a cell, and numbers regions from 1.
+            let (x, y) = (cell % 5 * 8 + 4, cell / 5 * 8 + 4);
+            assert_eq!(usize::from(regions.ids[y * 40 + x]), best + 1, "view {view}, cell {cell}");
+        }
+    }
+    // Again: nothing is lacking. Then one file is, and then one kind is made in another encoding.
+    assert_eq!(fill("--noise 0", &[]), (0, 26));
+    std::fs::remove_file(scene.join("priors/masks/002.png")).unwrap();
+    assert_eq!(fill("--noise 0", &["--only", "masks,albedo"]), (1, 7));
+    assert_eq!(fill("--noise 0 --color linear", &["--only", "albedo", "--force"]), (4, 0));
+    assert!(scene.join("priors/albedo/000.exr").is_file() && !scene.join("priors/albedo/000.png").exists());
+    let truth = GroundTruth::of(&opened).load(GroundTruthKind::Albedo, 0).unwrap().unwrap();
+    assert_near(&opened.albedo_prior(0).unwrap().unwrap().image, &truth, 1e-3);
+    assert_eq!(fill("", &["--only", "semantic", "--labels", "wall, ghost"]), (2, 4));
+    assert_eq!(opened.text_embeddings().unwrap().unwrap().labels, ["wall", "ghost"]);
+    assert!(files(&scene.join("priors")).keys().all(|p| !p.display().to_string().ends_with(".tmp")));
+    let run = place.text("run");
+    sgs(&["train", &path, "-o", &run, "--geometry-steps", "2", "--no-densify"]).ok();
+}
+
+#[test]
+fn regions_of_single_images_never_meet() {
+    let place = room();
+    let ids = |view: usize| open(&place).region_prior(view).unwrap().map(|r| r.ids[0]);
+    assert_eq!(counts(priors(&place, "misbehave=nothing", &["--only", "masks"])), (4, 0));
+    let mut first: Vec<u16> = [0, 2, 3, 4].into_iter().filter_map(ids).collect();
+    assert_eq!(first, [1, 2, 3, 4]);
+    // Later ones begin above what there is.
+    assert_eq!(counts(priors(&place, "misbehave=nothing", &["--only", "masks", "--views", "all"])), (1, 4));
+    first.extend(ids(1));
+    assert_eq!(first, [1, 2, 3, 4, 5]);
+    // Made anew, all numbers are free again.
+    let again = &["--only", "masks", "--views", "all", "--force"];
+    assert_eq!(counts(priors(&place, "misbehave=nothing", again)), (5, 0));
+    assert_eq!((0..5).filter_map(ids).collect::<Vec<_>>(), [1, 2, 3, 4, 5]);
+}
+
+#[test]
+fn smaller_answers_and_unknown_pixels_are_stored_so() {
+    let place = room();
+    // It wants at most 16 columns of linear light.
+    assert_eq!(counts(priors(&place, "misbehave=linear", &["--only", "normal"])), (4, 0));
+    let stored = read_exr(&place.path("scene/priors/normal/000.exr")).unwrap().image;
+    assert_eq!((stored.width, stored.height), (16, 12));
+    let loaded = open(&place).normal_prior(0).unwrap().unwrap();
+    assert_eq!((loaded.width, loaded.height), (32, 24));
+    // One value of the albedo is not a number: one pixel is unknown.
+    assert_eq!(counts(priors(&place, "misbehave=nan", &["--only", "albedo"])), (4, 0));
+    let albedo = open(&place).albedo_prior(0).unwrap().unwrap();
+    assert_eq!((albedo.valid.data[0], albedo.valid.data.iter().sum::<f32>()), (0.0, 767.0));
+}
+
+#[test]
+fn each_failure_is_one_sentence_and_leaves_whole_files() {
+    let place = room();
+    let refused = |how: &str, more: &[&str], words: &[&str]| {
+        priors(&place, how, more).refused(words);
+        assert!(files(&place.path("scene/priors")).is_empty(), "{how} left files");
+    };
+    refused("misbehave=exit", &[], &["ended with status 3 before it answered", "CUDA out of memory"]);
+    refused("misbehave=wrong-shape", &["--only", "normal"], &["has the shape [3, 32, 24], but must have [24, 32, 3]"]);
+    refused(
+        "misbehave=hang",
+        &["--answer-seconds", "0.5", "--only", "normal"],
+        &["gave no answer to normals within 0.5 s"],
+    );
+    refused("misbehave=few-offers", &["--only", "normal"], &["cannot make the prior \"normal\"; it offers text"]);
+    refused("misbehave=cannot-load", &[], &["there are no weights at /nowhere"]);
+    refused("misbehave=nothing", &["--answer-seconds", "0"], &["--answer-seconds is 0, but must be"]);
+    refused("'stand-in=/nowhere'", &[], &["cannot answer the greeting: FileNotFoundError"]);
+    let command = sgs(&["priors", &place.text("scene"), "--provider", "/nowhere/at-all"]);
+    command.refused(&["the provider \"/nowhere/at-all\" cannot be started"]);
+    let wrong = priors(&place, "misbehave=nothing", &["--only", "normal,beauty"]);
+    assert_eq!(wrong.status, Some(2));
+    assert!(wrong.stderr.contains("\"beauty\" is no kind of prior; there are normal, semantic"), "{}", wrong.stderr);
+}
+
+#[test]
+fn an_interrupted_one_goes_on() {
+    let place = room();
+    let (scene, provider) = (place.text("scene"), provider("misbehave=slow"));
+    let arguments = ["priors", &scene, "--provider", &provider, "--only", "normal", "--views", "all"];
+    let mut child = start(&arguments);
+    assert!(until(&mut child, || place.path("scene/priors/normal/000.exr").is_file()));
+    signal(&child, "INT");
+    let finished = wait(child);
+    assert_eq!(finished.status, Some(1), "{}", finished.stderr);
+    assert!(finished.stderr.contains("stopped; the same command goes on"), "{}", finished.stderr);
+    let there = files(&place.path("scene/priors/normal")).len();
+    assert!((1..5).contains(&there), "{there} files");
+    open(&place);
+    let finished = sgs(&arguments).ok();
+    assert!(finished.stderr.contains(&format!("wrote {} files, kept {there}", 5 - there)), "{}", finished.stderr);
+}
+
+/// What `vggt` writes, from numbers that are known here.
+#[test]
+fn cameras_and_points_from_python_are_read_as_they_were() {
+    let place = Place::new(Room { views: 5, ..Room::default() });
+    let cameras = Room { views: 5, ..Room::default() }.cameras();
+    let views: Vec<_> = cameras
+        .iter()
+        .map(|c| {
+            let row = |i: usize| [c.rotation.row(i).x, c.rotation.row(i).y, c.rotation.row(i).z, c.translation[i]];
+            serde_json::json!({
+                "name": format!("{}.png", c.name), "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy,
+                "cx": c.cx, "cy": c.cy, "world_to_camera": [row(0), row(1), row(2)],
+            })
+        })
+        .collect();
+    let code = "import json, sys\nsys.path.insert(0, sys.argv[1])\nfrom sgs_priors import colmap\n\
+                colmap.write(sys.argv[2], json.loads(sys.argv[3]), [(1, -2, 3.5, 255, 0, 51), (0, 1e-9, 2, 1, 2, 3)])";
+    let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/priors");
+    std::fs::remove_file(place.path("scene/transforms.json")).unwrap();
+    let status = std::process::Command::new("python3")
+        .args(["-B", "-c", code])
+        .arg(package)
+        .args([place.text("scene"), serde_json::Value::from(views).to_string()])
+        .status();
+    assert!(status.unwrap().success());
+    let scene = open(&place);
+    assert_eq!((scene.views.len(), scene.points.len()), (5, 2));
+    assert_eq!(scene.points.positions[0], [1.0, -2.0, 3.5]);
+    for (view, camera) in scene.views.iter().zip(&cameras) {
+        assert_eq!(view.camera.name, camera.name);
+        assert!(view.camera.rotation.abs_diff_eq(camera.rotation, 1e-9));
+        assert!(view.camera.translation.abs_diff_eq(camera.translation, 1e-9));
+        assert!((view.camera.fx - camera.fx).abs() < 1e-9 && (view.camera.cy - camera.cy).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,327 @@
+//! Providers, each a real `python3`: every way to misbehave has its one sentence, and nothing is left behind.
+
+use sgs_provider::{Encoding, Fallback, Helper, Picture, Provider, ProviderError, ProviderOptions, Result};
+use sgs_scene::{Image, NormalFrame};
+use sgs_tests::priors::provider;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+fn options(how: &str) -> ProviderOptions {
+    ProviderOptions { answer_seconds: 60.0, ..ProviderOptions::new(&provider(&format!("misbehave={how}"))) }
+}
+
+fn impatient(how: &str) -> ProviderOptions {
+    ProviderOptions { answer_seconds: 0.7, ..options(how) }
+}
+
+fn image(width: u32, height: u32) -> Image {
+    let data = (0..width * height * 3).map(|i| (i % 256) as f32 / 255.0).collect();
+    Image::from_data(width, height, 3, data).unwrap()
+}
+
+/// Asks for normals of a small image.
+fn ask(options: &ProviderOptions) -> Result<sgs_provider::Normals> {
+    Provider::start(options)?.normals(&Picture::srgb(&image(6, 4)))
+}
+
+/// The sentence of a failure, without the provider's command; fails unless there is one of bearable length.
+#[track_caller]
+fn sentence(options: &ProviderOptions, error: ProviderError) -> String {
+    let text = error.to_string();
+    assert!(text.len() < 900 && !text.contains('\n'), "{text}");
+    let quoted = format!("\"{}\"", options.command);
+    assert!(text.contains(&quoted), "{text}");
+    text.replace(&quoted, "it")
+}
+
+#[track_caller]
+fn fail(how: &str) -> String {
+    let options = options(how);
+    sentence(&options, ask(&options).unwrap_err())
+}
+
+#[test]
+fn a_good_one_answers() {
+    let options = options("nothing");
+    let mut provider = Provider::start(&options).unwrap();
+    assert_eq!(provider.about().name, "misbehave nothing");
+    assert_eq!(provider.about().list(), "masks, materials, normals, regions, semantics, text");
+    let picture = image(6, 4);
+    let picture = Picture::srgb(&picture);
+    let normals = provider.normals(&picture).unwrap();
+    assert_eq!((normals.frame, normals.image.pixel(5, 3)), (NormalFrame::CameraOpengl, &[0.0, 0.0, 1.0][..]));
+    assert_eq!(provider.regions(&picture).unwrap().ids, [1; 24]);
+    assert_eq!(provider.semantics(&picture).unwrap().shape, [1, 1, 512]);
+    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    let masks = provider.masks(&frames, Some([2.5, 1.5])).unwrap();
+    assert!(masks.size == [6, 4] && masks.frames.iter().all(|f| *f == [true; 24]));
+    let (channels, embeddings) = provider.text(&["chair".into(), "Löwe \"x\"".into()]).unwrap();
+    assert_eq!((channels, embeddings.len()), (512, 1024));
+    let found = provider.materials(&picture, &["albedo", "metallic"]).unwrap();
+    assert!(!found.albedo_is_linear && found.albedo.is_some() && found.metallic.is_some() && found.roughness.is_none());
+    let error = sentence(&options, provider.classes(std::slice::from_ref(&picture)).unwrap_err());
+    let offers = "masks, materials, normals, regions, semantics, text";
+    assert_eq!(error, format!("the provider it does not offer classes; it offers {offers}"));
+    let other = image(5, 4);
+    let error = provider.masks(&[picture.clone(), Picture::srgb(&other), picture], None).unwrap_err().to_string();
+    assert_eq!(error, "masks cannot be asked: the frames differ in size");
+}
+
+#[test]
+fn images_are_sent_as_it_wants_them() {
+    let mut provider = Provider::start(&options("linear")).unwrap();
+    let offer = provider.about().offers["normals"].clone();
+    assert_eq!((offer.image, offer.max_side), (Encoding::Linear, Some(16)));
+    // It answers in the size of what it got.
+    let normals = provider.normals(&Picture::srgb(&image(40, 20))).unwrap();
+    assert_eq!((normals.image.width, normals.image.height), (16, 8));
+}
+
+#[test]
+fn commands_that_are_none() {
+    let fail = |command: &str| Provider::start(&ProviderOptions::new(command)).err().unwrap().to_string();
+    assert!(fail("").contains("the provider's command \"\" names no program; give one, as"));
+    assert!(fail("python3 'x").contains("has a quote that is not closed"));
+    let error = fail("/nowhere/at-all --x");
+    assert_eq!(error, "the provider \"/nowhere/at-all --x\" cannot be started: No such file or directory (os error 2)");
+    assert!(fail("/etc").contains("cannot be started: Permission denied"));
+}
+
+#[test]
+fn one_that_ends() {
+    let said = "the provider it ended with status 3 before it answered normals; its last words: CUDA out of memory";
+    assert_eq!(fail("exit"), said);
+    assert_eq!(fail("exit-quietly"), "the provider it ended with status 0 before it answered normals");
+    assert_eq!(fail("signal"), "the provider it was ended by signal 9 before it answered normals");
+    assert_eq!(fail("greeting-exit"), said.replace("normals", "the greeting"));
+    assert_eq!(
+        fail("crash-amid"),
+        "the provider it ended with status 1 in the middle of a message before it answered normals; its last words: \
+         segmentation fault, or so"
+    );
+    let options = ProviderOptions::new("true");
+    let said = sentence(&options, ask(&options).unwrap_err());
+    assert_eq!(said, "the provider it ended with status 0 before it answered the greeting");
+}
+
+#[test]
+fn one_that_closes_its_output_and_stays() {
+    let begun = Instant::now();
+    assert_eq!(fail("close-output"), "the provider it closed its output before it answered normals");
+    assert!(begun.elapsed() < Duration::from_secs(30));
+}
+
+#[test]
+fn one_that_hangs() {
+    for how in ["hang", "hang-deaf", "hang-amid", "flood-forever"] {
+        let options = impatient(how);
+        let begun = Instant::now();
+        let said = sentence(&options, ask(&options).unwrap_err());
+        let start = "the provider it gave no answer to normals within 0.7 s and was stopped; allow more time";
+        assert!(said.starts_with(start), "{how}: {said}");
+        assert_eq!(said.contains("still loading"), how == "flood-forever", "{said}");
+        assert!(begun.elapsed() < Duration::from_secs(30), "{how} took {:?}", begun.elapsed());
+    }
+    let options = ProviderOptions { start_seconds: 0.7, ..options("greeting-hang") };
+    let said = sentence(&options, ask(&options).unwrap_err());
+    assert!(said.starts_with("the provider it gave no answer to the greeting within 0.7 s and was stopped"), "{said}");
+}
+
+#[test]
+fn one_that_stops_reading_what_does_not_fit_the_pipe() {
+    let options = impatient("stop-reading");
+    let mut provider = Provider::start(&options).unwrap();
+    let large = image(600, 400);
+    let said = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    assert!(said.starts_with("the provider it gave no answer to normals within 0.7 s"), "{said}");
+    let said = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    assert_eq!(said, "the provider it has been stopped after an earlier failure");
+}
+
+#[test]
+fn one_that_talks_much_or_slowly_is_heard_out() {
+    for how in ["flood", "long-line", "trickle"] {
+        let normals = ask(&options(how)).unwrap_or_else(|e| panic!("{how}: {e}"));
+        assert_eq!(normals.image.data.len(), 72, "{how}");
+    }
+    // Large questions and answers, both ways at once.
+    let mut provider = Provider::start(&options("nothing")).unwrap();
+    let large = image(900, 700);
+    assert_eq!(provider.normals(&Picture::srgb(&large)).unwrap().image.data.len(), 900 * 700 * 3);
+}
+
+#[test]
+fn nonsense_is_named() {
+    let nonsense = |how: &str, what: &str| {
+        let said = fail(how);
+        let (begin, rest) = said.split_once(" answered normals with nonsense and was stopped: ").unwrap_or((&said, ""));
+        assert_eq!((begin, rest), ("the provider it", what), "{how}");
+    };
+    nonsense(
+        "garbage",
+        "a message begins with \"SGSP\", but there was \"Loading checkpoint shard\"; nothing else may go to its standard \
+         output",
+    );
+    nonsense("huge-length", "a message of 1152921504606846976 bytes is announced, but at most 1073741824 are taken");
+    nonsense("over-limit", "a message of 1073741825 bytes is announced, but at most 1073741824 are taken");
+    nonsense("no-text", "the message's text is absent; it belongs into the metadata as \"sgs\"");
+    nonsense("not-an-object", "the message's text is not a JSON object");
+    nonsense("wrong-shape", "the array \"normals\" has the shape [3, 6, 4], but must have [4, 6, 3]");
+    nonsense("wrong-type", "the array \"normals\" holds U8, but must hold F32");
+    nonsense("wrong-id", "the field \"to\" must be 1, the question's id, but is 2");
+    nonsense("wrong-kind", "the field \"kind\" must be \"answer\" or \"error\", but is \"applause\"");
+    nonsense("infinite", "the array \"normals\" holds inf at index 2, but must hold numbers that are not infinite");
+    let frames = "\"world\", \"camera-opencv\", \"camera-opengl\" or \"camera-stablenormal\"";
+    nonsense("wrong-frame", &format!("the field \"frame\" must be {frames}, but is \"sideways\""));
+    nonsense("no-frame", &format!("the field \"frame\" must be {frames}, but is absent"));
+    for (how, what) in [
+        ("not-safetensors", "the message is no safetensors file ("),
+        ("short-payload", "the message is no safetensors file ("),
+        ("not-json", "the message's text is not JSON ("),
+        ("missing-array", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
+        ("unknown-type", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
+    ] {
+        let said = fail(how);
+        assert!(said.contains(&format!("nonsense and was stopped: {what}")), "{how}: {said}");
+    }
+}
+
+#[test]
+fn nonsense_in_other_answers_is_named() {
+    let picture = image(6, 4);
+    let picture = Picture::srgb(&picture);
+    let start = |how: &str| Provider::start(&options(how)).unwrap();
+    let said = |how: &str, error: ProviderError| sentence(&options(how), error);
+    let error = start("nan").semantics(&picture).unwrap_err();
+    assert!(said("nan", error).ends_with("the array \"features\" holds NaN at index 2, but must hold finite numbers"));
+    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    let error = start("bool-two").masks(&frames, None).unwrap_err();
+    assert!(said("bool-two", error).ends_with("the array \"masks\" holds 2 at index 0, but must hold only 0 and 1"));
+    let error = start("wrong-names").text(&["a".into()]).unwrap_err();
+    assert!(said("wrong-names", error).contains("must be the names that were asked about"));
+    let error = start("wrong-color").materials(&picture, &["albedo"]).unwrap_err();
+    assert!(said("wrong-color", error).ends_with("must be \"srgb\" or \"linear\", but is \"cmyk\""));
+    // Where the protocol allows it, not-a-number says that nothing is known.
+    assert_eq!(start("nan").normals(&picture).unwrap().image.data[..6], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    let albedo = start("nan").materials(&picture, &["albedo"]).unwrap().albedo.unwrap();
+    assert!(albedo.data[2].is_nan() && albedo.data[3] == 0.5);
+}
+
+#[test]
+fn greetings_are_checked() {
+    for (how, what) in [
+        ("old-version", "it speaks version 0 of the protocol, but 1 to 1 are spoken here"),
+        ("new-version", "it speaks version 99 of the protocol, but 1 to 1 are spoken here"),
+        ("no-hello", "the field \"kind\" must be \"hello\", but is \"answer\""),
+        ("no-version", "the field \"version\" must be a whole number, but is absent"),
+        ("print", "a message begins with \"SGSP\", but there was \"a library says hello"),
+        ("greeting-garbage", "a message begins with \"SGSP\", but there was \"Loading"),
+    ] {
+        let said = fail(how);
+        assert!(said.starts_with("the provider it answered the greeting with nonsense and was stopped: "), "{said}");
+        assert!(said.contains(what), "{how}: {said}");
+    }
+    assert!(
+        fail("wrong-offer").contains("the field \"offers\" must be offers whose \"image\" is \"srgb\" or \"linear\"")
+    );
+    let said = fail("cannot-load");
+    assert_eq!(said, "the provider it cannot answer the greeting: there are no weights at /nowhere");
+    assert_eq!(fail("few-offers"), "the provider it does not offer normals; it offers text");
+}
+
+#[test]
+fn a_refusal_is_not_the_end() {
+    let options = options("refuse");
+    let mut provider = Provider::start(&options).unwrap();
+    for _ in 0..2 {
+        let error = provider.normals(&Picture::srgb(&image(6, 4))).unwrap_err();
+        assert_eq!(sentence(&options, error), "the provider it cannot answer normals: no such thing is known");
+    }
+}
+
+/// The processes that were started with a word among their arguments.
+fn running(word: &str) -> usize {
+    let entries = std::fs::read_dir("/proc").unwrap().flatten();
+    let alive = |pid: &std::path::Path| {
+        let arguments = std::fs::read(pid.join("cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&arguments).split('\0').any(|a| a == word)
+    };
+    entries.filter(|e| alive(&e.path())).count()
+}
+
+#[test]
+fn none_outlives_its_value() {
+    // One that ends when its input does, one that does not, one amid a question, and one with a child of its own.
+    for how in ["nothing", "stay", "hang", "hang-deaf"] {
+        let mark = format!("--code={how}-{}", std::process::id());
+        let mut options = impatient(how);
+        options.command = format!("{} {mark}", options.command);
+        let mut provider = Provider::start(&options).unwrap();
+        assert_eq!(running(&mark), 1, "the check itself");
+        let _ = provider.normals(&Picture::srgb(&image(6, 4)));
+        let begun = Instant::now();
+        drop(provider);
+        // Killed they are, but a grandchild may take a moment to be gone.
+        while running(&mark) > 0 && begun.elapsed() < Duration::from_secs(20) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(running(&mark), 0, "{how}");
+        assert!(begun.elapsed() < Duration::from_secs(20), "{how}");
+    }
+}
+
+/// What is logged in this thread while something runs.
+fn logged(run: impl FnOnce()) -> String {
+    #[derive(Clone, Default)]
+    struct Sink(Arc<Mutex<Vec<u8>>>);
+    impl std::io::Write for Sink {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend(bytes);
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let sink = Sink::default();
+    let writer = sink.clone();
+    let subscriber = tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
+    tracing::subscriber::with_default(subscriber, run);
+    String::from_utf8(sink.0.lock().unwrap().clone()).unwrap()
+}
+
+#[test]
+fn standard_error_goes_to_the_log() {
+    let log = logged(|| {
+        let _ = ask(&options("exit"));
+        let _ = ask(&options("flood"));
+    });
+    assert!(log.contains("INFO provider: CUDA out of memory\n"), "{log}");
+    assert!(log.contains("INFO provider: line 0 of a talkative") && log.contains("line 19999 of"), "lines are missing");
+}
+
+#[test]
+fn one_can_do_without_and_it_is_said_once() {
+    let picture = image(6, 4);
+    let picture = Picture::srgb(&picture);
+    let log = logged(|| {
+        let mut helper = Helper::start(&options("exit"), Fallback::GoOn).unwrap();
+        assert!(helper.is_there());
+        for _ in 0..3 {
+            assert!(helper.ask(|p| p.normals(&picture)).unwrap().is_none());
+            assert!(!helper.is_there());
+        }
+    });
+    assert_eq!(log.matches("WARN").count(), 1, "{log}");
+    assert!(log.contains("its last words: CUDA out of memory; going on without it"), "{log}");
+
+    let missing = ProviderOptions::new("/nowhere/at-all");
+    let log = logged(|| assert!(!Helper::start(&missing, Fallback::GoOn).unwrap().is_there()));
+    assert_eq!(log.matches("going on without it").count(), 1, "{log}");
+    assert!(Helper::start(&missing, Fallback::Stop).is_err());
+
+    let mut helper = Helper::start(&options("exit"), Fallback::Stop).unwrap();
+    assert!(helper.ask(|p| p.normals(&picture)).is_err());
+    let mut helper = Helper::start(&options("nothing"), Fallback::Stop).unwrap();
+    assert!(helper.ask(|p| p.normals(&picture)).unwrap().is_some());
+}

@@ -1,0 +1,113 @@
+//! Arrays as they travel: a kind of number, a shape, little-endian bytes in C order.
+
+use crate::error::Nonsense;
+use half::f16;
+use safetensors::Dtype;
+
+/// The kinds of numbers that the protocol knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A byte that is 0 or 1.
+    Bool,
+    /// A byte.
+    U8,
+    /// A 16-bit whole number.
+    U16,
+    /// A half.
+    F16,
+    /// A 32-bit float.
+    F32,
+}
+
+impl Kind {
+    /// Bytes for each number.
+    pub fn size(self) -> usize {
+        match self {
+            Kind::Bool | Kind::U8 => 1,
+            Kind::U16 | Kind::F16 => 2,
+            Kind::F32 => 4,
+        }
+    }
+
+    pub(crate) fn dtype(self) -> Dtype {
+        match self {
+            Kind::Bool => Dtype::BOOL,
+            Kind::U8 => Dtype::U8,
+            Kind::U16 => Dtype::U16,
+            Kind::F16 => Dtype::F16,
+            Kind::F32 => Dtype::F32,
+        }
+    }
+
+    pub(crate) fn from_dtype(dtype: Dtype) -> Option<Kind> {
+        [Kind::Bool, Kind::U8, Kind::U16, Kind::F16, Kind::F32].into_iter().find(|k| k.dtype() == dtype)
+    }
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:?}", self.dtype())
+    }
+}
+
+/// An array of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// The kind of its numbers.
+    pub kind: Kind,
+    /// The length along each axis; the last index runs fastest.
+    pub shape: Vec<usize>,
+    /// The numbers, little-endian.
+    pub bytes: Vec<u8>,
+}
+
+impl Array {
+    /// Bytes, as 8-bit images.
+    pub fn u8(shape: &[usize], values: Vec<u8>) -> Array {
+        Array { kind: Kind::U8, shape: shape.to_vec(), bytes: values }
+    }
+
+    /// 32-bit floats.
+    pub fn f32(shape: &[usize], values: &[f32]) -> Array {
+        let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        Array { kind: Kind::F32, shape: shape.to_vec(), bytes }
+    }
+
+    /// The numbers of a float array; empty for other kinds.
+    pub fn floats(&self) -> Vec<f32> {
+        match self.kind {
+            Kind::F32 => words::<4>(&self.bytes).map(f32::from_le_bytes).collect(),
+            Kind::F16 => words::<2>(&self.bytes).map(|w| f16::from_le_bytes(w).to_f32()).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// The numbers of a half array; empty for other kinds.
+    pub fn halves(&self) -> Vec<f16> {
+        if self.kind == Kind::F16 { words::<2>(&self.bytes).map(f16::from_le_bytes).collect() } else { Vec::new() }
+    }
+
+    /// The numbers of a 16-bit array; empty for other kinds.
+    pub fn words(&self) -> Vec<u16> {
+        if self.kind == Kind::U16 { words::<2>(&self.bytes).map(u16::from_le_bytes).collect() } else { Vec::new() }
+    }
+
+    /// An error for the first number that `allowed` refuses, of a float array.
+    pub(crate) fn check(&self, name: &str, expected: &'static str, allowed: fn(f32) -> bool) -> Result<(), Nonsense> {
+        let values = self.floats();
+        match values.iter().position(|v| !allowed(*v)) {
+            None => Ok(()),
+            Some(index) => {
+                Err(Nonsense::Value { name: name.to_owned(), value: f64::from(values[index]), index, expected })
+            }
+        }
+    }
+}
+
+fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
+    bytes.chunks_exact(N).map(|chunk| {
+        let mut word = [0; N];
+        word.copy_from_slice(chunk);
+        word
+    })
+}

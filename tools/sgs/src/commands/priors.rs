@@ -1,0 +1,96 @@
+//! `sgs priors`: networks over a scene's photographs.
+
+use crate::common::Common;
+use crate::ui::{Bar, interrupted};
+use anyhow::bail;
+use sgs_provider::{FillOptions, Prior, Provider, ProviderOptions, fill};
+use sgs_scene::{Scene, SceneOptions};
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Scene directory.
+    scene: PathBuf,
+    /// Command line of the provider, for instance "tools/priors/serve stable-normal=WEIGHTS" (see docs/PRIORS.md).
+    #[arg(long, value_name = "CMD")]
+    provider: String,
+    /// Only these kinds: normal, semantic, masks, albedo, roughness, metallic; by default all that it offers.
+    #[arg(long, value_name = "KINDS", value_delimiter = ',')]
+    only: Vec<Prior>,
+    /// Which views.
+    #[arg(long, value_enum, default_value = "train")]
+    views: Views,
+    /// Make files anew that exist.
+    #[arg(long)]
+    force: bool,
+    /// Names of the classes, separated by commas; by default those there are, or what the provider finds.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    labels: Vec<String>,
+    /// Seconds to wait for each answer.
+    #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().answer_seconds)]
+    answer_seconds: f64,
+    /// Seconds to wait for the provider to start and load its weights.
+    #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().start_seconds)]
+    start_seconds: f64,
+    /// Seed of everything random in the answers.
+    #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().seed)]
+    seed: u64,
+    /// Factor that linear (EXR) photographs are multiplied with.
+    #[arg(long, value_name = "F", default_value_t = 1.0)]
+    exposure: f32,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Views {
+    Train,
+    All,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    for (name, seconds) in [("--answer-seconds", a.answer_seconds), ("--start-seconds", a.start_seconds)] {
+        if !(seconds > 0.0 && seconds.is_finite()) {
+            bail!("{name} is {seconds}, but must be a number of seconds above 0.");
+        }
+    }
+    let scene = Scene::open(&a.scene, &SceneOptions { exposure: a.exposure, ..SceneOptions::default() })?;
+    let options = FillOptions {
+        only: a.only.clone(),
+        views: match a.views {
+            Views::Train => scene.split.train.clone(),
+            Views::All => (0..scene.views.len()).collect(),
+        },
+        force: a.force,
+        labels: a.labels.iter().map(|l| l.trim().to_owned()).filter(|l| !l.is_empty()).collect(),
+    };
+    let stop = interrupted()?;
+    let mut provider = Provider::start(&ProviderOptions {
+        command: a.provider.clone(),
+        start_seconds: a.start_seconds,
+        answer_seconds: a.answer_seconds,
+        seed: a.seed,
+        ..ProviderOptions::default()
+    })?;
+    let mut bar = Bar::new(common, "views", options.views.len() as u64, 0);
+    let progress = |done: usize, _: usize| bar.set(done as u64, String::new);
+    let filled = fill(&scene, &mut provider, &options, progress, || !stop.load(Ordering::SeqCst))?;
+    bar.finish();
+    for warning in &filled.warnings {
+        tracing::warn!("{warning}");
+    }
+    let summary = serde_json::json!({
+        "provider": provider.about().name,
+        "written": filled.written,
+        "kept": filled.kept,
+        "complete": filled.complete,
+    });
+    if !common.answer(&summary)? && !common.quiet {
+        eprintln!("wrote {} files, kept {}", filled.written.len(), filled.kept);
+    }
+    if !filled.complete {
+        eprintln!("stopped; the same command goes on");
+        drop(provider);
+        std::process::exit(1);
+    }
+    Ok(())
+}
