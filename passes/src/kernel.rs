@@ -74,6 +74,11 @@ pub fn stage_with<'g>(
     specs.into_iter().fold(pass, |pass, (name, bits)| pass.spec(name, bits))
 }
 
+/// The kernel that decides whether conditional passes run; for [`Graph::set_gate`].
+pub fn gate() -> Arc<Shader> {
+    shader(&sgs_shaders::gate::KERNEL)
+}
+
 /// Workgroups along x and y for `count` items of `per_group` each, folded past 65535.
 pub fn groups(count: u64, per_group: u32) -> [u32; 3] {
     let n = count.div_ceil(u64::from(per_group)).max(1);

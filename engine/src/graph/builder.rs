@@ -11,7 +11,7 @@ use super::pass::{Pass, PassKind, Use, writes};
 use super::pass_builder::PassBuilder;
 use super::plan::{self, CompileOptions, Plan};
 use super::ranges::RangeMap;
-use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Pair, Slice};
+use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, ImageState, Pair, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
 /// A declaration under way.
@@ -26,7 +26,13 @@ pub struct Graph {
     /// What was wrong with calls that return no result.
     pub(super) errors: Vec<GraphError>,
     /// The pass that was begun and has not been finished.
-    open: Option<String>,
+    pub(super) open: Option<String>,
+    /// By buffer: how many passes have written it.
+    pub(super) versions: Vec<u32>,
+    /// What was written under which conditions.
+    pub(super) conditional: Vec<(Condition, Slice)>,
+    /// The kernel that turns a condition into group counts.
+    pub(super) gate: Option<Arc<Shader>>,
 }
 
 impl Graph {
@@ -39,6 +45,9 @@ impl Graph {
             written: Vec::new(),
             errors: Vec::new(),
             open: None,
+            versions: Vec::new(),
+            conditional: Vec::new(),
+            gate: None,
         }
     }
 
@@ -79,9 +88,20 @@ impl Graph {
             self.errors.push(GraphError::EmptyBuffer { buffer: name.clone() });
         }
         let buffer = Buffer(u32::try_from(self.buffers.len()).expect("invariant: fewer than 2^32 buffers"));
+        self.versions.push(0);
         self.written.push((kind == BufferKind::Transient).then(|| RangeMap::new(bytes, false)));
         let state = BufferState::Ready;
-        self.buffers.push(BufferInfo { name, bytes, kind, keep, entry: state, exit: state, image: None, pair: None });
+        self.buffers.push(BufferInfo {
+            name,
+            bytes,
+            kind,
+            keep,
+            entry: state,
+            exit: state,
+            image: None,
+            pair: None,
+            switch: false,
+        });
         buffer
     }
 
@@ -136,6 +156,7 @@ impl Graph {
         }
         self.finish(Pass {
             name,
+            condition: None,
             kind: PassKind::Fill { target, value },
             accesses: vec![(target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -168,9 +189,10 @@ impl Graph {
             let buffer = self.buffers[source.buffer.index()].name.clone();
             return Err(GraphError::Overlap { pass: name, buffer, first: "source".into(), second: "target".into() });
         }
-        self.check_written(&name, &source)?;
+        self.check_written(&name, &source, None)?;
         self.finish(Pass {
             name,
+            condition: None,
             kind: PassKind::Copy { source, target },
             accesses: vec![(source, Access::Read, Use::Transfer), (target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -222,11 +244,21 @@ impl Graph {
         }
     }
 
+    /// What has been written of a buffer that nobody has touched, where that matters.
+    pub(super) fn fresh(&self, info: &BufferInfo) -> Option<RangeMap<bool>> {
+        let undefined = info.image.is_some_and(|image| image.entry == ImageState::Undefined);
+        (undefined || info.kind == BufferKind::Transient).then(|| RangeMap::new(info.bytes.max(1), false))
+    }
+
     /// Takes a pass that has passed all checks.
     pub(super) fn finish(&mut self, pass: Pass) -> Result<(), GraphError> {
-        for (slice, access, _) in &pass.accesses {
-            if let (true, Some(written)) = (writes(*access), &mut self.written[slice.buffer.index()]) {
-                written.set(slice.range(), true);
+        let condition = pass.condition.map(|word| self.condition(word));
+        for (slice, ..) in pass.accesses.iter().filter(|(_, access, _)| writes(*access)) {
+            self.versions[slice.buffer.index()] += 1;
+            match (condition, &mut self.written[slice.buffer.index()]) {
+                (None, Some(written)) => written.set(slice.range(), true),
+                (Some(condition), Some(_)) => self.conditional.push((condition, *slice)),
+                (_, None) => {}
             }
         }
         self.passes.push(pass);
@@ -280,8 +312,11 @@ impl Graph {
 
     /// Refuses to read a transient where nobody wrote any of it. One written byte is enough: a buffer bound as a
     /// whole may have gaps and slack that nobody ever writes.
-    pub(super) fn check_written(&self, pass: &str, slice: &Slice) -> Result<(), GraphError> {
+    /// What was written under the very condition under which it is read counts as well.
+    pub(super) fn check_written(&self, pass: &str, slice: &Slice, when: Option<Condition>) -> Result<(), GraphError> {
+        let met = |(condition, written): &(Condition, Slice)| Some(*condition) == when && written.overlaps(slice);
         match &self.written[slice.buffer.index()] {
+            _ if self.conditional.iter().any(met) => Ok(()),
             Some(written) if !written.any(slice.range(), |&written| written) => Err(GraphError::Unwritten {
                 pass: pass.to_owned(),
                 buffer: self.buffers[slice.buffer.index()].name.clone(),
@@ -296,6 +331,9 @@ impl Graph {
         GraphError::UnknownBuffer { pass: pass.to_owned(), index: buffer.0, count: self.buffers.len() }
     }
 }
+
+/// A word as it was when a pass looked at it: which one, and how many passes had written its buffer.
+pub(super) type Condition = (Slice, u32);
 
 /// What a buffer that no pass may write is called in messages.
 fn read_only(info: &BufferInfo) -> &'static str {

@@ -44,6 +44,23 @@ pub enum GraphError {
          multiple of that."
     )]
     TexelAlignment { pass: String, buffer: String, offset: u64, texel: u64 },
+    /// A kernel that cannot be a gate.
+    #[error(
+        "Graph [{graph}] is given kernel [{shader}] as its gate, but a gate reads [word] and [counts], writes \
+         [arguments], and has 24 bytes of constants."
+    )]
+    BadGate { graph: String, shader: String },
+    /// A condition without a gate.
+    #[error("Pass [{pass}] runs on a condition, but its graph was given no gate.")]
+    NoGate { pass: String },
+    /// A condition that is no word.
+    #[error(
+        "Pass [{pass}] runs on {bytes} bytes at offset {offset} of buffer [{buffer}], but a condition is a 32-bit word."
+    )]
+    ConditionWord { pass: String, buffer: String, offset: u64, bytes: u64 },
+    /// A buffer that cannot be taken for another.
+    #[error("Buffer [{theirs}] of graph [{graph}] cannot be taken for [{ours}]: it {why}.")]
+    Join { graph: String, theirs: String, ours: String, why: &'static str },
     /// A buffer without bytes was declared.
     #[error("Buffer [{buffer}] is declared with 0 bytes, but a buffer needs at least 1.")]
     EmptyBuffer { buffer: String },

@@ -86,9 +86,10 @@ impl Graph {
         let (source, texels) = self.packed(&name, source.into(), target)?;
         self.check_not_uniform(&name, source.buffer, "the source of a copy")?;
         self.check_write(&name, target.0, "copy")?;
-        self.check_written(&name, &source)?;
+        self.check_written(&name, &source, None)?;
         self.finish(Pass {
             name,
+            condition: None,
             kind: PassKind::CopyToImage { source, target },
             accesses: vec![(source, Access::Read, Use::Transfer), (texels, Access::Write, Use::Transfer)],
             discards: vec![texels],
@@ -106,9 +107,10 @@ impl Graph {
         self.begin(&name);
         let (target, texels) = self.packed(&name, target.into(), source)?;
         self.check_write(&name, target.buffer, "copy")?;
-        self.check_written(&name, &texels)?;
+        self.check_written(&name, &texels, None)?;
         self.finish(Pass {
             name,
+            condition: None,
             kind: PassKind::CopyFromImage { source, target },
             accesses: vec![(texels, Access::Read, Use::Transfer), (target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -126,6 +128,7 @@ impl Graph {
         let value = value.map(|component| if integer { component as u32 } else { component.to_bits() });
         self.finish(Pass {
             name,
+            condition: None,
             kind: PassKind::ClearImage { target, value },
             accesses: vec![(texels, Access::Write, Use::Transfer)],
             discards: vec![texels],

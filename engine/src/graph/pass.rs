@@ -39,7 +39,7 @@ pub enum Dispatch {
 pub const INDIRECT_BYTES: u64 = 12;
 
 /// What a pass does.
-#[derive(Clone, Debug)]
+#[derive(Clone, PartialEq, Debug)]
 pub enum PassKind {
     /// Runs a kernel.
     Compute {
@@ -94,7 +94,7 @@ pub enum PassKind {
 }
 
 /// A declared pass.
-#[derive(Clone, Debug)]
+#[derive(Clone, PartialEq, Debug)]
 pub struct Pass {
     /// Its name in dumps, traces and errors.
     pub name: String,
@@ -102,6 +102,8 @@ pub struct Pass {
     pub kind: PassKind,
     /// Every range it touches.
     pub accesses: Vec<(Slice, Access, Use)>,
+    /// The word that says whether it runs at all: not if it is zero. Whoever does not run leaves everything as it was.
+    pub condition: Option<Slice>,
     /// Those of its ranges whose earlier contents do not matter to it: it overwrites all of what anyone will read.
     pub discards: Vec<Slice>,
 }

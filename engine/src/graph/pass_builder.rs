@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use super::builder::{Graph, use_of};
+use super::condition::Counts;
 use super::error::GraphError;
 use super::pass::{Dispatch, INDIRECT_BYTES, Pass, PassKind, Use, writes};
 use super::resource::{Buffer, Image, Slice};
@@ -25,6 +26,7 @@ pub struct PassBuilder<'g> {
     specs: Vec<(u32, u32)>,
     push: Vec<u8>,
     subgroup_size: Option<u32>,
+    condition: Option<Slice>,
     errors: Vec<GraphError>,
 }
 
@@ -39,6 +41,7 @@ impl<'g> PassBuilder<'g> {
             specs: Vec::new(),
             push: Vec::new(),
             subgroup_size: None,
+            condition: None,
             errors: Vec::new(),
         }
     }
@@ -169,6 +172,28 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
+    /// Lets the pass run only if a 32-bit word is not zero when its turn comes: a word that earlier passes wrote, or a
+    /// switch of the host. A pass that may not run promises nothing, so discards are taken as plain bindings. Needs
+    /// [`Graph::set_gate`]; a pass has one condition, the last given.
+    pub fn when(mut self, word: impl Into<Slice>) -> Self {
+        match self.graph.resolve_word(&self.name, word.into()) {
+            Ok(word) => self.condition = Some(word),
+            Err(error) => self.errors.push(error),
+        }
+        self
+    }
+
+    /// Declares the pass that writes the group counts of this one, and says where they are.
+    fn gated(&mut self, word: Slice, counts: Counts) -> Option<(Buffer, u64)> {
+        match self.graph.gated(&self.name, word, counts) {
+            Ok(arguments) => Some((arguments, 0)),
+            Err(error) => {
+                self.errors.push(error);
+                None
+            }
+        }
+    }
+
     /// Declares the pass with a fixed number of groups.
     pub fn dispatch(mut self, groups: [u32; 3]) -> Result<(), GraphError> {
         for (axis, count) in ['x', 'y', 'z'].into_iter().zip(groups) {
@@ -176,11 +201,29 @@ impl<'g> PassBuilder<'g> {
                 self.errors.push(GraphError::GroupCount { pass: self.name.clone(), axis, count, limit: GROUP_LIMIT });
             }
         }
+        if let Some(word) = self.condition {
+            let arguments = self.gated(word, Counts::Fixed(groups));
+            return self.indirect(arguments);
+        }
         self.declare(Dispatch::Groups(groups), None)
     }
 
     /// Declares the pass with the number of groups that three 32-bit numbers in a buffer will say.
     pub fn dispatch_indirect(mut self, buffer: Buffer, offset: u64) -> Result<(), GraphError> {
+        let Some(word) = self.condition else { return self.indirect(Some((buffer, offset))) };
+        let arguments = match self.check_indirect(buffer, offset) {
+            Ok(counts) => self.gated(word, Counts::Found(counts)),
+            Err(error) => {
+                self.errors.push(error);
+                None
+            }
+        };
+        self.indirect(arguments)
+    }
+
+    /// Declares the pass with group counts in a buffer, if they could be found.
+    fn indirect(mut self, counts: Option<(Buffer, u64)>) -> Result<(), GraphError> {
+        let Some((buffer, offset)) = counts else { return self.declare(Dispatch::Groups([0; 3]), None) };
         let arguments = match self.check_indirect(buffer, offset) {
             Ok(slice) => Some(slice),
             Err(error) => {
@@ -216,6 +259,7 @@ impl<'g> PassBuilder<'g> {
         let mut bindings = Vec::with_capacity(shader.bindings.len());
         for (binding, bound) in shader.bindings.iter().zip(&self.bound) {
             if let Some((slice, discard)) = *bound {
+                let discard = discard && self.condition.is_none();
                 touched.push((&binding.name, slice, binding.access, use_of(binding.kind), discard));
                 bindings.push((binding.number, slice));
             } else if !self.errors.iter().any(|e| failed_to_bind(e, &binding.name)) {
@@ -241,14 +285,16 @@ impl<'g> PassBuilder<'g> {
                 }
             }
         }
+        let when = self.condition.map(|word| self.graph.condition(word));
         for (_, slice, access, _, discard) in &touched {
             if *access != Access::Write && !discard {
-                self.errors.extend(self.graph.check_written(&self.name, slice).err());
+                self.errors.extend(self.graph.check_written(&self.name, slice, when).err());
             }
         }
         GraphError::collect(self.errors)?;
         self.graph.finish(Pass {
             name: self.name,
+            condition: self.condition,
             accesses: touched.iter().map(|&(_, slice, access, used, _)| (slice, access, used)).collect(),
             discards: touched.iter().filter(|t| t.4).map(|t| t.1).collect(),
             kind: PassKind::Compute {

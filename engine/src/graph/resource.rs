@@ -95,6 +95,16 @@ pub enum BufferKind {
     History,
 }
 
+/// Something that the host turns on and off from replay to replay, without recording anything again.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct Switch(pub(crate) Buffer);
+
+impl From<Switch> for Slice {
+    fn from(switch: Switch) -> Self {
+        switch.0.into()
+    }
+}
+
 /// Two buffers that change places: what a replay writes to `current`, the next one finds in `previous`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct History {
@@ -132,6 +142,8 @@ pub struct BufferInfo {
     pub image: Option<ImageInfo>,
     /// Whom it changes places with, if it belongs to a history.
     pub pair: Option<Pair>,
+    /// Whether it is a switch: one word that the executor keeps.
+    pub switch: bool,
 }
 
 impl BufferInfo {

@@ -60,6 +60,8 @@ struct ImageView {
 struct PassView<'p> {
     name: &'p str,
     does: String,
+    /// Buffer and byte of the word that it runs on.
+    condition: Option<(Buffer, u64)>,
     accesses: Vec<AccessView<'p>>,
     follows: Vec<u32>,
 }
@@ -130,5 +132,6 @@ fn pass_view(pass: &Pass, follows: Vec<u32>) -> PassView<'_> {
         used: *used,
         discards: pass.discards(slice),
     });
-    PassView { name: &pass.name, does: describe(pass), accesses: accesses.collect(), follows }
+    let condition = pass.condition.map(|word| (word.buffer, word.offset));
+    PassView { name: &pass.name, does: describe(pass), condition, accesses: accesses.collect(), follows }
 }

@@ -78,7 +78,11 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         }
         for &pass in &group.passes {
             let pass = &plan.passes[pass];
-            writeln!(out, "  {}: {}", pass.name, describe(pass))?;
+            write!(out, "  {}: {}", pass.name, describe(pass))?;
+            if let Some(word) = &pass.condition {
+                write!(out, " if {} [{}]", plan.buffers[word.buffer.index()].name, word.offset)?;
+            }
+            writeln!(out)?;
             for ((slice, access, used), label) in pass.accesses.iter().zip(labels(pass)) {
                 let info = &plan.buffers[slice.buffer.index()];
                 write!(out, "    {label} {} {}", verb(*access, *used), info.name)?;

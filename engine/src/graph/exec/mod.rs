@@ -11,7 +11,7 @@ mod time;
 
 pub use time::PassTime;
 
-use super::{Buffer, BufferKind, Image, Plan, Use};
+use super::{Buffer, BufferKind, Image, Plan, Switch, Use};
 use crate::device::{Device, ObjectKind, Parked, Ticket};
 use crate::error::{Error, Result};
 use crate::memory::{DeviceBuffer, DeviceImage, Location};
@@ -52,6 +52,8 @@ pub struct Executor {
     arena: Option<DeviceBuffer>,
     /// Byte offset of each uniform inside a slot's uniform memory.
     uniform_offsets: Vec<u64>,
+    /// The switches and what they are set to.
+    switches: Vec<(Buffer, u32)>,
     slots: Vec<Slot>,
     next: usize,
     times: time::Times,
@@ -127,7 +129,11 @@ impl Executor {
             .map(|b| {
                 let at = uniform_bytes;
                 if b.kind == BufferKind::Uniform {
-                    uniform_bytes += b.bytes.next_multiple_of(device.info().uniform_alignment.max(16));
+                    uniform_bytes += {
+                        // Kernels may bind it as a storage buffer too.
+                        let info = device.info();
+                        b.bytes.next_multiple_of(info.uniform_alignment.max(info.storage_alignment).max(16))
+                    };
                 }
                 at
             })
@@ -139,6 +145,7 @@ impl Executor {
             slot_images: Vec::new(),
             arena,
             uniform_offsets,
+            switches: plan.buffers().filter(|(_, info)| info.switch).map(|(buffer, _)| (buffer, 1)).collect(),
             slots: Vec::new(),
             next: 0,
             times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
@@ -234,6 +241,13 @@ impl Executor {
         Ok(())
     }
 
+    /// Turns a switch on or off, for the replays submitted from now on.
+    pub fn set_switch(&mut self, switch: Switch, on: bool) {
+        if let Some((_, word)) = self.switches.iter_mut().find(|(buffer, _)| *buffer == switch.0) {
+            *word = u32::from(on);
+        }
+    }
+
     /// Replays the plan with these uniforms; returns where on the timeline it ends.
     ///
     /// # Errors
@@ -249,6 +263,9 @@ impl Executor {
             waited += self.retire(oldest, self.device.timeout())?;
         }
         if let Some(memory) = &self.slots[index].uniforms {
+            for (buffer, word) in &self.switches {
+                memory.write(self.uniform_offsets[buffer.index()], &word.to_ne_bytes())?;
+            }
             for (buffer, data) in uniforms {
                 memory.write(self.uniform_offsets[buffer.index()], data)?;
             }

@@ -12,7 +12,7 @@ use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Pair, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// The key of a graph compiled in some way.
-pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: &CompileOptions) -> u64 {
+pub(in crate::graph) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: &CompileOptions) -> u64 {
     // Whether the result is verified does not change it.
     let CompileOptions { alignment, alias, reorder, verify: _ } = *options;
     let mut hash = Hash::default();
@@ -20,7 +20,7 @@ pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: 
     hash.word(alignment);
     hash.word(u64::from(alias) | u64::from(reorder) << 1);
     hash.word(buffers.len() as u64);
-    for BufferInfo { name, bytes, kind, keep, entry, exit, image, pair } in buffers {
+    for BufferInfo { name, bytes, kind, keep, entry, exit, image, pair, switch } in buffers {
         hash.text(name);
         hash.word(*bytes);
         hash.word(match kind {
@@ -29,7 +29,7 @@ pub(super) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: 
             BufferKind::Uniform => 2,
             BufferKind::History => 3,
         });
-        hash.word(u64::from(*keep));
+        hash.word(u64::from(*keep) | u64::from(*switch) << 1);
         if let Some(Pair { partner, value }) = pair {
             hash.word((partner.index() as u64) << 32 | u64::from(*value));
         }
@@ -98,8 +98,10 @@ impl Hash {
 
     /// `shaders` remembers what each kernel, by address, hashes to: many passes share one.
     fn pass(&mut self, pass: &Pass, shaders: &mut HashMap<*const Shader, u64>) {
-        let Pass { name, kind, accesses, discards } = pass;
+        let Pass { name, kind, accesses, condition, discards } = pass;
         self.text(name);
+        self.word(u64::from(condition.is_some()));
+        condition.iter().for_each(|word| self.slice(word));
         match kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
                 self.word(0);

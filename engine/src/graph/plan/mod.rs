@@ -22,6 +22,7 @@ pub mod scope;
 pub mod verify;
 
 pub use image::{ImageMemory, ImageSlot, Transition};
+pub(in crate::graph) use key::key;
 pub use scope::{Accesses, Barrier, Stages};
 
 use super::builder::Graph;
@@ -119,7 +120,7 @@ impl Plan {
 /// Compiles a declaration that the builder has found meaningful.
 pub(super) fn compile(graph: Graph, options: &CompileOptions) -> Plan {
     let Graph { name, buffers, passes, .. } = graph;
-    let key = key::key(&name, &buffers, &passes, options);
+    let key = key(&name, &buffers, &passes, options);
     let lives = cull::cull(&buffers, &passes);
     let follows = depend::depend(&buffers, &passes, &lives);
     let order = order::order(&buffers, &passes, &lives, &follows, options.reorder);

@@ -36,6 +36,17 @@ pub(super) fn pass(graph: &mut Graph, name: &str, touched: &[(Slice, Access)]) {
     pass.dispatch([1, 1, 1]).unwrap();
 }
 
+/// A gate for conditional passes.
+pub(super) fn gate() -> Arc<Shader> {
+    let mut gate = kernel("gate", &[Access::Read, Access::Read, Access::Write]);
+    let shader = Arc::make_mut(&mut gate);
+    for (binding, name) in shader.bindings.iter_mut().zip(["word", "counts", "arguments"]) {
+        binding.name = name.into();
+    }
+    shader.push_bytes = 24;
+    gate
+}
+
 /// The kind of binding for what a slice is of.
 pub(super) fn kind_of(graph: &Graph, slice: &Slice) -> BindingKind {
     let image = graph.buffers[slice.buffer.index()].image;

@@ -2,8 +2,10 @@
 //! the verifier must refuse.
 
 mod builder_errors;
+mod condition;
 mod history;
 mod images;
+mod join;
 mod kernels;
 mod mutate;
 mod page;

@@ -3,7 +3,7 @@
 
 use proptest::prelude::*;
 
-use super::kernels::{bind, kind_of, pass, with_kinds};
+use super::kernels::{bind, gate, kind_of, pass, with_kinds};
 use super::*;
 use crate::format::ImageFormat;
 use crate::shader::Access;
@@ -44,6 +44,7 @@ impl Recipe {
     /// The graph. What would be an error is left out.
     pub(super) fn build(&self) -> Graph {
         let mut graph = Graph::new("random");
+        graph.set_gate(&gate());
         // At least one output, so that not everything is dropped.
         graph.external("e", 8 * CELL);
         for (index, &(kind, cells, keep)) in self.buffers.iter().enumerate() {
@@ -81,7 +82,7 @@ impl Recipe {
             .map(|index| Slice { bytes: graph.buffers[index].bytes, ..Slice::from(Buffer(index as u32)) });
         let mut touched: Vec<_> = made
             .filter(|slice| graph.buffers[slice.buffer.index()].kind == BufferKind::Transient)
-            .filter(|slice| graph.check_written("", slice).is_ok())
+            .filter(|slice| graph.check_written("", slice, None).is_ok())
             .map(|slice| (slice, Access::Read))
             .collect();
         touched.push((Buffer(0).slice(0, 8 * CELL), Access::ReadWrite));
@@ -153,7 +154,7 @@ impl Recipe {
                 let (touches, slices): (Vec<_>, Vec<_>) =
                     (0..slices.len()).filter(keep).map(|at| (&touches[at], slices[at])).unzip();
                 let access = |(touch, slice): (&&Touch, &Slice)| {
-                    let written = graph.check_written("", slice).is_ok();
+                    let written = graph.check_written("", slice, None).is_ok();
                     match touch.access {
                         _ if !graph.buffers[slice.buffer.index()].writable() => Access::Read,
                         0..=3 if written && !touch.discard => Access::Read,
@@ -167,7 +168,13 @@ impl Recipe {
                     slices.iter().zip(&accesses).map(|(s, access)| (kind_of(graph, s), *access)).collect();
                 let indirect = slices.first().copied().filter(|first| kind == 2 && !is_image(graph, first));
                 let kernel = with_kinds("k", &kinds);
+                // On a word of some buffer, sometimes of one that the pass touches.
+                let word = touches.last().map(|touch| slice(touch)).filter(|_| matches!(kind, 3 | 4));
+                let word = word.filter(|word| !is_image(graph, word)).map(|word| word.buffer.slice(word.offset, 4));
                 let mut pass = graph.pass(name, &kernel);
+                if let Some(word) = word {
+                    pass = pass.when(word);
+                }
                 for (index, (touch, slice)) in touches.iter().zip(&slices).enumerate() {
                     let discards = touch.discard && matches!(accesses[index], Access::Write | Access::ReadWrite);
                     pass = bind(pass, index, *slice, discards);
@@ -249,6 +256,13 @@ impl<'p> Machine<'p> {
     fn run(&mut self, index: usize) {
         let pass = &self.plan.passes[index];
         let cells = |slice: &Slice| slice.offset / CELL..(slice.offset + slice.bytes).div_ceil(CELL);
+        if pass.condition.is_some() {
+            // What the gate wrote says whether the pass runs.
+            let counts = pass.accesses.iter().find(|(_, _, used)| *used == Use::Indirect).unwrap().0;
+            if self.load(counts.buffer.index(), 0).is_multiple_of(3) {
+                return;
+            }
+        }
         let mut read = index as u64;
         for (slice, access, _) in &pass.accesses {
             if *access == Access::Read || (*access == Access::ReadWrite && !pass.discards(slice)) {
@@ -345,7 +359,7 @@ fn random_graphs_are_not_trivial() {
     use proptest::strategy::{Strategy, ValueTree};
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let count = 300;
-    let [mut running, mut dropped, mut groups, mut shared, mut wide, mut layouts, mut slots] = [0; 7];
+    let [mut running, mut dropped, mut groups, mut shared, mut wide, mut layouts, mut slots, mut conditions] = [0; 8];
     for _ in 0..count {
         let recipe = recipes(40).new_tree(&mut runner).unwrap().current();
         let plan = recipe.build().compile(&recipe.options).unwrap();
@@ -356,10 +370,12 @@ fn random_graphs_are_not_trivial() {
         shared += usize::from(plan.arena_bytes < plan.arena_unaliased_bytes);
         layouts += plan.entry.len() + plan.exit.len();
         let images = plan.buffers().filter(|(b, i)| i.image.is_some() && plan.placements[b.index()].is_some());
+        conditions +=
+            plan.groups.iter().flat_map(|g| &g.passes).filter(|&&p| plan.passes[p].condition.is_some()).count();
         slots += images.count() - plan.image_slots.len();
     }
     println!("{running} running, {dropped} dropped, {groups} groups, {wide} wide, {shared} with shared memory");
-    println!("{layouts} changes of layout, {slots} slots shared");
-    assert!(layouts > count && slots > 3);
+    println!("{layouts} changes of layout, {slots} slots shared, {conditions} conditions");
+    assert!(conditions > count && layouts > count && slots > 3);
     assert!(running > 8 * count && dropped > count && groups > 4 * count && wide > count && shared > count / 20);
 }

@@ -29,6 +29,10 @@ fn cells(plan: &Plan) -> Cells {
 
 /// Whether nothing of what the slice held survives the pass, or matters to it.
 fn overwrites(pass: &Pass, slice: &Slice) -> bool {
+    // Who may not run at all overwrites nothing.
+    if pass.condition.is_some() {
+        return false;
+    }
     match &pass.kind {
         PassKind::Fill { target, .. } | PassKind::Copy { target, .. } => target == slice,
         PassKind::CopyToImage { target, .. } | PassKind::ClearImage { target, .. } => target.0 == slice.buffer,

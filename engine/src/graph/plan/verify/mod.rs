@@ -84,6 +84,9 @@ pub enum VerifyError {
     /// A history that does not consist of two buffers alike.
     #[error("Buffer [{buffer}] belongs to a history whose other half does not fit.")]
     WrongPair { buffer: String },
+    /// A conditional pass that runs in any case, or counts on running.
+    #[error("Pass [{pass}] runs on a condition, but its group counts are fixed or it promises to overwrite something.")]
+    Conditional { pass: String },
     /// An image touched in part.
     #[error("Pass [{pass}] touches a part of image [{image}], which only goes as a whole.")]
     PartOfImage { pass: String, image: String },

@@ -105,6 +105,10 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
 
 /// Works out from its kind what a pass must have declared, and compares.
 fn check_accesses(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
+    let indirect = matches!(pass.kind, PassKind::Compute { dispatch: Dispatch::Indirect { .. }, .. });
+    if pass.condition.is_some() && (!indirect || !pass.discards.is_empty()) {
+        return Err(VerifyError::Conditional { pass: pass.name.clone() });
+    }
     let whole = |image: Image| image.0.slice(0, plan.buffers.get(image.index()).map_or(0, |info| info.bytes));
     let mut expected: Vec<(Slice, Access, Use, String)> = Vec::new();
     match &pass.kind {
