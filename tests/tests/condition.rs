@@ -12,7 +12,8 @@ use std::sync::Arc;
 fn fill_if(g: &mut Graph, name: &str, target: Slice, value: u32, word: impl Into<Slice>, counts: Option<Buffer>) {
     let push = fill::Push { count: 256, value };
     let pass = g.pass(name, &shader(&fill::KERNEL)).bind_discard("target", target).push(bytemuck::bytes_of(&push));
-    let pass = pass.when(word);
+    let specs = fill::Specs::default().entries();
+    let pass = specs.into_iter().fold(pass.when(word), |pass, (name, bits)| pass.spec(name, bits));
     match counts {
         Some(counts) => pass.dispatch_indirect(counts, 4),
         None => pass.dispatch([1, 1, 1]),
