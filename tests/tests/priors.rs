@@ -1,5 +1,6 @@
 //! `sgs priors`: a provider over a scene's photographs, from the command to files that training takes.
 
+use sgs_provider::{Picture, Provider, ProviderOptions};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
 use sgs_synth::{SceneName, SynthOptions};
 use sgs_tests::Place;
@@ -157,6 +158,7 @@ fn every_kind_from_a_synthesized_scene() {
             assert_eq!(usize::from(regions.ids[y * 40 + x]), best + 1, "view {view}, cell {cell}");
         }
     }
+    assert_masks(&opened, &provider(&format!("'stand-in={path}' --noise 0")));
     // Again: nothing is lacking. Then one file is, and then one kind is made in another encoding.
     assert_eq!(fill("--noise 0", &[]), (0, 26));
     std::fs::remove_file(scene.join("priors/masks/002.png")).unwrap();
@@ -170,6 +172,31 @@ fn every_kind_from_a_synthesized_scene() {
     assert!(files(&scene.join("priors")).keys().all(|p| !p.display().to_string().ends_with(".tmp")));
     let run = place.text("run");
     sgs(&["train", &path, "-o", &run, "--geometry-steps", "2", "--no-densify"]).ok();
+}
+
+/// Asks for the thing in the middle of view 0: in itself, in view 1, and in view 2 of which only the camera is told. The
+/// regions on disk say where it is.
+#[track_caller]
+fn assert_masks(scene: &Scene, command: &str) {
+    let mut provider = Provider::start(&ProviderOptions::new(command)).unwrap();
+    let images: Vec<Image> = (0..3).map(|i| scene.load_image(i).unwrap()).collect();
+    let picture = |i: usize| {
+        let camera = &scene.views[i].camera;
+        let view = (i < 2).then_some(camera.name.as_str());
+        Picture { view, camera: Some(camera), ..Picture::srgb(&images[i]) }
+    };
+    let masks = provider.masks(&[picture(0), picture(1), picture(2)], Some([20.5, 16.5])).unwrap();
+    let ids: Vec<Vec<u16>> = (0..3).map(|i| scene.region_prior(i).unwrap().unwrap().ids).collect();
+    let thing = ids[0][16 * 40 + 20];
+    for (frame, most) in [(0, 0), (1, 0), (2, 40 * 32 / 8)] {
+        let wrong = masks.frames[frame].iter().zip(&ids[frame]).filter(|(m, id)| **m != (**id == thing)).count();
+        assert!(wrong <= most, "{wrong} pixels of frame {frame} are wrong");
+    }
+    let there = masks.frames[2].iter().filter(|m| **m).count();
+    assert!((20..40 * 32 - 20).contains(&there), "{there} pixels say nothing");
+    // Nothing is known about such images but their colors.
+    let plain = provider.masks(&[0, 0, 0].map(|i| Picture::srgb(&images[i])), Some([20.5, 16.5])).unwrap();
+    assert!(plain.frames[0][16 * 40 + 20] && plain.frames[1] == plain.frames[0]);
 }
 
 #[test]

@@ -56,7 +56,7 @@ class Several:
 
 
 def claim_output():
-    """The stream of the protocol. Whatever else is printed goes to standard error from now on: libraries like to talk."""
+    """The stream of the protocol. Whatever else is printed goes to standard error from now on."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return stream
