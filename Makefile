@@ -4,11 +4,13 @@ CARGO ?= cargo
 # Where the demo leaves its pictures, and how long it trains.
 OUT ?= out/demo
 DEMO_STEPS ?= 1200
+# Where the library for C goes.
+PREFIX ?= /usr/local
 
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-priors bench lint docs check setup
+.PHONY: help demo test test-priors bench lint docs check setup install
 .NOTPARALLEL:
 
 help:
@@ -18,6 +20,7 @@ help:
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
 	@echo "make docs    the API documentation, in target/doc"
+	@echo "make install put libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
 	@echo "make setup   install or name missing system packages"
 
 setup:
@@ -50,3 +53,7 @@ docs: setup
 bench: setup
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- passes
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- step
+
+install: setup
+	$(CARGO) build --release --locked -p sgs-capi
+	tools/capi/install "$(PREFIX)" "$${CARGO_TARGET_DIR:-target}/release"

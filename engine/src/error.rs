@@ -143,6 +143,33 @@ pub enum Error {
     /// The buffer cannot be read or written by the host.
     #[error("Buffer \"{0}\" is not visible to the host.")]
     NotHostVisible(String),
+    /// What a host says of its device cannot be.
+    #[error("The host's device cannot be used: {0}.")]
+    Host(String),
+    /// Something was to be submitted on a device whose host does all the submitting.
+    #[error("\"{0}\" must be submitted, but the host gave no queue.")]
+    NoQueue(String),
+    /// Every slot that the host may record from is still in use.
+    #[error("Plan \"{plan}\" is recorded {slots} times and none is released, so it cannot be recorded again yet.")]
+    SlotsHeld {
+        /// The plan.
+        plan: String,
+        /// How many slots there are.
+        slots: usize,
+    },
+    /// An extension is needed that the device lacks, or that the host did not enable.
+    #[error("{what} needs {extension}, which is not enabled on device \"{device}\".")]
+    MissingExtension {
+        /// What for.
+        what: String,
+        /// The extension.
+        extension: &'static str,
+        /// The device.
+        device: String,
+    },
+    /// Memory that was not made to be shared cannot be exported.
+    #[error("\"{0}\" was not made to be shared, so its memory cannot be exported.")]
+    NotShared(String),
     /// The graph is wrong.
     #[error(transparent)]
     Graph(#[from] crate::graph::GraphError),

@@ -10,6 +10,8 @@ pub mod graph;
 pub mod memory;
 pub mod shader;
 
+/// Vulkan's own types, for hosts that hand over handles.
+pub use ash::vk;
 pub use device::{Device, DeviceInfo, DeviceOptions, Ticket, devices};
 pub use error::{Error, Result};
 pub use format::ImageFormat;

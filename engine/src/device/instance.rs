@@ -56,11 +56,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// An instance with its loader and, in validation mode, its messenger.
+/// An instance with its loader and, in validation mode, its messenger; or a host's instance, which stays the host's.
 pub(crate) struct Instance {
     pub raw: ash::Instance,
-    /// Keeps the loader in memory.
-    _entry: ash::Entry,
+    /// Keeps the loader in memory; a host keeps its own.
+    entry: Option<ash::Entry>,
     pub messages: Arc<Messages>,
     pub validation: bool,
     /// Of the validation layer, if it is used.
@@ -133,7 +133,7 @@ impl Instance {
         };
         Ok(Arc::new(Instance {
             raw,
-            _entry: entry,
+            entry: Some(entry),
             messages,
             validation,
             layer_version,
@@ -142,10 +142,38 @@ impl Instance {
             objects: gate.objects.clone(),
         }))
     }
+
+    /// A host's instance, which is not destroyed here.
+    ///
+    /// # Safety
+    /// The entry point behaves as `vkGetInstanceProcAddr`; the instance was made through it and outlives what is
+    /// returned.
+    pub unsafe fn borrow(
+        get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+        instance: vk::Instance,
+        debug_utils: bool,
+    ) -> Arc<Instance> {
+        let functions = ash::StaticFn { get_instance_proc_addr };
+        // SAFETY: as the caller promises.
+        let raw = unsafe { ash::Instance::load(&functions, instance) };
+        Arc::new(Instance {
+            raw,
+            entry: None,
+            messages: Arc::default(),
+            validation: false,
+            layer_version: None,
+            messenger: None,
+            debug_utils,
+            objects: Objects::default(),
+        })
+    }
 }
 
 impl Drop for Instance {
     fn drop(&mut self) {
+        if self.entry.is_none() {
+            return;
+        }
         // SAFETY: devices hold an `Arc` of this, so none is left; the messenger belongs to this instance.
         unsafe {
             if let Some((api, messenger)) = self.messenger.take() {

@@ -3,24 +3,29 @@
 //! Promises: everything made from it keeps it alive; work is ordered by one timeline semaphore; nothing waits for the
 //! whole device. Leaves the order of passes to the graph.
 
+pub mod external;
 pub mod fault;
 mod instance;
 mod objects;
 mod parking;
 mod pipeline;
+mod requirements;
 mod select;
 
+pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
 pub use objects::{ObjectKind, Objects};
 pub(crate) use parking::{Busy, Parked};
 pub(crate) use pipeline::{Pipeline, descriptor_type};
+pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub use select::{DeviceInfo, Optional};
 
 use crate::error::{Error, Result};
 use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
+use external::Locked;
 use fault::Gate;
 use parking::Parking;
 
@@ -75,6 +80,9 @@ pub struct Device(pub(crate) Arc<Shared>);
 
 pub(crate) struct Shared {
     pub raw: ash::Device,
+    /// Whether the device was made here, and not adopted.
+    pub owned: bool,
+    pub physical: vk::PhysicalDevice,
     pub info: DeviceInfo,
     pub queue_family: u32,
     queue: Mutex<Queue>,
@@ -91,8 +99,24 @@ pub(crate) struct Shared {
 }
 
 struct Queue {
+    /// Null where a host does all the submitting.
     raw: vk::Queue,
+    /// The host's lock around its queue.
+    lock: Option<Box<dyn QueueLock>>,
     submitted: u64,
+}
+
+/// A device before it has memory and pipelines.
+struct Bare {
+    instance: Arc<Instance>,
+    physical: vk::PhysicalDevice,
+    raw: ash::Device,
+    owned: bool,
+    info: DeviceInfo,
+    queue_family: u32,
+    queue: vk::Queue,
+    lock: Option<Box<dyn QueueLock>>,
+    gate: Gate,
 }
 
 /// Every device that the loader knows, with what each lacks.
@@ -122,52 +146,47 @@ impl Device {
         let priorities = [1.0];
         let queues =
             [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&priorities)];
-        let mut extensions = Vec::new();
-        let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
-            .timeline_semaphore(true)
-            .scalar_block_layout(true)
-            .host_query_reset(true);
-        let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
-            .synchronization2(true)
-            .maintenance4(true)
-            .subgroup_size_control(info.optional.subgroup_size_control)
-            .compute_full_subgroups(info.optional.full_subgroups);
-        let mut atomics =
-            vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default().shader_buffer_float32_atomic_add(true);
-        if info.optional.memory_budget {
-            extensions.push(ext::memory_budget::NAME.as_ptr());
-        }
-        let mut create =
-            vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
-        if info.optional.float_atomics {
-            extensions.push(ext::shader_atomic_float::NAME.as_ptr());
-            create = create.push_next(&mut atomics);
-        }
-        let create = create.enabled_extension_names(&extensions);
+        let needs = Requirements::new(info.clone(), Some(queue_family));
+        let extensions: Vec<_> = needs.extensions().iter().map(|name| name.as_ptr()).collect();
+        let mut features = needs.feature_structs();
+        let create = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&extensions);
+        let create = features.chain(create);
         // SAFETY: the physical device belongs to the instance; every feature and extension asked for was reported by it.
         let raw = gate.make(ObjectKind::Device, "vkCreateDevice", &info.name, || unsafe {
             instance.raw.create_device(chosen.physical, &create, None)
         })?;
-        let parts = parts(&instance, &raw, &gate, chosen.physical, &info, options.pipeline_cache.clone());
+        // SAFETY: the queue was created with the device.
+        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
+        let physical = chosen.physical;
+        let bare = Bare { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate };
+        Device::assemble(bare, options)
+    }
+
+    /// Gives a device its timeline, memory and pipelines; a device of our own is destroyed if that fails.
+    fn assemble(bare: Bare, options: &DeviceOptions) -> Result<Device> {
+        let Bare { instance, physical, raw, owned, info, queue_family, queue, lock, gate } = bare;
+        let parts = parts(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match parts {
             Ok(parts) => parts,
             Err(error) => {
-                // SAFETY: nothing made from the device is left.
-                unsafe { raw.destroy_device(None) };
-                gate.gone(ObjectKind::Device);
+                if owned {
+                    // SAFETY: nothing made from the device is left.
+                    unsafe { raw.destroy_device(None) };
+                    gate.gone(ObjectKind::Device);
+                }
                 return Err(error);
             }
         };
-        // SAFETY: the queue was created with the device.
-        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         memory.set_budget(options.memory_budget);
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
-        tracing::debug!(device = info.name, driver = info.driver, "device opened");
+        tracing::debug!(device = info.name, driver = info.driver, owned, "device opened");
         let device = Device(Arc::new(Shared {
             raw,
+            owned,
+            physical,
             info,
             queue_family,
-            queue: Mutex::new(Queue { raw: queue, submitted: 0 }),
+            queue: Mutex::new(Queue { raw: queue, lock, submitted: 0 }),
             timeline,
             memory,
             pipelines,
@@ -178,7 +197,10 @@ impl Device {
             gate,
             instance,
         }));
-        device.0.name(queue, "queue");
+        if owned {
+            // A host has names of its own.
+            device.0.name(queue, "queue");
+        }
         device.0.name(timeline, "timeline");
         Ok(device)
     }
@@ -296,19 +318,44 @@ impl Shared {
 
     /// Submits one recorded command buffer; its end is the returned ticket.
     pub fn submit(&self, commands: vk::CommandBuffer, what: &str) -> Result<Ticket> {
+        self.submit_between(commands, &[], &[], what)
+    }
+
+    /// As [`Shared::submit`], after and before semaphores of a host.
+    pub fn submit_between(
+        &self,
+        commands: vk::CommandBuffer,
+        waits: &[vk::SemaphoreSubmitInfo<'_>],
+        signals: &[vk::SemaphoreSubmitInfo<'_>],
+        what: &str,
+    ) -> Result<Ticket> {
         let mut queue = self.queue();
+        if queue.raw == vk::Queue::null() {
+            return Err(Error::NoQueue(what.to_owned()));
+        }
         let value = queue.submitted + 1;
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-        let signals = [vk::SemaphoreSubmitInfo::default()
-            .semaphore(self.timeline)
-            .value(value)
-            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
-        let submit = [vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals)];
+        let mut all = Vec::with_capacity(signals.len() + 1);
+        all.push(
+            vk::SemaphoreSubmitInfo::default()
+                .semaphore(self.timeline)
+                .value(value)
+                .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS),
+        );
+        all.extend_from_slice(signals);
+        let submit = [vk::SubmitInfo2::default()
+            .wait_semaphore_infos(waits)
+            .command_buffer_infos(&buffers)
+            .signal_semaphore_infos(&all)];
+        let locked = queue.lock.as_deref().map(Locked::new);
         // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first); the queue is
-        // locked; the timeline only grows.
-        self.gate.call("vkQueueSubmit2", what, || unsafe {
-            self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null())
-        })?;
+        // locked, a host's by the host's own lock; the timeline only grows. The semaphores are in order by the word of
+        // whoever gave them.
+        let submitted = self
+            .gate
+            .call("vkQueueSubmit2", what, || unsafe { self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null()) });
+        drop(locked);
+        submitted?;
         queue.submitted = value;
         Ok(Ticket(value))
     }
@@ -337,12 +384,13 @@ impl Drop for Shared {
         self.pipelines.destroy(&self.raw, &self.gate);
         self.memory.shut_down();
         // SAFETY: all work is done and everything made from the device is destroyed.
-        unsafe {
-            self.raw.destroy_semaphore(self.timeline, None);
-            self.raw.destroy_device(None);
-        }
+        unsafe { self.raw.destroy_semaphore(self.timeline, None) };
         self.gate.gone(ObjectKind::Semaphore);
-        self.gate.gone(ObjectKind::Device);
+        if self.owned {
+            // SAFETY: as above; a host's device stays.
+            unsafe { self.raw.destroy_device(None) };
+            self.gate.gone(ObjectKind::Device);
+        }
     }
 }
 

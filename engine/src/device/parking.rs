@@ -5,6 +5,7 @@
 //! nothing, so that in good times this costs one relaxed load. See docs/adr/0012-failure-on-purpose.md.
 
 use super::{Device, ObjectKind, Shared, Ticket};
+use crate::memory::Backing;
 use ash::vk;
 use gpu_allocator::vulkan::Allocation;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -12,8 +13,8 @@ use std::sync::{Mutex, PoisonError};
 
 /// A Vulkan object without its owner.
 pub(crate) enum Parked {
-    Buffer { raw: vk::Buffer, allocation: Option<Allocation>, bytes: u64 },
-    Image { raw: Option<vk::Image>, view: Option<vk::ImageView>, allocation: Option<Allocation> },
+    Buffer { raw: vk::Buffer, allocation: Option<Allocation>, bytes: u64, backing: Backing },
+    Image { raw: Option<vk::Image>, view: Option<vk::ImageView>, allocation: Option<Allocation>, backing: Backing },
     CommandPool(vk::CommandPool),
     DescriptorPool(vk::DescriptorPool),
     QueryPool(vk::QueryPool),
@@ -104,13 +105,14 @@ impl Shared {
         // is their only owner.
         unsafe {
             match thing {
-                Parked::Buffer { raw, allocation, bytes } => {
+                Parked::Buffer { raw, allocation, bytes, backing } => {
                     self.raw.destroy_buffer(raw, None);
                     gone(ObjectKind::Buffer);
                     self.memory.buffer_gone(bytes);
+                    self.free_backing(backing);
                     allocation.into_iter().for_each(|a| self.free(a));
                 }
-                Parked::Image { raw, view, allocation } => {
+                Parked::Image { raw, view, allocation, backing } => {
                     if let Some(view) = view {
                         self.raw.destroy_image_view(view, None);
                         gone(ObjectKind::ImageView);
@@ -118,7 +120,9 @@ impl Shared {
                     if let Some(raw) = raw {
                         self.raw.destroy_image(raw, None);
                         gone(ObjectKind::Image);
-                        self.memory.image_gone(allocation.as_ref().map_or(0, Allocation::size));
+                        let shared = if let Backing::Shared(_, bytes) = backing { bytes } else { 0 };
+                        self.memory.image_gone(allocation.as_ref().map_or(shared, Allocation::size));
+                        self.free_backing(backing);
                     }
                     allocation.into_iter().for_each(|a| self.free(a));
                 }

@@ -54,7 +54,7 @@ pub struct DeviceInfo {
 }
 
 /// Features that are used where they exist.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Optional {
     /// Float32 atomic add on storage buffers.
     pub float_atomics: bool,
@@ -64,6 +64,10 @@ pub struct Optional {
     pub full_subgroups: bool,
     /// `VK_EXT_memory_budget`.
     pub memory_budget: bool,
+    /// `VK_KHR_external_memory_fd`: memory can be shared with other devices and processes.
+    pub external_memory_fd: bool,
+    /// `VK_KHR_external_semaphore_fd`: likewise semaphores.
+    pub external_semaphore_fd: bool,
 }
 
 pub(crate) struct Candidate {
@@ -151,6 +155,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
             && sizes.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
         full_subgroups: v13.compute_full_subgroups != 0,
         memory_budget: has(ash::ext::memory_budget::NAME),
+        external_memory_fd: has(ash::khr::external_memory_fd::NAME),
+        external_semaphore_fd: has(ash::khr::external_semaphore_fd::NAME),
     };
     let mut fallbacks = Vec::new();
     if !optional.float_atomics {

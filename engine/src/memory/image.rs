@@ -4,7 +4,7 @@
 //! long as its last handle; one that wraps somebody else's is never destroyed here. The engine does not track layouts at
 //! run time: a graph states the layout that it finds and the one that it leaves.
 
-use super::{DeviceBuffer, Location};
+use super::{Backing, DeviceBuffer, Location};
 use crate::device::{Busy, Device, ObjectKind, Parked};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
@@ -27,8 +27,8 @@ pub(crate) struct ImageInner {
     pub format: ImageFormat,
     pub name: String,
     pub allocation: Option<Allocation>,
-    /// Whether image and view are destroyed with the last handle.
-    pub owned: bool,
+    /// Whose image and memory are; a host's image is not destroyed with the last handle, its view is.
+    pub backing: Backing,
     pub busy: Busy,
     pub device: Device,
 }
@@ -77,26 +77,8 @@ impl Device {
     /// [`Error::ImageSize`] for a size that the device does not have, [`Error::OutOfMemory`] with name and size.
     pub fn image(&self, name: &str, size: [u32; 2], format: ImageFormat) -> Result<DeviceImage> {
         let shared = &self.0;
-        let limit = shared.info.max_image_size;
-        if size.contains(&0) || size.iter().any(|&texels| texels > limit) {
-            return Err(Error::ImageSize { what: name.to_owned(), size, limit });
-        }
         let storage = self.supports_storage_image(format);
-        let mut usage = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
-        if storage {
-            usage |= vk::ImageUsageFlags::STORAGE;
-        }
-        let info = vk::ImageCreateInfo::default()
-            .image_type(vk::ImageType::TYPE_2D)
-            .format(format.raw())
-            .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
-            .mip_levels(1)
-            .array_layers(1)
-            .samples(vk::SampleCountFlags::TYPE_1)
-            .tiling(vk::ImageTiling::OPTIMAL)
-            .usage(usage)
-            .sharing_mode(vk::SharingMode::EXCLUSIVE)
-            .initial_layout(vk::ImageLayout::UNDEFINED);
+        let info = self.image_info(name, size, format)?;
         // SAFETY: the device is alive.
         let raw = shared
             .gate
@@ -109,7 +91,7 @@ impl Device {
             format,
             name: name.to_owned(),
             allocation: None,
-            owned: true,
+            backing: Backing::Allocator,
             busy: Busy::default(),
             device: self.clone(),
         };
@@ -120,6 +102,41 @@ impl Device {
         }
         shared.name(raw, name);
         let image = DeviceImage(Arc::new(made));
+        self.to_general(&image)?;
+        Ok(image)
+    }
+
+    /// How our images are made.
+    pub(super) fn image_info(
+        &self,
+        name: &str,
+        size: [u32; 2],
+        format: ImageFormat,
+    ) -> Result<vk::ImageCreateInfo<'static>> {
+        let limit = self.info().max_image_size;
+        if size.contains(&0) || size.iter().any(|&texels| texels > limit) {
+            return Err(Error::ImageSize { what: name.to_owned(), size, limit });
+        }
+        let mut usage = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+        if self.supports_storage_image(format) {
+            usage |= vk::ImageUsageFlags::STORAGE;
+        }
+        Ok(vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(format.raw())
+            .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .tiling(vk::ImageTiling::OPTIMAL)
+            .usage(usage)
+            .sharing_mode(vk::SharingMode::EXCLUSIVE)
+            .initial_layout(vk::ImageLayout::UNDEFINED))
+    }
+
+    /// Brings a new image into the general layout and waits.
+    pub(super) fn to_general(&self, image: &DeviceImage) -> Result<()> {
+        let raw = image.0.raw;
         let barrier = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
             // What was in this memory before may have been written.
@@ -136,8 +153,7 @@ impl Device {
             let dependency = vk::DependencyInfo::default().image_memory_barriers(&barrier);
             // SAFETY: the command buffer is being recorded; nothing uses the image yet.
             unsafe { device.cmd_pipeline_barrier2(commands, &dependency) }
-        })?;
-        Ok(image)
+        })
     }
 
     /// Writes tightly packed texels over a whole image in the general layout and waits.
@@ -263,8 +279,9 @@ impl ImageInner {
 impl Drop for ImageInner {
     fn drop(&mut self) {
         // An image that belongs to somebody else is left alone; the view was made here in any case.
-        let raw = self.owned.then_some(self.raw);
-        let thing = Parked::Image { raw, view: self.view.take(), allocation: self.allocation.take() };
+        let raw = (self.backing != Backing::Host).then_some(self.raw);
+        let (view, allocation) = (self.view.take(), self.allocation.take());
+        let thing = Parked::Image { raw, view, allocation, backing: self.backing };
         // As for buffers: busy only if a wait failed.
         self.device.0.dispose(self.busy.ticket(), thing);
     }

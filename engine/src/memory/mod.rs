@@ -4,11 +4,14 @@
 //! transients to the plan, which places them all in one arena buffer.
 
 mod budget;
+mod external;
 pub(crate) mod image;
+mod shared;
 mod transfer;
 
 pub use budget::{Budget, BudgetSource};
 pub use image::DeviceImage;
+pub use shared::{Semaphore, SharedHandle};
 pub use transfer::STAGING_BYTES;
 
 use crate::device::{Busy, Device, DeviceInfo, ObjectKind, Parked, Shared};
@@ -143,8 +146,21 @@ pub(crate) struct Inner {
     pub location: Location,
     allocation: Option<Allocation>,
     mapped: Option<std::ptr::NonNull<u8>>,
+    /// Whose the buffer and its memory are, where the allocator does not know them.
+    backing: Backing,
     pub busy: Busy,
     pub device: Device,
+}
+
+/// Whose the memory behind a buffer or an image is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Backing {
+    /// The allocator's.
+    Allocator,
+    /// A host's; nothing is destroyed here.
+    Host,
+    /// Ours, beside the allocator, because it is shared with others; as many bytes.
+    Shared(vk::DeviceMemory, u64),
 }
 
 // SAFETY: the mapped pointer is plain memory that lives as long as the allocation; every access goes through `read` and
@@ -168,13 +184,7 @@ impl Device {
         let shared: &Shared = &self.0;
         shared.collect();
         let bytes = bytes.max(4).next_multiple_of(4);
-        let info = vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
-            vk::BufferUsageFlags::STORAGE_BUFFER
-                | vk::BufferUsageFlags::UNIFORM_BUFFER
-                | vk::BufferUsageFlags::INDIRECT_BUFFER
-                | vk::BufferUsageFlags::TRANSFER_SRC
-                | vk::BufferUsageFlags::TRANSFER_DST,
-        );
+        let info = buffer_info(bytes);
         // SAFETY: the device is alive.
         let raw = shared
             .gate
@@ -228,10 +238,22 @@ impl Device {
             location,
             allocation: Some(allocation),
             mapped,
+            backing: Backing::Allocator,
             busy: Busy::default(),
             device: self.clone(),
         })))
     }
+}
+
+/// How our buffers are made.
+fn buffer_info(bytes: u64) -> vk::BufferCreateInfo<'static> {
+    vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
+        vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::UNIFORM_BUFFER
+            | vk::BufferUsageFlags::INDIRECT_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST,
+    )
 }
 
 impl Shared {
@@ -326,8 +348,11 @@ impl DeviceBuffer {
 
 impl Drop for Inner {
     fn drop(&mut self) {
+        if self.backing == Backing::Host {
+            return;
+        }
         let allocation = self.allocation.take();
-        let thing = Parked::Buffer { raw: self.raw, allocation, bytes: self.bytes };
+        let thing = Parked::Buffer { raw: self.raw, allocation, bytes: self.bytes, backing: self.backing };
         // Executors keep the buffers of pending work alive and wait before they let go, so that the device is done, unless
         // a wait failed, which says until when the buffer is busy.
         self.device.0.dispose(self.busy.ticket(), thing);

@@ -1,4 +1,4 @@
-//! Stages joined: a geometry training step, and a render.
+//! Stages joined: a geometry training step, a render, and a view into an image.
 //!
 //! Promises: built once and replayed; when the tile entries overflow nothing is lost: the flag stays up, every later
 //! step changes nothing, and the host grows the buffer and replays from the first step that it spoiled.
@@ -7,10 +7,12 @@ mod densify;
 mod geometry;
 mod render;
 mod status;
+mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
 pub use geometry::{GeometryOptions, GeometryStep};
 pub use render::{Picture, Renderer};
 pub use status::{RING, Status};
+pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{Camera, Densify as DensifySettings, DensifyStats, LossStats, Step, StepReport};

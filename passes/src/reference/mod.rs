@@ -6,6 +6,7 @@ pub mod densify;
 pub mod geometry_loss;
 pub mod intersect;
 pub mod photometric;
+pub mod present;
 pub mod project;
 pub mod radix_sort;
 pub mod rng;

@@ -6,10 +6,12 @@
 
 mod blend;
 mod intersect;
+mod present;
 mod project;
 
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
 pub use intersect::{Entries, intersect};
+pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present};
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
 
 use sgs_engine::graph::Buffer;

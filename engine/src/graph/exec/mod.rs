@@ -5,10 +5,12 @@
 //! inside a replay to the plan.
 
 mod bind;
+mod external;
 mod history;
 mod record;
 mod time;
 
+pub use external::{Recorded, SemaphorePoint, Until};
 pub use time::PassTime;
 
 use super::{Buffer, BufferKind, Image, Plan, Switch, Use};
@@ -56,6 +58,9 @@ pub struct Executor {
     switches: Vec<(Buffer, u32)>,
     slots: Vec<Slot>,
     next: usize,
+    uniform_bytes: u64,
+    /// What is recorded into command buffers of a host.
+    lent: Vec<external::Lent>,
     times: time::Times,
     host: HostTimes,
     /// A wait has failed: what is in flight is not waited for again, only left until it is done.
@@ -148,6 +153,8 @@ impl Executor {
             switches: plan.buffers().filter(|(_, info)| info.switch).map(|(buffer, _)| (buffer, 1)).collect(),
             slots: Vec::new(),
             next: 0,
+            uniform_bytes,
+            lent: Vec::new(),
             times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
             host: HostTimes::default(),
             gave_up: false,
@@ -162,7 +169,7 @@ impl Executor {
         let frames = executor.frames();
         let slots = if executor.has_histories() { frames.next_multiple_of(2) } else { frames };
         for _ in 0..slots {
-            let slot = executor.slot(uniform_bytes)?;
+            let slot = executor.slot()?;
             executor.slots.push(slot);
         }
         Ok(executor)
@@ -253,6 +260,15 @@ impl Executor {
     /// # Errors
     /// If an external buffer is not bound, or the device fails.
     pub fn submit(&mut self, uniforms: &[(Buffer, &[u8])]) -> Result<Ticket> {
+        self.submit_between(uniforms, &[], &[])
+    }
+
+    fn submit_between(
+        &mut self,
+        uniforms: &[(Buffer, &[u8])],
+        waits: &[vk::SemaphoreSubmitInfo<'_>],
+        signals: &[vk::SemaphoreSubmitInfo<'_>],
+    ) -> Result<Ticket> {
         let begin = Instant::now();
         let index = self.next;
         let mut waited = self.retire(index, self.device.timeout())?;
@@ -262,27 +278,31 @@ impl Executor {
             let oldest = (index + self.slots.len() - frames) % self.slots.len();
             waited += self.retire(oldest, self.device.timeout())?;
         }
-        if let Some(memory) = &self.slots[index].uniforms {
-            for (buffer, word) in &self.switches {
-                memory.write(self.uniform_offsets[buffer.index()], &word.to_ne_bytes())?;
-            }
-            for (buffer, data) in uniforms {
-                memory.write(self.uniform_offsets[buffer.index()], data)?;
-            }
-        }
+        self.write_uniforms(&self.slots[index], uniforms)?;
         if !self.slots[index].recorded {
             self.record(index)?;
             self.host.recorded += 1;
         }
         let slot = &mut self.slots[index];
         let handed = Instant::now();
-        let ticket = self.device.0.submit(slot.commands, &self.plan.name)?;
+        let ticket = self.device.0.submit_between(slot.commands, waits, signals, &self.plan.name)?;
         self.host.submitting += handed.elapsed();
         slot.ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
         self.host.replays += 1;
         self.host.working += begin.elapsed().saturating_sub(waited);
         Ok(ticket)
+    }
+
+    fn write_uniforms(&self, slot: &Slot, uniforms: &[(Buffer, &[u8])]) -> Result<()> {
+        let Some(memory) = &slot.uniforms else { return Ok(()) };
+        for (buffer, word) in &self.switches {
+            memory.write(self.uniform_offsets[buffer.index()], &word.to_ne_bytes())?;
+        }
+        for (buffer, data) in uniforms {
+            memory.write(self.uniform_offsets[buffer.index()], data)?;
+        }
+        Ok(())
     }
 
     /// Waits for every replay in flight.
@@ -332,14 +352,18 @@ impl Executor {
         self.times.take()
     }
 
-    fn slot(&self, uniform_bytes: u64) -> Result<Slot> {
+    fn slot_uniforms(&self) -> Result<Option<DeviceBuffer>> {
+        if self.uniform_bytes == 0 {
+            return Ok(None);
+        }
+        let name = format!("uniforms of {}", self.plan.name);
+        self.device.buffer(&name, self.uniform_bytes, Location::Upload).map(Some)
+    }
+
+    fn slot(&self) -> Result<Slot> {
         let shared = &self.device.0;
         let name = &self.plan.name;
-        let uniforms = if uniform_bytes > 0 {
-            Some(self.device.buffer(&format!("uniforms of {name}"), uniform_bytes, Location::Upload)?)
-        } else {
-            None
-        };
+        let uniforms = self.slot_uniforms()?;
         let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
         // SAFETY: the device is alive.
         let pool = shared.gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", name, || unsafe {
@@ -399,7 +423,9 @@ impl Executor {
         if slot.descriptors != vk::DescriptorPool::null() {
             shared.dispose(until, Parked::DescriptorPool(slot.descriptors));
         }
-        shared.dispose(until, Parked::CommandPool(slot.pool));
+        if slot.pool != vk::CommandPool::null() {
+            shared.dispose(until, Parked::CommandPool(slot.pool));
+        }
     }
 }
 
@@ -410,6 +436,7 @@ impl Drop for Executor {
         {
             tracing::warn!(%error, plan = self.plan.name, "work is not finished; what it uses is kept until it is");
         }
+        self.drop_lent();
         let Some(last) = self.slots.iter().filter_map(|s| s.ticket).max() else {
             self.slots.iter().for_each(|s| self.destroy_slot(s, Ticket(0)));
             return;

@@ -163,7 +163,7 @@ impl Executor {
     }
 
     /// One barrier for memory, and for layouts, which wait for the same and are waited for by the same.
-    fn change(
+    pub(super) fn change(
         &self,
         commands: vk::CommandBuffer,
         barrier: &vk::MemoryBarrier2<'_>,

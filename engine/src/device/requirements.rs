@@ -1,0 +1,253 @@
+//! What a device must have for the engine, and what is used where it exists, as data: known before a device is made, so
+//! that a host can make a fitting one.
+//!
+//! Promises that the names are Vulkan's own and that the list is the one by which [`Device::open`](super::Device::open)
+//! and [`Device::adopt`](super::Device::adopt) judge. Leaves making the device to whoever asks.
+
+use super::select::{DeviceInfo, Optional};
+use ash::{ext, khr, vk};
+use std::ffi::CStr;
+
+/// The lowest version that instance and device must have.
+pub const API_VERSION: u32 = vk::API_VERSION_1_3;
+
+/// A feature that the engine uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Feature {
+    /// `timelineSemaphore` of Vulkan 1.2.
+    TimelineSemaphore,
+    /// `scalarBlockLayout` of Vulkan 1.2.
+    ScalarBlockLayout,
+    /// `hostQueryReset` of Vulkan 1.2.
+    HostQueryReset,
+    /// `synchronization2` of Vulkan 1.3.
+    Synchronization2,
+    /// `maintenance4` of Vulkan 1.3.
+    Maintenance4,
+    /// `subgroupSizeControl` of Vulkan 1.3; optional.
+    SubgroupSizeControl,
+    /// `computeFullSubgroups` of Vulkan 1.3; optional.
+    ComputeFullSubgroups,
+    /// `shaderBufferFloat32AtomicAdd` of `VK_EXT_shader_atomic_float`; optional.
+    ShaderBufferFloat32AtomicAdd,
+}
+
+impl Feature {
+    /// All of them.
+    pub const ALL: [Feature; 8] = [
+        Feature::TimelineSemaphore,
+        Feature::ScalarBlockLayout,
+        Feature::HostQueryReset,
+        Feature::Synchronization2,
+        Feature::Maintenance4,
+        Feature::SubgroupSizeControl,
+        Feature::ComputeFullSubgroups,
+        Feature::ShaderBufferFloat32AtomicAdd,
+    ];
+
+    /// Its name in Vulkan's feature structs.
+    pub fn name(self) -> &'static str {
+        self.c_name().to_str().unwrap_or_default()
+    }
+
+    /// Its name, for C.
+    pub fn c_name(self) -> &'static CStr {
+        match self {
+            Feature::TimelineSemaphore => c"timelineSemaphore",
+            Feature::ScalarBlockLayout => c"scalarBlockLayout",
+            Feature::HostQueryReset => c"hostQueryReset",
+            Feature::Synchronization2 => c"synchronization2",
+            Feature::Maintenance4 => c"maintenance4",
+            Feature::SubgroupSizeControl => c"subgroupSizeControl",
+            Feature::ComputeFullSubgroups => c"computeFullSubgroups",
+            Feature::ShaderBufferFloat32AtomicAdd => c"shaderBufferFloat32AtomicAdd",
+        }
+    }
+
+    /// The feature of that name.
+    pub fn from_name(name: &str) -> Option<Feature> {
+        Feature::ALL.into_iter().find(|f| f.name() == name)
+    }
+
+    /// Whether nothing runs without it.
+    pub fn required(self) -> bool {
+        !matches!(
+            self,
+            Feature::SubgroupSizeControl | Feature::ComputeFullSubgroups | Feature::ShaderBufferFloat32AtomicAdd
+        )
+    }
+}
+
+/// Device extensions that are used where they are enabled. None is required.
+pub const OPTIONAL_EXTENSIONS: [&CStr; 4] = [
+    ext::shader_atomic_float::NAME,
+    ext::memory_budget::NAME,
+    khr::external_memory_fd::NAME,
+    khr::external_semaphore_fd::NAME,
+];
+
+/// What one physical device needs to have enabled, and what may be.
+#[derive(Clone, Debug)]
+pub struct Requirements {
+    /// The device; what it lacks is in [`DeviceInfo::missing`].
+    pub info: DeviceInfo,
+    /// Lowest `apiVersion` of the instance.
+    pub api_version: u32,
+    /// A queue family that can compute.
+    pub queue_family: Option<u32>,
+    /// To be enabled.
+    pub required: Vec<Feature>,
+    /// Present here, and used if enabled.
+    pub optional: Vec<Feature>,
+    /// To be enabled: none so far.
+    pub required_extensions: Vec<&'static CStr>,
+    /// Present here, and used if enabled.
+    pub optional_extensions: Vec<&'static CStr>,
+}
+
+impl Requirements {
+    pub(crate) fn new(info: DeviceInfo, queue_family: Option<u32>) -> Requirements {
+        let o = &info.optional;
+        let present = |f: &Feature| match f {
+            Feature::SubgroupSizeControl => o.subgroup_size_control,
+            Feature::ComputeFullSubgroups => o.full_subgroups,
+            Feature::ShaderBufferFloat32AtomicAdd => o.float_atomics,
+            _ => false,
+        };
+        let has = |name: &&CStr| {
+            let known = [
+                (ext::shader_atomic_float::NAME, o.float_atomics),
+                (ext::memory_budget::NAME, o.memory_budget),
+                (khr::external_memory_fd::NAME, o.external_memory_fd),
+                (khr::external_semaphore_fd::NAME, o.external_semaphore_fd),
+            ];
+            known.iter().any(|(known, has)| known == name && *has)
+        };
+        Requirements {
+            api_version: API_VERSION,
+            queue_family,
+            required: Feature::ALL.into_iter().filter(|f| f.required()).collect(),
+            optional: Feature::ALL.into_iter().filter(present).collect(),
+            required_extensions: Vec::new(),
+            optional_extensions: OPTIONAL_EXTENSIONS.into_iter().filter(has).collect(),
+            info,
+        }
+    }
+
+    /// Every feature that should be enabled, required ones first.
+    pub fn features(&self) -> Vec<Feature> {
+        self.required.iter().chain(&self.optional).copied().collect()
+    }
+
+    /// Every extension that should be enabled.
+    pub fn extensions(&self) -> Vec<&'static CStr> {
+        self.required_extensions.iter().chain(&self.optional_extensions).copied().collect()
+    }
+
+    /// The feature structs that enable all of [`Requirements::features`].
+    pub fn feature_structs(&self) -> FeatureStructs {
+        FeatureStructs::enabling(&self.features())
+    }
+}
+
+/// Vulkan's feature structs with the wanted features switched on; a host may merge the fields into its own, or chain
+/// the structs as they are.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FeatureStructs {
+    /// Vulkan 1.2.
+    pub v12: vk::PhysicalDeviceVulkan12Features<'static>,
+    /// Vulkan 1.3.
+    pub v13: vk::PhysicalDeviceVulkan13Features<'static>,
+    /// `VK_EXT_shader_atomic_float`; chained only if it enables something.
+    pub atomics: vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT<'static>,
+}
+
+impl FeatureStructs {
+    /// With exactly these features on.
+    pub fn enabling(features: &[Feature]) -> FeatureStructs {
+        let on = |f: Feature| features.contains(&f);
+        FeatureStructs {
+            v12: vk::PhysicalDeviceVulkan12Features::default()
+                .timeline_semaphore(on(Feature::TimelineSemaphore))
+                .scalar_block_layout(on(Feature::ScalarBlockLayout))
+                .host_query_reset(on(Feature::HostQueryReset)),
+            v13: vk::PhysicalDeviceVulkan13Features::default()
+                .synchronization2(on(Feature::Synchronization2))
+                .maintenance4(on(Feature::Maintenance4))
+                .subgroup_size_control(on(Feature::SubgroupSizeControl))
+                .compute_full_subgroups(on(Feature::ComputeFullSubgroups)),
+            atomics: vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default()
+                .shader_buffer_float32_atomic_add(on(Feature::ShaderBufferFloat32AtomicAdd)),
+        }
+    }
+
+    /// Puts the structs behind a device's creation.
+    pub fn chain<'a>(&'a mut self, mut create: vk::DeviceCreateInfo<'a>) -> vk::DeviceCreateInfo<'a> {
+        create = create.push_next(&mut self.v12).push_next(&mut self.v13);
+        if self.atomics.shader_buffer_float32_atomic_add != 0 {
+            create = create.push_next(&mut self.atomics);
+        }
+        create
+    }
+}
+
+impl Optional {
+    /// Without what is not enabled.
+    pub(crate) fn only(self, features: &[Feature], extensions: &[&CStr]) -> Optional {
+        let on = |f: Feature| features.contains(&f);
+        let has = |name: &CStr| extensions.contains(&name);
+        Optional {
+            float_atomics: self.float_atomics
+                && on(Feature::ShaderBufferFloat32AtomicAdd)
+                && has(ext::shader_atomic_float::NAME),
+            subgroup_size_control: self.subgroup_size_control && on(Feature::SubgroupSizeControl),
+            full_subgroups: self.full_subgroups && on(Feature::ComputeFullSubgroups),
+            memory_budget: self.memory_budget && has(ext::memory_budget::NAME),
+            external_memory_fd: self.external_memory_fd && has(khr::external_memory_fd::NAME),
+            external_semaphore_fd: self.external_semaphore_fd && has(khr::external_semaphore_fd::NAME),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_feature_is_found_by_its_name_and_switched_on_alone() {
+        for feature in Feature::ALL {
+            assert_eq!(Feature::from_name(feature.name()), Some(feature));
+            let s = FeatureStructs::enabling(&[feature]);
+            let bits = [
+                s.v12.timeline_semaphore,
+                s.v12.scalar_block_layout,
+                s.v12.host_query_reset,
+                s.v13.synchronization2,
+                s.v13.maintenance4,
+                s.v13.subgroup_size_control,
+                s.v13.compute_full_subgroups,
+                s.atomics.shader_buffer_float32_atomic_add,
+            ];
+            let expected: Vec<u32> = Feature::ALL.iter().map(|f| u32::from(*f == feature)).collect();
+            assert_eq!(bits.to_vec(), expected, "{}", feature.name());
+        }
+        assert_eq!(Feature::from_name("robustBufferAccess"), None);
+    }
+
+    #[test]
+    fn what_is_not_enabled_is_not_used() {
+        let all = Optional {
+            float_atomics: true,
+            subgroup_size_control: true,
+            full_subgroups: true,
+            memory_budget: true,
+            external_memory_fd: true,
+            external_semaphore_fd: true,
+        };
+        assert_eq!(all.only(&Feature::ALL, &OPTIONAL_EXTENSIONS), all);
+        assert_eq!(all.only(&[], &[]), Optional::default());
+        // The feature without its extension is nothing.
+        assert!(!all.only(&Feature::ALL, &[]).float_atomics);
+        assert_eq!(Optional::default().only(&Feature::ALL, &OPTIONAL_EXTENSIONS), Optional::default());
+    }
+}

@@ -1,0 +1,147 @@
+//! `present`: one layer of a blended view as texels of an image format.
+//!
+//! Cost: a pixel reads 4 (C' + 1) bytes, where C' is 3 for colors and normals and 1 for depth, and writes a texel.
+
+use super::{Blended, Channels, Screen};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
+use sgs_shaders::present as kernel;
+
+/// What is shown. The fourth component of a texel is always alpha, one minus the transmittance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Layer {
+    /// Red, green and blue over the background. Over black that is color premultiplied by alpha.
+    Color,
+    /// Blended z times a scale, in all three components; not divided by alpha.
+    Depth,
+    /// The blended normal, world space; in 8-bit formats n/2 + 1/2.
+    Normal,
+    /// Alpha in all three components.
+    Alpha,
+}
+
+/// How colors are encoded. What is blended is display-referred, that is sRGB-encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Encoding {
+    /// As blended.
+    Display,
+    /// Decoded to linear light. Formats that decode sRGB when they are read hold encoded values either way.
+    Linear,
+}
+
+/// The formats that can be packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TexelFormat {
+    /// `VK_FORMAT_R8G8B8A8_UNORM`
+    Rgba8Unorm,
+    /// `VK_FORMAT_B8G8R8A8_UNORM`
+    Bgra8Unorm,
+    /// `VK_FORMAT_R8G8B8A8_SRGB`: reading decodes, so that only colors go in, encoded as they are.
+    Rgba8Srgb,
+    /// `VK_FORMAT_B8G8R8A8_SRGB`: likewise.
+    Bgra8Srgb,
+    /// `VK_FORMAT_R16G16B16A16_SFLOAT`; beyond ±65504 values saturate.
+    Rgba16Float,
+    /// `VK_FORMAT_R32G32B32A32_SFLOAT`
+    Rgba32Float,
+}
+
+impl TexelFormat {
+    /// All of them.
+    pub const ALL: [TexelFormat; 6] = [
+        TexelFormat::Rgba8Unorm,
+        TexelFormat::Bgra8Unorm,
+        TexelFormat::Rgba8Srgb,
+        TexelFormat::Bgra8Srgb,
+        TexelFormat::Rgba16Float,
+        TexelFormat::Rgba32Float,
+    ];
+
+    /// Bytes of a texel.
+    pub fn bytes(self) -> u64 {
+        match self {
+            TexelFormat::Rgba16Float => 8,
+            TexelFormat::Rgba32Float => 16,
+            _ => 4,
+        }
+    }
+
+    /// Whether reading decodes sRGB.
+    pub fn srgb(self) -> bool {
+        matches!(self, TexelFormat::Rgba8Srgb | TexelFormat::Bgra8Srgb)
+    }
+
+    fn texel(self) -> u32 {
+        match self {
+            TexelFormat::Rgba8Unorm | TexelFormat::Rgba8Srgb => 0,
+            TexelFormat::Bgra8Unorm | TexelFormat::Bgra8Srgb => 1,
+            TexelFormat::Rgba16Float => 2,
+            TexelFormat::Rgba32Float => 3,
+        }
+    }
+}
+
+/// What [`present`] makes of a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Presented {
+    /// What is shown.
+    pub layer: Layer,
+    /// As what.
+    pub format: TexelFormat,
+    /// How colors are encoded.
+    pub encoding: Encoding,
+    /// Factor on depths.
+    pub depth_scale: f32,
+}
+
+/// What [`present`] reads and writes.
+#[derive(Clone, Copy, Debug)]
+pub struct Present {
+    /// The view.
+    pub blended: Blended,
+    /// Its channels.
+    pub channels: Channels,
+    /// One word: not zero if the view is incomplete.
+    pub flags: Buffer,
+    /// One word: entries that were wanted.
+    pub wanted: Slice,
+    /// The texels, row by row without gaps.
+    pub texels: Buffer,
+    /// Three words that add up over replays: frames, incomplete frames, most entries wanted.
+    pub report: Buffer,
+}
+
+/// Packs a view.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn present(g: &mut Graph, t: &Tuning, screen: &Screen, what: &Present, as_: &Presented) -> Result<(), GraphError> {
+    let bindings = kernel::Bindings {
+        params: screen.step.into(),
+        image: what.blended.image.into(),
+        transmittance: what.blended.transmittance.into(),
+        flags: what.flags.into(),
+        wanted: what.wanted,
+        texels: what.texels.into(),
+        report: what.report.into(),
+    };
+    let (layer, first) = match as_.layer {
+        Layer::Color => (0, 0),
+        Layer::Depth => (1, if what.channels.normals { 6 } else { 3 }),
+        Layer::Normal => (2, 3),
+        Layer::Alpha => (3, 0),
+    };
+    let linear = as_.layer == Layer::Color && as_.encoding == Encoding::Linear && !as_.format.srgb();
+    let specs = kernel::Specs {
+        workgroup: t.workgroup,
+        channels: what.channels.count(),
+        layer,
+        first,
+        texel: as_.format.texel(),
+        linear: u32::from(linear),
+    };
+    let push = as_.depth_scale.to_ne_bytes();
+    stage(g, "present", &kernel::KERNEL, bindings.entries(), specs.entries(), &push)
+        .dispatch(groups(screen.pixels(), t.workgroup))
+}

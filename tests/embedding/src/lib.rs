@@ -1,0 +1,505 @@
+//! A host: an application that has an instance, a device, a queue with its lock, and commands of its own.
+//!
+//! Written with `ash` and nothing of the engine but what a host has to say to it. The host switches validation on, with
+//! synchronization validation across submissions, and listens itself; dropping it fails the test if the layer has said
+//! anything.
+
+use ash::{ext, vk};
+use sgs_engine::device::{Feature, HostDevice, HostInstance, HostQueue, QueueLock, Requirements, requirements};
+use std::ffi::{CStr, c_void};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+
+/// The host's lock around its queue. Knows whether it is held and how often it was.
+#[derive(Default)]
+pub struct Lock {
+    held: Mutex<bool>,
+    free: Condvar,
+    /// How often it was taken.
+    pub taken: AtomicU64,
+    /// Whether it was ever given back without being held.
+    pub misused: AtomicBool,
+}
+
+impl QueueLock for Lock {
+    fn lock(&self) {
+        let mut held = self.held.lock().unwrap();
+        while *held {
+            held = self.free.wait(held).unwrap();
+        }
+        *held = true;
+        self.taken.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn unlock(&self) {
+        let mut held = self.held.lock().unwrap();
+        if !*held {
+            self.misused.store(true, Ordering::SeqCst);
+        }
+        *held = false;
+        self.free.notify_one();
+    }
+}
+
+/// Lends the lock to the engine, which wants to own what it is given.
+struct Lent(Arc<Lock>);
+
+impl QueueLock for Lent {
+    fn lock(&self) {
+        self.0.lock();
+    }
+
+    fn unlock(&self) {
+        self.0.unlock();
+    }
+}
+
+/// What a host leaves out when it makes its device.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Without {
+    /// Optional features and extensions.
+    pub optional: bool,
+}
+
+/// The host.
+pub struct Host {
+    _entry: ash::Entry,
+    /// Its instance.
+    pub instance: ash::Instance,
+    /// Its device.
+    pub device: ash::Device,
+    /// The physical one.
+    pub physical: vk::PhysicalDevice,
+    /// Its queue's family.
+    pub family: u32,
+    /// Its queue.
+    pub queue: vk::Queue,
+    /// The queue's lock.
+    pub lock: Arc<Lock>,
+    /// What the engine asked for.
+    pub needs: Requirements,
+    /// Features that are enabled.
+    pub features: Vec<Feature>,
+    /// Extensions that are enabled.
+    pub extensions: Vec<&'static CStr>,
+    get: vk::PFN_vkGetInstanceProcAddr,
+    pool: vk::CommandPool,
+    debug: ext::debug_utils::Instance,
+    messenger: vk::DebugUtilsMessengerEXT,
+    messages: Box<Mutex<Vec<String>>>,
+}
+
+impl Host {
+    /// A host with everything that the engine can use.
+    pub fn new() -> Host {
+        Host::with(Without::default())
+    }
+
+    /// A host that leaves something out.
+    pub fn with(without: Without) -> Host {
+        // SAFETY: the system's loader is sound.
+        let entry = unsafe { ash::Entry::load() }.expect("there is a Vulkan loader");
+        let messages = Box::new(Mutex::new(Vec::new()));
+        let application = vk::ApplicationInfo::default().application_name(c"host").api_version(vk::API_VERSION_1_3);
+        let layers = [c"VK_LAYER_KHRONOS_validation".as_ptr()];
+        let extensions = [ext::debug_utils::NAME.as_ptr()];
+        let enables = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+        let mut validation = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enables);
+        let info = vk::InstanceCreateInfo::default()
+            .application_info(&application)
+            .enabled_layer_names(&layers)
+            .enabled_extension_names(&extensions)
+            .push_next(&mut validation);
+        // SAFETY: everything in `info` outlives the call.
+        let instance = unsafe { entry.create_instance(&info, None) }.expect("an instance with validation");
+        let debug = ext::debug_utils::Instance::new(&entry, &instance);
+        let listener = vk::DebugUtilsMessengerCreateInfoEXT::default()
+            .message_severity(
+                vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+            )
+            .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
+            .pfn_user_callback(Some(hear))
+            .user_data((&raw const *messages).cast_mut().cast());
+        // SAFETY: the sink is boxed and outlives the messenger.
+        let messenger = unsafe { debug.create_debug_utils_messenger(&listener, None) }.expect("a messenger");
+        let get = entry.static_fn().get_instance_proc_addr;
+        // The engine is asked about every device, before there is a device.
+        // SAFETY: the instance is alive.
+        let all = unsafe { instance.enumerate_physical_devices() }.expect("physical devices");
+        let wanted = std::env::var("SGS_TEST_DEVICE").unwrap_or_default().to_lowercase();
+        let described = |physical: vk::PhysicalDevice| {
+            let at = HostInstance {
+                get_instance_proc_addr: get,
+                instance: instance.handle(),
+                physical_device: physical,
+                api_version: vk::API_VERSION_1_3,
+                debug_utils: true,
+            };
+            // SAFETY: entry point and instance are real and alive.
+            (physical, unsafe { requirements(&at) }.expect("an answer"))
+        };
+        let fits = |(_, r): &(vk::PhysicalDevice, Requirements)| {
+            r.info.missing.is_empty() && r.info.name.to_lowercase().contains(&wanted)
+        };
+        let (physical, needs) = all.into_iter().map(described).find(fits).expect("a device that fits");
+        let family = needs.queue_family.expect("a compute queue");
+        let features = if without.optional { needs.required.clone() } else { needs.features() };
+        let names = if without.optional { needs.required_extensions.clone() } else { needs.extensions() };
+        let mut structs = sgs_engine::device::FeatureStructs::enabling(&features);
+        let pointers: Vec<_> = names.iter().map(|n| n.as_ptr()).collect();
+        let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
+        let info = structs
+            .chain(vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&pointers));
+        // SAFETY: the engine's requirements name only what the device has.
+        let device = unsafe { instance.create_device(physical, &info, None) }.expect("a device");
+        let pool = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(family)
+            .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER);
+        // SAFETY: the device is alive and has the queue.
+        let (queue, pool) =
+            unsafe { (device.get_device_queue(family, 0), device.create_command_pool(&pool, None).expect("a pool")) };
+        Host {
+            _entry: entry,
+            instance,
+            device,
+            physical,
+            family,
+            queue,
+            lock: Arc::default(),
+            needs,
+            features,
+            extensions: names,
+            get,
+            pool,
+            debug,
+            messenger,
+            messages,
+        }
+    }
+
+    /// What the engine needs to know of the instance.
+    pub fn at(&self) -> HostInstance {
+        HostInstance {
+            get_instance_proc_addr: self.get,
+            instance: self.instance.handle(),
+            physical_device: self.physical,
+            api_version: vk::API_VERSION_1_3,
+            debug_utils: true,
+        }
+    }
+
+    /// What the engine needs to know of the device; with the queue if it is to submit itself.
+    pub fn offer(&self, with_queue: bool) -> HostDevice<'_> {
+        HostDevice {
+            instance: self.at(),
+            device: self.device.handle(),
+            extensions: &self.extensions,
+            features: &self.features,
+            queue_family: self.family,
+            queue: with_queue.then(|| HostQueue { queue: self.queue, lock: Box::new(Lent(self.lock.clone())) }),
+            pipeline_cache: None,
+            timeout: Duration::from_secs(120),
+            closing: Duration::from_secs(30),
+            memory_budget: None,
+            faults: Default::default(),
+            objects: Default::default(),
+        }
+    }
+
+    /// The engine in this host's device.
+    pub fn adopt(&self) -> sgs_engine::Device {
+        // SAFETY: all that the host says is so, and it outlives what the tests make.
+        unsafe { sgs_engine::Device::adopt(self.offer(true)) }.unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// A command buffer, begun.
+    pub fn begin(&self) -> vk::CommandBuffer {
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(self.pool)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        let begin = vk::CommandBufferBeginInfo::default();
+        // SAFETY: the pool is alive and used by this thread alone.
+        unsafe {
+            let commands = self.device.allocate_command_buffers(&info).expect("commands")[0];
+            self.device.begin_command_buffer(commands, &begin).expect("begun");
+            commands
+        }
+    }
+
+    /// Ends and submits, between semaphores and with a fence if wanted.
+    pub fn submit(
+        &self,
+        commands: vk::CommandBuffer,
+        waits: &[vk::SemaphoreSubmitInfo<'_>],
+        signals: &[vk::SemaphoreSubmitInfo<'_>],
+        fence: vk::Fence,
+    ) {
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let info = [vk::SubmitInfo2::default()
+            .wait_semaphore_infos(waits)
+            .signal_semaphore_infos(signals)
+            .command_buffer_infos(&buffers)];
+        // SAFETY: the commands are recorded; the queue is used under its lock.
+        unsafe {
+            self.device.end_command_buffer(commands).expect("ended");
+            self.lock.lock();
+            let submitted = self.device.queue_submit2(self.queue, &info, fence);
+            self.lock.unlock();
+            submitted.expect("submitted");
+        }
+    }
+
+    /// Ends, submits and waits with a fence.
+    pub fn run(&self, commands: vk::CommandBuffer) {
+        let fence = self.fence();
+        self.submit(commands, &[], &[], fence);
+        self.wait(fence);
+    }
+
+    /// A fence.
+    pub fn fence(&self) -> vk::Fence {
+        // SAFETY: the device is alive.
+        unsafe { self.device.create_fence(&vk::FenceCreateInfo::default(), None) }.expect("a fence")
+    }
+
+    /// Waits for a fence and destroys it.
+    pub fn wait(&self, fence: vk::Fence) {
+        // SAFETY: the fence is alive and done afterwards.
+        unsafe {
+            self.device.wait_for_fences(&[fence], true, u64::MAX).expect("done");
+            self.device.destroy_fence(fence, None);
+        }
+    }
+
+    /// A semaphore, timeline or binary.
+    pub fn semaphore(&self, timeline: bool) -> vk::Semaphore {
+        let kind = if timeline { vk::SemaphoreType::TIMELINE } else { vk::SemaphoreType::BINARY };
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(kind);
+        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: the device is alive.
+        unsafe { self.device.create_semaphore(&info, None) }.expect("a semaphore")
+    }
+
+    fn memory(&self, needs: vk::MemoryRequirements, flags: vk::MemoryPropertyFlags) -> vk::DeviceMemory {
+        // SAFETY: the device is alive.
+        unsafe {
+            let all = self.instance.get_physical_device_memory_properties(self.physical);
+            let kind = (0..all.memory_type_count).find(|i| {
+                needs.memory_type_bits & (1 << i) != 0 && all.memory_types[*i as usize].property_flags.contains(flags)
+            });
+            let info = vk::MemoryAllocateInfo::default()
+                .allocation_size(needs.size)
+                .memory_type_index(kind.expect("memory of the kind"));
+            self.device.allocate_memory(&info, None).expect("memory")
+        }
+    }
+
+    /// A buffer of the host's, visible to it.
+    pub fn buffer(&self, bytes: u64) -> Owned<vk::Buffer> {
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        // SAFETY: the device is alive; the memory is made for the buffer.
+        unsafe {
+            let raw = self.device.create_buffer(&info, None).expect("a buffer");
+            let needs = self.device.get_buffer_memory_requirements(raw);
+            let visible = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
+            let memory = self.memory(needs, visible);
+            self.device.bind_buffer_memory(raw, memory, 0).expect("bound");
+            Owned { raw, memory }
+        }
+    }
+
+    /// What a buffer of [`Host::buffer`] holds; the device is done with it.
+    pub fn read(&self, buffer: &Owned<vk::Buffer>, bytes: u64) -> Vec<u8> {
+        let mut data = vec![0; bytes as usize];
+        // SAFETY: the memory is visible and as long.
+        unsafe {
+            let all = self.device.map_memory(buffer.memory, 0, bytes, vk::MemoryMapFlags::empty()).expect("mapped");
+            std::ptr::copy_nonoverlapping(all.cast(), data.as_mut_ptr(), data.len());
+            self.device.unmap_memory(buffer.memory);
+        }
+        data
+    }
+
+    /// Fills a buffer of [`Host::buffer`]; the device does not use it.
+    pub fn write(&self, buffer: &Owned<vk::Buffer>, data: &[u8]) {
+        // SAFETY: the memory is visible and as long.
+        unsafe {
+            let flags = vk::MemoryMapFlags::empty();
+            let all = self.device.map_memory(buffer.memory, 0, data.len() as u64, flags).expect("mapped");
+            std::ptr::copy_nonoverlapping(data.as_ptr(), all.cast(), data.len());
+            self.device.unmap_memory(buffer.memory);
+        }
+    }
+
+    /// An image of the host's, to be copied to and from and cleared.
+    pub fn image(&self, size: [u32; 2], format: vk::Format) -> Owned<vk::Image> {
+        let info = vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(format)
+            .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .usage(vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST);
+        // SAFETY: the device is alive; the memory is made for the image.
+        unsafe {
+            let raw = self.device.create_image(&info, None).expect("an image");
+            let memory = self.memory(self.device.get_image_memory_requirements(raw), Default::default());
+            self.device.bind_image_memory(raw, memory, 0).expect("bound");
+            Owned { raw, memory }
+        }
+    }
+
+    /// Records a change of layout that waits for everything and lets everything wait.
+    pub fn transition(
+        &self,
+        commands: vk::CommandBuffer,
+        image: vk::Image,
+        from: vk::ImageLayout,
+        to: vk::ImageLayout,
+    ) {
+        let barrier = [vk::ImageMemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
+            .old_layout(from)
+            .new_layout(to)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .image(image)
+            .subresource_range(COLOR)];
+        let info = vk::DependencyInfo::default().image_memory_barriers(&barrier);
+        // SAFETY: the commands are being recorded.
+        unsafe { self.device.cmd_pipeline_barrier2(commands, &info) };
+    }
+
+    /// Records the clearing of an image, which is in a layout for transfers.
+    pub fn clear(&self, commands: vk::CommandBuffer, image: vk::Image, color: [f32; 4]) {
+        let value = vk::ClearColorValue { float32: color };
+        let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+        // SAFETY: the commands are being recorded; the image is in that layout.
+        unsafe { self.device.cmd_clear_color_image(commands, image, layout, &value, &[COLOR]) };
+    }
+
+    /// Records a copy of an image, which is in the source layout, into a buffer.
+    pub fn read_image(&self, commands: vk::CommandBuffer, image: vk::Image, size: [u32; 2], into: vk::Buffer) {
+        let region = [vk::BufferImageCopy {
+            image_subresource: vk::ImageSubresourceLayers {
+                aspect_mask: vk::ImageAspectFlags::COLOR,
+                mip_level: 0,
+                base_array_layer: 0,
+                layer_count: 1,
+            },
+            image_extent: vk::Extent3D { width: size[0], height: size[1], depth: 1 },
+            ..Default::default()
+        }];
+        let layout = vk::ImageLayout::TRANSFER_SRC_OPTIMAL;
+        // SAFETY: the commands are being recorded; the buffer has room for the image.
+        unsafe { self.device.cmd_copy_image_to_buffer(commands, image, layout, into, &region) };
+        let barrier = [vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::COPY)
+            .src_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(vk::AccessFlags2::HOST_READ)];
+        // SAFETY: as above.
+        unsafe {
+            self.device.cmd_pipeline_barrier2(commands, &vk::DependencyInfo::default().memory_barriers(&barrier));
+        }
+    }
+
+    /// Destroys an image.
+    pub fn destroy_image(&self, image: Owned<vk::Image>) {
+        // SAFETY: the caller is done with it.
+        unsafe {
+            self.device.destroy_image(image.raw, None);
+            self.device.free_memory(image.memory, None);
+        }
+    }
+
+    /// Destroys a buffer.
+    pub fn destroy_buffer(&self, buffer: Owned<vk::Buffer>) {
+        // SAFETY: the caller is done with it.
+        unsafe {
+            self.device.destroy_buffer(buffer.raw, None);
+            self.device.free_memory(buffer.memory, None);
+        }
+    }
+
+    /// Destroys a semaphore, when the device is idle: lavapipe 22.3 still touches a timeline semaphore that a submission
+    /// waited for a moment after that submission's fence is signaled.
+    pub fn destroy_semaphore(&self, semaphore: vk::Semaphore) {
+        // SAFETY: the caller is done with it; the queue is used under its lock.
+        unsafe {
+            self.lock.lock();
+            let idle = self.device.queue_wait_idle(self.queue);
+            self.lock.unlock();
+            idle.expect("idle");
+            self.device.destroy_semaphore(semaphore, None);
+        }
+    }
+
+    /// What validation has said so far, emptied.
+    pub fn messages(&self) -> Vec<String> {
+        std::mem::take(&mut *self.messages.lock().unwrap())
+    }
+}
+
+impl Default for Host {
+    fn default() -> Self {
+        Host::new()
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        // SAFETY: the host is done with everything it made; whatever the engine made must be gone, or validation speaks.
+        unsafe {
+            self.device.destroy_command_pool(self.pool, None);
+            self.device.destroy_device(None);
+            self.debug.destroy_debug_utils_messenger(self.messenger, None);
+            self.instance.destroy_instance(None);
+        }
+        let messages = self.messages();
+        if !std::thread::panicking() {
+            assert!(!self.lock.misused.load(Ordering::SeqCst), "the queue's lock was given back twice");
+            assert!(messages.is_empty(), "validation reported {}:\n{}", messages.len(), messages.join("\n"));
+        }
+    }
+}
+
+/// A host's object with its memory.
+pub struct Owned<T> {
+    /// The object.
+    pub raw: T,
+    memory: vk::DeviceMemory,
+}
+
+/// All of a color image.
+pub const COLOR: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
+    aspect_mask: vk::ImageAspectFlags::COLOR,
+    base_mip_level: 0,
+    level_count: 1,
+    base_array_layer: 0,
+    layer_count: 1,
+};
+
+/// # Safety
+/// Called by the layer with the sink that was registered.
+unsafe extern "system" fn hear(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the layer passes valid data, and the sink outlives the messenger.
+    let (text, sink) = unsafe { ((*data).message_as_c_str(), &*user.cast::<Mutex<Vec<String>>>()) };
+    let text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    sink.lock().unwrap_or_else(|e| e.into_inner()).push(text);
+    vk::FALSE
+}

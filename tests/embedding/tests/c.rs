@@ -1,0 +1,134 @@
+//! The C program of `tools/capi/examples`, compiled by gcc against an installed library and run on a real device.
+
+use sgs_passes::scene::Model;
+use sgs_tests::scenes;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// The library that cargo has built for these tests is beside them.
+const _: () = assert!(sgs::SGS_LAYER_ALPHA == 3);
+
+fn capi() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/capi")
+}
+
+/// Runs a tool that tools/setup installs; its absence is a failure, so that nothing is skipped unseen.
+#[track_caller]
+fn run(command: &mut Command) -> Output {
+    match command.output() {
+        Ok(output) => output,
+        Err(error) => panic!("{:?} cannot be run ({error}); tools/setup installs it", command.get_program()),
+    }
+}
+
+#[track_caller]
+fn ok(output: Output) -> String {
+    let text = |b: &[u8]| String::from_utf8_lossy(b).into_owned();
+    assert!(output.status.success(), "{}\n{}{}", output.status, text(&output.stdout), text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// An installation in a folder of its own.
+fn installed() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let built = std::env::current_exe().unwrap().parent().unwrap().to_owned();
+    for name in ["libsgs.so", "libsgs.a"] {
+        assert!(built.join(name).is_file(), "{name} is not beside the tests");
+    }
+    ok(run(Command::new(capi().join("install")).arg(folder.path()).arg(&built)));
+    folder
+}
+
+fn flags(prefix: &Path, more: &[&str]) -> Vec<String> {
+    let path = prefix.join("lib/pkgconfig");
+    let mut command = Command::new("pkg-config");
+    command.env("PKG_CONFIG_PATH", &path).args(more).args(["--cflags", "--libs", "sgs", "vulkan"]);
+    ok(run(&mut command)).split_whitespace().map(str::to_owned).collect()
+}
+
+/// Some splats in front of a camera that looks along z.
+fn scene(folder: &Path) -> PathBuf {
+    let data = scenes::data(&scenes::ordinary(200, 2, false, 5));
+    let path = folder.join("scene.ply");
+    sgs_train::splats(&data, Model { sh_degree: 2, normals: false }).write_ply(&path).unwrap();
+    path
+}
+
+/// Compiles the example and runs it.
+fn works(compiler: &[&str], link: &[String], prefix: &Path) {
+    let program = prefix.join("host");
+    let mut command = Command::new(compiler[0]);
+    command.args(&compiler[1..]).arg(capi().join("examples/host.c")).arg("-o").arg(&program);
+    ok(run(command.args(link).arg("-lm")));
+    let picture = prefix.join("out.ppm");
+    let mut host = Command::new(&program);
+    host.arg(scene(prefix)).arg(&picture).env("LD_LIBRARY_PATH", prefix.join("lib"));
+    let said = ok(run(&mut host));
+    assert!(said.starts_with("200 Gaussians, ") && said.contains("2 frames, 0 incomplete"), "{said}");
+    let picture = std::fs::read(picture).unwrap();
+    let pixels = picture.strip_prefix(b"P6\n96 64\n255\n").expect("a PPM");
+    assert_eq!(pixels.len(), 96 * 64 * 3);
+    // Neither the host's red nor the background alone.
+    assert!(pixels.chunks(3).all(|p| p != [255, 0, 0]));
+    assert!(pixels.chunks(3).any(|p| p != [0, 0, 64]));
+}
+
+// Structs are begun with their first field, the rest being zero, as Vulkan and this library mean it.
+const WARNINGS: [&str; 7] =
+    ["gcc", "-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-missing-field-initializers"];
+
+#[test]
+fn a_c_program_shows_splats_in_its_own_image() {
+    let prefix = installed();
+    works(&WARNINGS, &flags(prefix.path(), &[]), prefix.path());
+}
+
+#[test]
+fn the_static_library_is_enough() {
+    let prefix = installed();
+    let lib = prefix.path().join("lib");
+    for name in ["libsgs.so", "libsgs.so.0"] {
+        std::fs::remove_file(lib.join(name)).unwrap();
+    }
+    works(&WARNINGS, &flags(prefix.path(), &["--static"]), prefix.path());
+}
+
+#[test]
+fn the_header_is_c_and_cpp_before_and_after_vulkan() {
+    let folder = tempfile::tempdir().unwrap();
+    let include = format!("-I{}", capi().join("include").display());
+    for (compiler, standard, name) in [
+        ("gcc", "-std=c11", "a.c"),
+        ("gcc", "-std=c99", "b.c"),
+        ("g++", "-std=c++11", "a.cpp"),
+        ("g++", "-std=c++17", "b.cpp"),
+    ] {
+        for order in [
+            "#include \"sgs.h\"\n",
+            "#include <vulkan/vulkan.h>\n#include \"sgs.h\"\n",
+            "#include \"sgs.h\"\n#include <vulkan/vulkan.h>\n",
+        ] {
+            // Names that are defined twice are allowed from C11 on.
+            if standard == "-std=c99" && order.ends_with("vulkan.h>\n") {
+                continue;
+            }
+            let path = folder.path().join(name);
+            std::fs::write(&path, format!("{order}SgsResult f(SgsContext **c) {{ return sgs_context_destroy(c); }}\n"))
+                .unwrap();
+            let mut command = Command::new(compiler);
+            command.args([standard, "-Wall", "-Wextra", "-Werror", "-fsyntax-only", &include]).arg(&path);
+            ok(run(&mut command));
+        }
+    }
+}
+
+#[test]
+fn a_wrong_program_fails_here() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wrong.c");
+    std::fs::write(&path, "#include \"sgs.h\"\nint f(void) { return sgs_version(1); }\n").unwrap();
+    let include = format!("-I{}", capi().join("include").display());
+    let output = run(Command::new("gcc").args(["-std=c11", "-fsyntax-only", &include]).arg(&path));
+    assert!(!output.status.success());
+}

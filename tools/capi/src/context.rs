@@ -1,0 +1,330 @@
+//! Contexts: a device with the objects made on it, and the last error.
+
+use crate::border::{Failure, Outcome, fail, guarded, optional_string, put_text, read, write};
+use crate::scene::SceneObject;
+use crate::table::{Object, Table};
+use crate::trainer::TrainerObject;
+use crate::types::*;
+use crate::view::ViewObject;
+use sgs_engine::graph::exec::Recorded;
+use sgs_engine::{Device, DeviceOptions};
+use sgs_passes::Tuning;
+use std::ffi::{CStr, c_char};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+/// A device, and everything made on it.
+pub struct SgsContext {
+    inner: Mutex<Inner>,
+    error: Mutex<String>,
+}
+
+/// What a context guards.
+pub(crate) struct Inner {
+    pub device: Device,
+    pub tuning: Tuning,
+    pub table: Table<Thing>,
+    /// A call has panicked half way: nothing here can be trusted any more.
+    broken: bool,
+}
+
+/// Objects of a context.
+pub(crate) enum Thing {
+    Scene(Arc<SceneObject>),
+    Cameras(Vec<sgs_scene::Camera>),
+    View(Box<ViewObject>),
+    Recording(Recorded),
+    Trainer(Box<TrainerObject>),
+}
+
+impl Object for Thing {
+    const KINDS: &'static [&'static str] = &["scene", "list of cameras", "view", "recording", "trainer"];
+
+    fn kind(&self) -> u64 {
+        match self {
+            Thing::Scene(_) => 1,
+            Thing::Cameras(_) => 2,
+            Thing::View(_) => 3,
+            Thing::Recording(_) => 4,
+            Thing::Trainer(_) => 5,
+        }
+    }
+}
+
+macro_rules! getters {
+    ($($get:ident $variant:ident $kind:literal $type:ty;)*) => {
+        impl Inner {
+            $(pub fn $get(&mut self, handle: SgsHandle) -> Outcome<&mut $type> {
+                match self.table.get(handle, $kind)? {
+                    Thing::$variant(object) => Ok(object),
+                    _ => fail(SgsResult::SGS_ERROR_HANDLE, "The object is of another kind."),
+                }
+            })*
+        }
+    };
+}
+
+getters! {
+    scene Scene 1 Arc<SceneObject>;
+    cameras Cameras 2 Vec<sgs_scene::Camera>;
+    view View 3 Box<ViewObject>;
+    trainer Trainer 5 Box<TrainerObject>;
+}
+
+fn unpoisoned<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
+    lock.lock().unwrap_or_else(|e| e.into_inner())
+}
+
+/// Runs a call on a context: one at a time, and its failure becomes the context's last error.
+///
+/// # Safety
+/// `context` is null or a context that is not destroyed before the call ends.
+pub(crate) unsafe fn with(context: *const SgsContext, run: impl FnOnce(&mut Inner) -> Outcome<()>) -> SgsResult {
+    // SAFETY: as the caller promises.
+    let Some(context) = (unsafe { context.as_ref() }) else { return SgsResult::SGS_ERROR_NULL };
+    let mut inner = unpoisoned(&context.inner);
+    let outcome = if inner.broken {
+        fail(SgsResult::SGS_ERROR_INTERNAL, "An earlier call met a defect of the library; destroy the context.")
+    } else {
+        guarded(|| run(&mut inner))
+    };
+    let Err(failure) = outcome else { return SgsResult::SGS_OK };
+    inner.broken |= failure.code == SgsResult::SGS_ERROR_INTERNAL;
+    *unpoisoned(&context.error) = failure.text;
+    failure.code
+}
+
+/// Runs something that makes an object for which there is no context yet; the error's text goes to the caller.
+///
+/// # Safety
+/// `out` is null or can be written; `error` is null or has room for `size` bytes.
+pub(crate) unsafe fn make<T>(
+    out: *mut *mut T,
+    error: *mut c_char,
+    size: usize,
+    run: impl FnOnce() -> Outcome<T>,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe { put_text(error, size, "") };
+    let made = if out.is_null() {
+        fail(SgsResult::SGS_ERROR_NULL, "The place for the new object is null.")
+    } else {
+        // SAFETY: as the caller promises.
+        unsafe { out.write(std::ptr::null_mut()) };
+        guarded(run)
+    };
+    match made {
+        Ok(object) => {
+            // SAFETY: as the caller promises.
+            unsafe { out.write(Box::into_raw(Box::new(object))) };
+            SgsResult::SGS_OK
+        }
+        Err(failure) => {
+            // SAFETY: as the caller promises.
+            unsafe { put_text(error, size, &failure.text) };
+            failure.code
+        }
+    }
+}
+
+/// Writes a new object's handle.
+///
+/// # Safety
+/// `out` can be written, if it is not null.
+pub(crate) unsafe fn hand_over(inner: &mut Inner, out: *mut SgsHandle, thing: Thing) -> Outcome<()> {
+    let handle = inner.table.add(thing)?;
+    // SAFETY: as the caller promises; `claim` has found it not to be null.
+    unsafe { out.write(handle) };
+    Ok(())
+}
+
+/// Checks the place for a handle, and puts "none" there.
+///
+/// # Safety
+/// `out` can be written, if it is not null.
+pub(crate) unsafe fn claim(out: *mut SgsHandle) -> Outcome<()> {
+    if out.is_null() {
+        return fail(SgsResult::SGS_ERROR_NULL, "The place for the handle is null.");
+    }
+    // SAFETY: as the caller promises.
+    unsafe { out.write(0) };
+    Ok(())
+}
+
+impl SgsContext {
+    pub(crate) fn new(device: Device) -> SgsContext {
+        let tuning = Tuning::for_device(device.info());
+        // Contexts are told apart by where their devices lie: handles of one are no handles of another.
+        let address = device.address() as u64;
+        let salt = address >> 4 ^ address >> 24;
+        let inner = Inner { device, tuning, table: Table::new(salt), broken: false };
+        SgsContext { inner: Mutex::new(inner), error: Mutex::new(String::new()) }
+    }
+}
+
+/// The library's version: major * 1000000 + minor * 1000 + patch.
+#[unsafe(no_mangle)]
+pub extern "C" fn sgs_version() -> u32 {
+    let number = |text: &str| text.parse::<u32>().unwrap_or(0);
+    number(env!("CARGO_PKG_VERSION_MAJOR")) * 1_000_000
+        + number(env!("CARGO_PKG_VERSION_MINOR")) * 1000
+        + number(env!("CARGO_PKG_VERSION_PATCH"))
+}
+
+/// The version as text.
+#[unsafe(no_mangle)]
+pub extern "C" fn sgs_version_text() -> *const c_char {
+    const TEXT: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");
+    TEXT.as_ptr().cast()
+}
+
+/// What a result means, in a few words.
+#[unsafe(no_mangle)]
+pub extern "C" fn sgs_result_text(result: i32) -> *const c_char {
+    let text: &CStr = match result {
+        0 => c"done",
+        -1 => c"a pointer is null",
+        -2 => c"a value is not possible",
+        -3 => c"a struct has an unknown size",
+        -4 => c"no such object",
+        -5 => c"a file cannot be read or written",
+        -6 => c"no fitting device",
+        -7 => c"the device was lost",
+        -8 => c"memory ran out",
+        -9 => c"not done yet",
+        -10 => c"training cannot go on",
+        -11 => c"a buffer is too small",
+        -12 => c"a defect of the library",
+        _ => c"no result of this library",
+    };
+    text.as_ptr()
+}
+
+/// Opens a device of the library's own. `info` may be null. On failure `error`, if not null, holds why.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_context_open(
+    info: *const SgsDeviceInfo,
+    context: *mut *mut SgsContext,
+    error: *mut c_char,
+    error_size: usize,
+) -> SgsResult {
+    let run = || {
+        let mut options = DeviceOptions::default();
+        if !info.is_null() {
+            // SAFETY: not null, and a struct by the caller's word.
+            let info = unsafe { read(info) }?;
+            // SAFETY: strings by the caller's word.
+            unsafe {
+                options.select = optional_string(info.device, "SgsDeviceInfo.device")?;
+                options.pipeline_cache =
+                    optional_string(info.pipeline_cache, "SgsDeviceInfo.pipeline_cache")?.map(Into::into);
+            }
+            options.validation = info.validation != 0;
+            options.timeout = timeout(info.timeout_seconds, options.timeout)?;
+        }
+        Ok(SgsContext::new(Device::open(&options)?))
+    };
+    // SAFETY: as the caller promises.
+    unsafe { make(context, error, error_size, run) }
+}
+
+pub(crate) fn timeout(seconds: f64, default: Duration) -> Outcome<Duration> {
+    if seconds == 0.0 {
+        return Ok(default);
+    }
+    let limit = Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero());
+    limit.ok_or_else(|| Failure {
+        code: SgsResult::SGS_ERROR_ARGUMENT,
+        text: format!("timeout_seconds is {seconds}, but must be a positive number."),
+    })
+}
+
+/// Destroys a context with everything on it, and sets the pointer to null. The host has waited for its submissions that
+/// hold recordings; no other call on the context is under way, and none comes after.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_context_destroy(context: *mut *mut SgsContext) -> SgsResult {
+    // SAFETY: null or a place for a pointer by the caller's word.
+    let Some(place) = (unsafe { context.as_mut() }) else { return SgsResult::SGS_ERROR_NULL };
+    let raw = std::mem::replace(place, std::ptr::null_mut());
+    if raw.is_null() {
+        return SgsResult::SGS_ERROR_NULL;
+    }
+    // SAFETY: made by `make` and not destroyed before, since destroying makes the pointer null.
+    let context = unsafe { Box::from_raw(raw) };
+    let outcome = guarded(|| {
+        let mut inner = context.inner.into_inner().unwrap_or_else(|e| e.into_inner());
+        for thing in inner.table.drain() {
+            if let Thing::Recording(recorded) = thing {
+                // SAFETY: the host has waited, by the contract of this call.
+                unsafe { recorded.release() };
+            }
+        }
+        Ok(())
+    });
+    outcome.map_or_else(|failure| failure.code, |()| SgsResult::SGS_OK)
+}
+
+/// Copies the text of the context's last error, as much as fits. `needed`, if not null, gets the bytes that all of it
+/// takes, with the zero at its end.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_last_error(
+    context: *const SgsContext,
+    text: *mut c_char,
+    size: usize,
+    needed: *mut usize,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    let Some(context) = (unsafe { context.as_ref() }) else { return SgsResult::SGS_ERROR_NULL };
+    let last = unpoisoned(&context.error).clone();
+    // SAFETY: as the caller promises.
+    unsafe {
+        put_text(text, size, &last);
+        if let Some(needed) = needed.as_mut() {
+            *needed = last.len() + 1;
+        }
+    }
+    if !text.is_null() && size <= last.len() { SgsResult::SGS_ERROR_SPACE } else { SgsResult::SGS_OK }
+}
+
+/// What is known of the context.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_context_get(context: *const SgsContext, info: *mut SgsContextInfo) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let (used, peak) = inner.device.memory_use();
+            let value = SgsContextInfo {
+                struct_size: 0,
+                adopted: u32::from(inner.device.adopted()),
+                bytes_used: used,
+                bytes_peak: peak,
+                validation_messages: 0,
+                objects: inner.table.len() as u32,
+            };
+            // The size is checked before the messages are taken.
+            write(info, &value)?;
+            let validation_messages = inner.device.messages().take().len() as u32;
+            write(info, &SgsContextInfo { validation_messages, ..value })
+        })
+    }
+}
+
+/// Destroys an object of any kind. A recording can be destroyed only by sgs_recording_done and its like.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_destroy(context: *const SgsContext, object: SgsHandle) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            if inner.table.get(object, 4).is_ok() {
+                let text = "A recording ends with sgs_recording_done, sgs_recording_timeline or sgs_recording_fence.";
+                return fail(SgsResult::SGS_ERROR_HANDLE, text);
+            }
+            if let Ok(Thing::View(view)) = inner.table.get(object, 3)
+                && view.open()? > 0
+            {
+                return fail(SgsResult::SGS_ERROR_BUSY, "The view still has recordings that are not done.");
+            }
+            inner.table.take(object, None).map(drop)
+        })
+    }
+}

@@ -1,0 +1,260 @@
+//! Scenes and cameras, and rendering into the caller's memory.
+
+use crate::border::{Outcome, fail, read, string, write};
+use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
+use crate::types::*;
+use sgs_passes::pipeline::{Camera, Renderer};
+use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::splat::Channels;
+use sgs_scene::Splats;
+use std::ffi::c_char;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// Gaussians on the device, with what has been made to render them into memory.
+pub(crate) struct SceneObject {
+    pub gaussians: Gaussians,
+    renderer: Mutex<Option<(Channels, Renderer)>>,
+}
+
+impl SceneObject {
+    pub fn new(inner: &Inner, splats: &Splats) -> Outcome<SceneObject> {
+        let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some() };
+        let gaussians = Gaussians::new(&inner.device, model, splats.len() as u32, false)?;
+        gaussians.upload(&inner.device, &sgs_train::gaussian_data(splats, model))?;
+        Ok(SceneObject { gaussians, renderer: Mutex::new(None) })
+    }
+
+    /// The highest band that `bands` (plus one; 0 for all) lets through.
+    pub fn degree(&self, bands: u32) -> u32 {
+        let most = self.gaussians.model.sh_degree;
+        if bands == 0 { most } else { (bands - 1).min(most) }
+    }
+}
+
+/// A camera as kernels take it.
+pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
+    let wrong = |text: &str| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
+    let m = &c.world_to_camera;
+    let numbers = c.focal.iter().chain(&c.center).chain(m).chain([&c.near_plane]);
+    if numbers.into_iter().any(|v| !v.is_finite()) {
+        return wrong("SgsCamera holds numbers that are not finite.");
+    }
+    if c.width == 0 || c.height == 0 || c.width > 65_536 || c.height > 65_536 {
+        return wrong("SgsCamera.width and height must be between 1 and 65536.");
+    }
+    if c.focal.iter().any(|f| *f <= 0.0) || c.near_plane < 0.0 {
+        return wrong("SgsCamera.focal must be positive, and near_plane not negative.");
+    }
+    let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
+    let (rows, near) = ([row(0), row(1), row(2)], if c.near_plane > 0.0 { c.near_plane } else { 0.01 });
+    // A rotation has unit rows; anything else would put the splats' colors and shapes wrong without a word.
+    let length = |r: &[f32; 4]| r[..3].iter().map(|v| v * v).sum::<f32>();
+    if rows.iter().any(|r| (length(r) - 1.0).abs() > 1e-2) {
+        return wrong("SgsCamera.world_to_camera has no rotation in its first three columns.");
+    }
+    let position = [0, 1, 2].map(|k| -rows.iter().map(|r| r[k] * r[3]).sum::<f32>());
+    Ok(Camera {
+        world_to_camera: rows,
+        position,
+        near,
+        focal: c.focal,
+        center: c.center,
+        size: [c.width, c.height],
+        tiles: [0, 0],
+    })
+}
+
+/// Loads Gaussians: a PLY file, or the directory of a run.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_scene_load(
+    context: *const SgsContext,
+    path: *const c_char,
+    scene: *mut SgsScene,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            claim(scene)?;
+            let path = string(path, "path")?;
+            let path = Path::new(&path);
+            let file = if path.is_dir() { path.join("scene.ply") } else { path.to_owned() };
+            let splats = Splats::read_ply(&file)?;
+            let object = Thing::Scene(Arc::new(SceneObject::new(inner, &splats)?));
+            hand_over(inner, scene, object)
+        })
+    }
+}
+
+/// What is known of a scene.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_scene_get(
+    context: *const SgsContext,
+    scene: SgsScene,
+    info: *mut SgsSceneInfo,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let gaussians = &inner.scene(scene)?.gaussians;
+            let value = SgsSceneInfo {
+                struct_size: 0,
+                gaussians: gaussians.capacity,
+                sh_degree: gaussians.model.sh_degree,
+                normals: u32::from(gaussians.model.normals),
+                bytes: gaussians.bytes(),
+            };
+            write(info, &value)
+        })
+    }
+}
+
+/// Writes the Gaussians as a PLY file that viewers understand.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_scene_export(
+    context: *const SgsContext,
+    scene: SgsScene,
+    path: *const c_char,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let path = string(path, "path")?;
+            let scene = inner.scene(scene)?.clone();
+            let data = scene.gaussians.download(&inner.device)?;
+            Ok(sgs_train::splats(&data, scene.gaussians.model).write_ply(Path::new(&path))?)
+        })
+    }
+}
+
+/// Loads the cameras of a transforms file.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_cameras_load(
+    context: *const SgsContext,
+    path: *const c_char,
+    cameras: *mut SgsCameras,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            claim(cameras)?;
+            let path = string(path, "path")?;
+            let all = sgs_scene::Camera::read_transforms(Path::new(&path))?;
+            hand_over(inner, cameras, Thing::Cameras(all))
+        })
+    }
+}
+
+/// How many cameras there are.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_cameras_count(
+    context: *const SgsContext,
+    cameras: SgsCameras,
+    count: *mut u32,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let all = inner.cameras(cameras)?.len() as u32;
+            let Some(count) = count.as_mut() else {
+                return fail(SgsResult::SGS_ERROR_NULL, "The place for the count is null.");
+            };
+            *count = all;
+            Ok(())
+        })
+    }
+}
+
+/// One of the cameras.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_cameras_get(
+    context: *const SgsContext,
+    cameras: SgsCameras,
+    index: u32,
+    camera: *mut SgsCamera,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let all = inner.cameras(cameras)?;
+            let Some(c) = all.get(index as usize) else {
+                let text = format!("Camera {index} does not exist, there are {}.", all.len());
+                return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
+            };
+            let c = sgs_train::camera(c);
+            let mut world_to_camera = [0.0; 12];
+            world_to_camera.copy_from_slice(c.world_to_camera.as_flattened());
+            let value = SgsCamera {
+                struct_size: 0,
+                width: c.size[0],
+                height: c.size[1],
+                near_plane: c.near,
+                focal: c.focal,
+                center: c.center,
+                world_to_camera,
+            };
+            write(camera, &value)
+        })
+    }
+}
+
+/// Renders one layer into the caller's memory and waits: rows from the top, as many floats a pixel as the layer has.
+/// `count` is how many floats there is room for.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_render(
+    context: *const SgsContext,
+    scene: SgsScene,
+    camera: *const SgsCamera,
+    info: *const SgsRenderInfo,
+    pixels: *mut f32,
+    count: usize,
+) -> SgsResult {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(context, |inner| {
+            let scene = inner.scene(scene)?.clone();
+            let view = self::camera(&read(camera)?)?;
+            let info = read(info)?;
+            if pixels.is_null() {
+                return fail(SgsResult::SGS_ERROR_NULL, "The place for the pixels is null.");
+            }
+            if info.layer > SGS_LAYER_ALPHA {
+                return fail(SgsResult::SGS_ERROR_ARGUMENT, format!("There is no layer {}.", info.layer));
+            }
+            if info.layer == SGS_LAYER_NORMAL && !scene.gaussians.model.normals {
+                return fail(SgsResult::SGS_ERROR_ARGUMENT, "The scene has no normals.");
+            }
+            let floats = if info.layer == SGS_LAYER_COLOR || info.layer == SGS_LAYER_NORMAL { 3 } else { 1 };
+            let needed = view.size[0] as usize * view.size[1] as usize * floats;
+            if count < needed {
+                let text = format!("The picture takes {needed} floats, but there is room for {count}.");
+                return fail(SgsResult::SGS_ERROR_SPACE, text);
+            }
+            let picture = render(inner, &scene, &view, &info)?;
+            std::ptr::copy_nonoverlapping(picture.as_ptr(), pixels, needed);
+            Ok(())
+        })
+    }
+}
+
+fn render(inner: &Inner, scene: &SceneObject, camera: &Camera, info: &SgsRenderInfo) -> Outcome<Vec<f32>> {
+    let channels = Channels { normals: info.layer == SGS_LAYER_NORMAL, depth: info.layer == SGS_LAYER_DEPTH };
+    let mut kept = scene.renderer.lock().unwrap_or_else(|e| e.into_inner());
+    // Taken out, so that a failure leaves nothing half made.
+    let mut renderer = match kept.take() {
+        Some((had, renderer)) if had == channels => renderer,
+        _ => Renderer::new(&inner.device, inner.tuning, &scene.gaussians, camera.size, channels)?,
+    };
+    let picture = renderer.render(&scene.gaussians, camera, scene.degree(info.sh_bands), info.background)?;
+    *kept = Some((channels, renderer));
+    let c = picture.channels as usize;
+    let pick = |from: usize, count: usize| -> Vec<f32> {
+        picture.image.chunks_exact(c).flat_map(|p| p[from..from + count].iter().copied()).collect()
+    };
+    Ok(match info.layer {
+        SGS_LAYER_DEPTH => pick(3, 1),
+        SGS_LAYER_NORMAL => pick(3, 3),
+        SGS_LAYER_ALPHA => picture.transmittance.iter().map(|t| 1.0 - t).collect(),
+        _ => pick(0, 3),
+    })
+}
