@@ -13,10 +13,15 @@ bool is_finite(float x) { return (floatBitsToUint(x) & 0x7f800000u) != 0x7f80000
 
 // `moments`: first and second; `correction1`, `correction2`: 1 / (1 - beta^t). A gradient that is not finite changes
 // nothing; counting those is the caller's.
-void adam(inout float parameter, inout vec2 moments, float gradient, float lr, float correction1, float correction2) {
+void adam(inout float parameter, inout vec2 moments, float gradient, float lr, float correction1, float correction2,
+          float epsilon) {
     if (!is_finite(gradient)) return;
     gradient = clamp(gradient, -ADAM_LARGEST, ADAM_LARGEST);
     moments.x += ADAM_RATE1 * (gradient - moments.x);
     moments.y += ADAM_RATE2 * (gradient * gradient - moments.y);
-    parameter -= lr * (moments.x * correction1) / (sqrt(moments.y * correction2) + ADAM_EPSILON);
+    parameter -= lr * (moments.x * correction1) / (sqrt(moments.y * correction2) + epsilon);
+}
+
+void adam(inout float parameter, inout vec2 moments, float gradient, float lr, float correction1, float correction2) {
+    adam(parameter, moments, gradient, lr, correction1, correction2, ADAM_EPSILON);
 }

@@ -7,4 +7,10 @@ struct LossStats {
     float normal_smooth;
     float depth_smooth;
     float depth_variance;
+    float semantic;               // 1 - cos to the semantic targets
+    float semantic_class;         // cross-entropy of their classes
+    float correspondence;         // distance of a region's mean features, mean over the pseudo-views
+    float correspondence_class;   // cross-entropy of its pixels to its class, likewise
+    uint semantic_excluded;       // samples that did not count
+    uint correspondence_pairs;    // pseudo-views that did
 };

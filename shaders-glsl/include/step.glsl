@@ -25,6 +25,7 @@ struct Step {
     float lr_sh0;
     float lr_sh_rest;
     float lr_normals;
+    float lr_decoder;        // of the semantic decoder
     float correction1;
     float correction2;
     // loss weights
@@ -34,6 +35,17 @@ struct Step {
     float weight_normal_smooth;
     float weight_depth_smooth;
     float weight_depth_variance;
+    float weight_semantic;       // of 1 - cos to the semantic targets
+    float weight_semantic_class; // of the cross-entropy of their classes
+    float weight_correspondence; // of a region's correspondence, all pseudo-views together
+    float inverse_temperature;   // of the classes' softmax
+    // semantic targets of this view: size of the map, its first sample in the buffer of all, samples that say something,
+    // and samples that have a class; first word of the view's region mask
+    uvec2 semantic_size;
+    uint semantic_offset;
+    uint semantic_valid;
+    uint semantic_labeled;
+    uint mask_offset;
     // densification statistics: 1 while they are gathered
     uint gather_statistics;
 };

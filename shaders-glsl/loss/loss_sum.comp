@@ -45,6 +45,13 @@ void main() {
     r.normal_smooth = geometry.y;
     r.depth_smooth = geometry.z;
     r.depth_variance = geometry.w;
+    // Those of meaning are added by semantic_sum, if there are any.
+    r.semantic = 0.0;
+    r.semantic_class = 0.0;
+    r.correspondence = 0.0;
+    r.correspondence_class = 0.0;
+    r.semantic_excluded = 0u;
+    r.correspondence_pairs = 0u;
     r.total = s.weight_l1 * r.l1 + s.weight_dssim * (1.0 - r.ssim);
     if (GEOMETRY) {
         r.total += s.weight_normal * r.normal + s.weight_normal_smooth * r.normal_smooth

@@ -12,6 +12,7 @@ layout(constant_id = 1) const uint WIDTH = 1;          // scalars of an element
 layout(constant_id = 2) const uint RATE = 0;           // which learning rate; see learning_rate()
 layout(constant_id = 3) const bool SKIP_ZERO = true;   // exactly zero: the element was not seen; leave it untouched
 layout(constant_id = 4) const uint FLAGS = 1;          // words of `flags`
+layout(constant_id = 5) const float EPSILON = 1e-15;   // added to the root of the second moment
 
 layout(push_constant, scalar) uniform Push {
     float rate; // for RATE 7
@@ -35,6 +36,7 @@ float learning_rate() {
     case 4: return params.step.lr_sh0;
     case 5: return params.step.lr_sh_rest;
     case 6: return params.step.lr_normals;
+    case 8: return params.step.lr_decoder;
     default: return push.rate;
     }
 }
@@ -56,7 +58,7 @@ void main() {
         }
         float parameter = parameters[i];
         vec2 m = moments[i];
-        adam(parameter, m, gradient, lr, params.step.correction1, params.step.correction2);
+        adam(parameter, m, gradient, lr, params.step.correction1, params.step.correction2, EPSILON);
         parameters[i] = parameter;
         moments[i] = m;
     }

@@ -1,7 +1,7 @@
 //! The optimizer on a device against its reference.
 
 use sgs_engine::graph::Graph;
-use sgs_passes::optim::{Adam, Rate, adam};
+use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::adam as twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::{Step, Work};
@@ -52,6 +52,7 @@ impl Group {
             capacity: self.capacity as u64,
             rate: Rate::Rotations,
             skip_zero,
+            epsilon: EPSILON,
             gradients,
             parameters,
             moments,

@@ -6,7 +6,7 @@ use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
-use sgs_passes::optim::{Adam, Rate, adam};
+use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::adam as twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::Group;
@@ -38,6 +38,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         capacity: u64::from(count),
         rate: Rate::ShRest,
         skip_zero: false,
+        epsilon: EPSILON,
         gradients,
         parameters,
         moments,

@@ -1,11 +1,24 @@
 //! Losses: each a forward pass that leaves sums, and a gradient by what was rendered.
 
+pub mod correspondence;
 pub mod geometry_loss;
 pub mod octahedral;
 pub mod photometric;
+pub mod semantic;
+pub mod semantic_labels;
+pub mod semantic_sum;
 pub mod sum;
 
+pub use correspondence::{
+    Correspondence, Pictured, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
+};
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
 pub use octahedral::{octahedral_decode, octahedral_encode};
 pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photometric_bwd_in_place};
+pub use semantic::{
+    Head, Prepared, SemanticLoss, SemanticSums, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings,
+    semantic_loss, semantic_prepare, semantic_targets,
+};
+pub use semantic_labels::{NO_LABEL, Relevance, SemanticLabels, semantic_labels};
+pub use semantic_sum::semantic_sum;
 pub use sum::loss_sum;

@@ -1,6 +1,6 @@
 //! `adam`: one step of Adam for a parameter group whose gradients lie in a buffer.
 //!
-//! Kingma and Ba 2015 with epsilon 1e-15 (Kerbl et al. 2023). Promises: nothing changes when a flag of the step is
+//! Kingma and Ba 2015, for Gaussians with epsilon 1e-15 (Kerbl et al. 2023). Promises: nothing changes when a flag of the step is
 //! raised; gradients that are not finite are skipped and counted; gradients beyond 1e15 count as 1e15, so that the second
 //! moment stays finite; with [`Adam::skip_zero`] what was not seen in a step is left exactly as it is.
 //!
@@ -28,6 +28,8 @@ pub enum Rate {
     ShRest,
     /// `lr_normals` of the step.
     Normals,
+    /// `lr_decoder` of the step.
+    Decoder,
     /// One that never changes.
     Constant(f32),
 }
@@ -43,9 +45,13 @@ impl Rate {
             Rate::ShRest => 5,
             Rate::Normals => 6,
             Rate::Constant(_) => 7,
+            Rate::Decoder => 8,
         }
     }
 }
+
+/// Epsilon of everything that Gaussians carry.
+pub const EPSILON: f32 = 1e-15;
 
 /// A parameter group and what drives it.
 #[derive(Clone, Copy, Debug)]
@@ -66,6 +72,8 @@ pub struct Adam {
     pub rate: Rate,
     /// Whether an exactly-zero gradient leaves its scalar and moments untouched, rather than letting them decay.
     pub skip_zero: bool,
+    /// Added to the root of the second moment: [`EPSILON`] for Gaussians.
+    pub epsilon: f32,
     /// Gradients, `width` an element.
     pub gradients: Buffer,
     /// Parameters, likewise.
@@ -96,6 +104,7 @@ pub fn adam(g: &mut Graph, tuning: Tuning, name: &str, a: &Adam) -> Result<(), G
         rate: a.rate.index(),
         skip_zero: a.skip_zero,
         flags: a.flag_words,
+        epsilon: a.epsilon,
     };
     let rate = if let Rate::Constant(rate) = a.rate { rate } else { 0.0 };
     // Every invocation has one element's worth of scalars when all of the capacity is alive.

@@ -5,7 +5,7 @@ pub mod adam_unseen;
 pub mod densify;
 pub mod opacity_reset;
 
-pub use adam::{Adam, Rate, adam};
+pub use adam::{Adam, EPSILON, Rate, adam};
 pub use adam_unseen::{AdamUnseen, adam_unseen};
 pub use densify::{Densify, densify};
 pub use opacity_reset::opacity_reset;

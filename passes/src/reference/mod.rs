@@ -2,6 +2,7 @@
 
 pub mod adam;
 pub mod blend;
+pub mod correspondence;
 pub mod densify;
 pub mod geometry_loss;
 pub mod intersect;
@@ -11,3 +12,16 @@ pub mod project;
 pub mod radix_sort;
 pub mod rng;
 pub mod scan;
+pub mod semantic;
+
+/// Central difference of `f` along coordinate `i` of `x`.
+#[cfg(test)]
+fn difference(x: &mut [f64], i: usize, f: impl Fn(&[f64]) -> f64) -> f64 {
+    let old = x[i];
+    x[i] = old + 1e-5;
+    let up = f(x);
+    x[i] = old - 1e-5;
+    let down = f(x);
+    x[i] = old;
+    (up - down) / 2e-5
+}

@@ -2,8 +2,10 @@
 //!
 //! Promises: groups that the model lacks cost nothing. Leaves files to the tools.
 
+mod decoder;
 mod gaussians;
 mod model;
 
+pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
 pub use model::{Group, Model};

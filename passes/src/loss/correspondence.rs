@@ -1,0 +1,206 @@
+//! `region`, `correspondence_bwd`, `correspondence_train_bwd`: a region seen in the training view and in pseudo-views
+//! should have the same features and the same class.
+//!
+//! SGS-Intrinsic, stage I. For a training view and p pseudo-views, with a mask of the same region in each:
+//! * the distance |mean features of the pseudo-view's region - those of the training view's|;
+//! * the mean cross-entropy of the pseudo-view's pixels in the region to the class that most pixels of the training view's
+//!   region have. That class has no gradient.
+//!
+//! Both are averaged over the pseudo-views (the paper writes a sum: with two, twice as much), times
+//! `weight_correspondence`. A pseudo-view whose region, or the training view's, has fewer than 16 pixels counts as 0; the
+//! mean is over all p nevertheless. Pixels with features that are not finite belong to no region.
+//!
+//! In two stages, so that a pipeline can render between them: [`region`] for every picture, then the gradients.
+//! `correspondence_bwd` writes all feature channels of a pseudo-view's gradient; `correspondence_train_bwd` adds to those
+//! of the training view, which must have been written ([`super::semantic_loss`]). Both without float atomics; the classes
+//! of pixels are counted with whole ones.
+//!
+//! Cost. `region_sums`: 128 bytes and 32 (and 66 C in the training view) operations a pixel in the mask;
+//! `correspondence_bwd`: 128 bytes a pixel, and 128 and about 5000 + 270 C operations a pixel in the mask;
+//! `correspondence_train_bwd`: 384 bytes a pixel in the mask.
+
+use super::semantic::{Head, Prepared, SAMPLES, partials, reduce, sample_groups};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use crate::scene::AUGMENTED;
+use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
+use sgs_shaders::structs::Region;
+use sgs_shaders::{correspondence_bwd as pseudo, correspondence_train_bwd as train, region_finish, region_sums};
+
+/// A picture, and where the region is in it.
+#[derive(Clone, Copy, Debug)]
+pub struct Pictured {
+    /// Uniform `Step` of this picture: its size, `mask_offset`, weights.
+    pub step: Buffer,
+    /// `[P * channels]` floats.
+    pub image: Buffer,
+    /// Floats of a pixel of `image` and of its gradient.
+    pub channels: u32,
+    /// Channel of the first of the 32 features.
+    pub first: u32,
+    /// Columns and rows that no view exceeds, each for itself.
+    pub largest: [u32; 2],
+    /// A bit a pixel ([`pack_mask`]), from word `mask_offset`.
+    pub mask: Buffer,
+}
+
+/// The regions of a training view and its pseudo-views.
+#[derive(Clone, Copy, Debug)]
+pub struct Regions {
+    /// `[1 + pairs]` of `Region`: the training view's first.
+    pub buffer: Buffer,
+    /// How many pseudo-views.
+    pub pairs: u32,
+}
+
+/// What the gradients of the pseudo-views leave.
+#[derive(Clone, Copy, Debug)]
+pub struct Correspondence {
+    /// Cross-entropy by pseudo-view and workgroup.
+    pub sums: Buffer,
+    /// Workgroups of a pseudo-view.
+    pub count: u32,
+    /// From the sums of one pseudo-view to those of the next.
+    pub pitch: u32,
+}
+
+const REGION: u64 = size_of::<Region>() as u64;
+
+/// A mask as bits: pixel p is bit p % 32 of word p / 32.
+pub fn pack_mask(mask: &[bool]) -> Vec<u32> {
+    let word = |bits: &[bool]| bits.iter().enumerate().fold(0, |w, (i, &b)| w | u32::from(b) << i);
+    mask.chunks(32).map(word).collect()
+}
+
+/// Declares room for the regions.
+pub fn regions(g: &mut Graph, pairs: u32) -> Regions {
+    Regions { buffer: g.transient("correspondence.regions", u64::from(1 + pairs) * REGION), pairs }
+}
+
+fn slice(regions: &Regions, picture: u32) -> Slice {
+    regions.buffer.slice(u64::from(picture) * REGION, REGION)
+}
+
+fn pixels(p: &Pictured) -> u64 {
+    u64::from(p.largest[0]) * u64::from(p.largest[1])
+}
+
+/// Adds the passes that work out the region of a picture: 0 is the training view, others are pseudo-views.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn region(
+    g: &mut Graph,
+    p: &Pictured,
+    head: &Head,
+    prepared: &Prepared,
+    into: &Regions,
+    picture: u32,
+) -> Result<(), GraphError> {
+    let name = |what: &str| format!("region{picture}.{what}");
+    let count = sample_groups(pixels(p));
+    let sums = g.transient(name("sums"), u64::from(count) * 4 * AUGMENTED as u64);
+    let histogram = g.transient(name("histogram"), 4 * u64::from(head.classes));
+    g.fill(&name("clear"), histogram, 0)?;
+    let bindings = region_sums::Bindings {
+        params: p.step.into(),
+        image: p.image.into(),
+        mask: p.mask.into(),
+        text: prepared.text.into(),
+        region_sums: sums.into(),
+        histogram: histogram.into(),
+    };
+    let specs = region_sums::Specs {
+        workgroup: SAMPLES,
+        classes: head.classes,
+        channels: p.channels,
+        first: p.first,
+        classify: picture == 0,
+    };
+    stage(g, &name("sum"), &region_sums::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([count, 1, 1])?;
+    let bindings =
+        region_finish::Bindings { region_sums: sums.into(), histogram: histogram.into(), region: slice(into, picture) };
+    let specs = region_finish::Specs { workgroup: 64, classes: head.classes };
+    let push = region_finish::Push { groups: count };
+    let name = name("finish");
+    stage(g, &name, &region_finish::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch([1, 1, 1])
+}
+
+/// Adds the gradients of the pseudo-views, each with the buffer it goes to, and adds to `prepared.accumulated`. The
+/// pictures are those of regions 1, 2, and so on, and all have the same `largest`.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn correspondence_bwd(
+    g: &mut Graph,
+    tuning: Tuning,
+    pictures: &[(Pictured, Buffer)],
+    head: &Head,
+    prepared: &Prepared,
+    from: &Regions,
+) -> Result<Correspondence, GraphError> {
+    let count = pictures.iter().map(|(p, _)| sample_groups(pixels(p))).max().unwrap_or(1);
+    // Each pseudo-view's sums are bound on their own, which asks for some alignment.
+    let pitch = count.next_multiple_of(64);
+    let bytes = 4 * u64::from(pitch);
+    let sums = g.transient("correspondence.sums", bytes * pictures.len().max(1) as u64);
+    for (i, (p, grad_image)) in pictures.iter().enumerate() {
+        let name = format!("correspondence{i}");
+        let partials = partials(g, &name, head.classes, count)?;
+        let bindings = pseudo::Bindings {
+            params: p.step.into(),
+            image: p.image.into(),
+            mask: p.mask.into(),
+            gram: prepared.gram.into(),
+            text: prepared.text.into(),
+            trained: slice(from, 0),
+            region: slice(from, 1 + i as u32),
+            grad_image: (*grad_image).into(),
+            partials: partials.into(),
+            sums: sums.slice(i as u64 * bytes, bytes),
+        };
+        let specs = pseudo::Specs { workgroup: SAMPLES, classes: head.classes, channels: p.channels, first: p.first };
+        let push = pseudo::Push { share: 1.0 / pictures.len() as f32 };
+        let bytes = bytemuck::bytes_of(&push);
+        stage(g, &format!("{name}.bwd"), &pseudo::KERNEL, bindings.entries(), specs.entries(), bytes)
+            .dispatch([count, 1, 1])?;
+        reduce(g, tuning, &name, partials, prepared.accumulated, head.classes, count)?;
+    }
+    Ok(Correspondence { sums, count, pitch })
+}
+
+/// Adds the training view's part to `grad_image`, whose feature channels must have been written.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn correspondence_train_bwd(
+    g: &mut Graph,
+    tuning: Tuning,
+    p: &Pictured,
+    from: &Regions,
+    grad_image: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = train::Bindings {
+        params: p.step.into(),
+        image: p.image.into(),
+        mask: p.mask.into(),
+        regions: from.buffer.into(),
+        grad_image: grad_image.into(),
+    };
+    let specs = train::Specs { workgroup: tuning.workgroup, channels: p.channels, first: p.first, pairs: from.pairs };
+    stage(g, "correspondence_train_bwd", &train::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(pixels(p), tuning.workgroup))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_bits_from_the_lowest() {
+        let mut mask = vec![false; 70];
+        [0, 31, 33, 69].into_iter().for_each(|i| mask[i] = true);
+        assert_eq!(pack_mask(&mask), [0x8000_0001, 2, 32]);
+    }
+}

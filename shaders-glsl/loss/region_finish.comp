@@ -1,0 +1,38 @@
+// Mean features of a region, its size, the class of most of its pixels (the first of equals). One workgroup.
+#version 460
+#include "common.glsl"
+#include "semantic.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 64;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint CLASSES = 1;
+
+layout(push_constant, scalar) uniform Push { uint groups; } push;
+
+IN(float, region_sums);
+IN(uint, histogram);
+OUT(Region, region);
+
+shared float totals[AUGMENTED];
+
+void main() {
+    for (uint k = gl_LocalInvocationID.x; k < AUGMENTED; k += WORKGROUP) {
+        float sum = 0.0;
+        for (uint g = 0u; g < push.groups; g++) sum += region_sums[g * AUGMENTED + k];
+        totals[k] = sum;
+    }
+    barrier();
+    for (uint k = gl_LocalInvocationID.x; k < FEATURES; k += WORKGROUP) {
+        region[0].mean[k] = totals[k] / max(totals[FEATURES], 1.0);
+    }
+    if (gl_LocalInvocationID.x != 0u) return;
+    region[0].count = totals[FEATURES];
+    uint most = 0u, label = 0u;
+    for (uint c = 0u; c < CLASSES; c++) {
+        if (histogram[c] > most) {
+            most = histogram[c];
+            label = c;
+        }
+    }
+    region[0].majority = label;
+}

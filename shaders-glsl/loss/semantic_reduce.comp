@@ -1,0 +1,35 @@
+// Adds the workgroups' sums to those that the decoder's gradient is made of, in a fixed order. A workgroup does 32 of
+// them, eight invocations each.
+#version 460
+#include "common.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+
+layout(push_constant, scalar) uniform Push {
+    uint width;  // sums of a workgroup
+    uint groups;
+} push;
+
+IN(float, partials); // groups x width
+INOUT(float, accumulated);
+
+const uint PARTS = 8u;
+const uint LANES = WORKGROUP / PARTS;
+
+shared float parts[PARTS * LANES];
+
+void main() {
+    uint lane = gl_LocalInvocationID.x % LANES, part = gl_LocalInvocationID.x / LANES;
+    uint at = folded_workgroup() * LANES + lane;
+    float sum = 0.0;
+    if (at < push.width) {
+        for (uint g = part; g < push.groups; g += PARTS) sum += partials[g * push.width + at];
+    }
+    parts[gl_LocalInvocationID.x] = sum;
+    barrier();
+    if (part != 0u || at >= push.width) return;
+    float total = 0.0;
+    for (uint p = 0u; p < PARTS; p++) total += parts[p * LANES + lane];
+    accumulated[at] += total;
+}
