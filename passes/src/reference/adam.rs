@@ -24,14 +24,19 @@ impl Rates {
 
 /// Parameter and moments after one step (Kingma and Ba 2015, algorithm 1, epsilon 1e-15). A gradient that is not finite
 /// changes nothing.
-pub fn adam(parameter: f64, [m, v]: [f64; 2], gradient: f64, rates: Rates) -> (f64, [f64; 2]) {
+pub fn adam(parameter: f64, moments: [f64; 2], gradient: f64, rates: Rates) -> (f64, [f64; 2]) {
+    adam_with(parameter, moments, gradient, rates, 1e-15)
+}
+
+/// The same with another epsilon.
+pub fn adam_with(parameter: f64, [m, v]: [f64; 2], gradient: f64, rates: Rates, epsilon: f64) -> (f64, [f64; 2]) {
     if !gradient.is_finite() {
         return (parameter, [m, v]);
     }
     let g = gradient.clamp(-LARGEST, LARGEST);
     let (m, v) = (0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g * g);
     let (unbiased_m, unbiased_v) = (m * rates.correction1, v * rates.correction2);
-    (parameter - rates.lr * unbiased_m / (unbiased_v.sqrt() + 1e-15), [m, v])
+    (parameter - rates.lr * unbiased_m / (unbiased_v.sqrt() + epsilon), [m, v])
 }
 
 #[cfg(test)]

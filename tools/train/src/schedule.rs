@@ -63,6 +63,7 @@ impl Schedule {
             weight_depth_smooth: g.losses.depth_smooth,
             weight_depth_variance: g.losses.depth_variance * spread,
             gather_statistics: u32::from(self.last_densification() >= step),
+            ..Step::default()
         }
     }
 
