@@ -63,10 +63,25 @@ struct Found {
     decoder: Vec<f32>,
     stats: LossStats,
     targets: Vec<SemanticTarget>,
+    /// The decoder after as many steps as were asked for.
+    learned: Vec<f32>,
 }
 
 /// `given`: whether labels go to the device, or it takes the targets' own.
 fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weights: &Weights) -> Found {
+    run_steps(gpu, h, v, given, largest, weights, 0)
+}
+
+/// As [`run`], and the decoder takes so many steps.
+fn run_steps(
+    gpu: &Gpu,
+    h: &twin::Head,
+    v: &View,
+    given: bool,
+    largest: [u32; 2],
+    weights: &Weights,
+    steps: usize,
+) -> Found {
     let (pixels, samples) = (v.size[0] * v.size[1], v.map[0] * v.map[1]);
     let room = (largest[0] * largest[1]) as usize + SPARE;
     let mut image = vec![f32::NAN; room * CHANNELS];
@@ -86,7 +101,14 @@ fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weig
     let feature_buffer = g.input("features", 2 * features.len() as u64);
     let label_buffer = g.input("labels", 4 * all);
     let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
-    let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+    let scalars = 4 * h.decoder.len() as u64;
+    let decoder = if steps > 0 { g.external("decoder", scalars) } else { g.input("decoder", scalars) };
+    let handles = DecoderHandles {
+        parameters: decoder,
+        moments: Some(g.external("moments", 2 * scalars)),
+        work: g.input("work", size_of::<Work>() as u64),
+    };
+    let (flags, skipped) = (g.input("flags", 4), g.external("skipped", 4));
     let targets = g.external("targets", all * size_of::<SemanticTarget>() as u64);
     let grad_image = g.external("grad_image", 4 * image.len() as u64);
     let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
@@ -109,6 +131,9 @@ fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weig
     let sums = semantic_loss(&mut g, tuning, &a, &on_gpu, &prepared, grad_image).unwrap();
     decoder_gradient(&mut g, tuning, &on_gpu, &prepared, Some(&sums), gradient).unwrap();
     semantic_sum(&mut g, tuning, step, Some(&sums), None, stats).unwrap();
+    if steps > 0 {
+        decoder_step(&mut g, tuning, step, &handles, gradient, flags, skipped).unwrap();
+    }
 
     let [valid, labeled] = v.counts(h).map(|n| n as u32);
     let mut values = Step {
@@ -119,6 +144,9 @@ fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weig
         semantic_offset: OFFSET as u32,
         semantic_valid: valid,
         semantic_labeled: labeled,
+        lr_decoder: 0.01,
+        correction1: 1.0,
+        correction2: 1.0,
         ..Default::default()
     };
     values.camera.size = v.size.map(|n| n as u32);
@@ -131,8 +159,12 @@ fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weig
         (embeddings, wide(&h.text)),
         (decoder, wide(&h.decoder)),
         (stats, bytes(&[LossStats::default()])),
+        (handles.moments.unwrap(), vec![0; 2 * scalars as usize]),
+        (handles.work, bytes(&[Work { x: 2, y: 1, z: 1, count: EMBEDDING as u32 }])),
+        (flags, bytes(&[0_u32])),
+        (skipped, bytes(&[0_u32])),
     ];
-    let out = gpu.run_times(g, &inputs, 1);
+    let out = gpu.run_times(g, &inputs, steps.max(1));
     let targets = out.get::<SemanticTarget>(targets).split_off(OFFSET);
     assert_eq!(count_targets(&targets), [valid, labeled]);
     let mut image = Vec::new();
@@ -145,7 +177,8 @@ fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weig
             image.extend_from_slice(&pixel[FIRST..FIRST + FEATURES]);
         }
     }
-    Found { image, decoder: out.get(gradient), stats: out.get::<LossStats>(stats)[0], targets }
+    let (stats, learned) = (out.get::<LossStats>(stats)[0], out.get(decoder));
+    Found { image, decoder: out.get(gradient), stats, targets, learned }
 }
 
 /// A share of the largest gradient, and a relative one.
@@ -440,18 +473,8 @@ fn a_decoder_learns() {
     let v = view([4, 4], [4, 4], &h, 12);
     let weights = Weights { cosine: 1.0, class: 1.0, temperature: 1.0 };
     let before = twin::semantic_loss(&h, &v, &weights).0;
-    let mut learned = h.clone();
-    let mut moments = vec![[0.0; 2]; h.decoder.len()];
-    for t in 1..=40 {
-        let found = run(&gpu, &learned, &v, false, [4, 4], &weights);
-        let rates = adam_twin::Rates::at(0.02, t);
-        for i in 0..moments.len() {
-            let g = f64::from(found.decoder[i]);
-            let (p, m) = adam_twin::adam_with(learned.decoder[i], moments[i], g, rates, 1e-8);
-            learned.decoder[i] = narrow(p);
-            moments[i] = m;
-        }
-    }
+    let found = run_steps(&gpu, &h, &v, false, [4, 4], &weights, 60);
+    let learned = twin::Head { decoder: found.learned.iter().map(|&x| f64::from(x)).collect(), ..h };
     let after = twin::semantic_loss(&learned, &v, &weights).0;
     assert!(before.cosine > 0.8 && after.cosine < 0.1 && after.class < before.class - 0.3, "{before:?} {after:?}");
 }

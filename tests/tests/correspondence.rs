@@ -1,0 +1,253 @@
+//! The correspondence of a region between a training view and pseudo-views on a device against its reference.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::loss::{
+    Head, Pictured, correspondence_bwd, correspondence_train_bwd, decoder_gradient, normalize_embeddings, pack_mask,
+    region, regions, semantic_prepare, semantic_sum,
+};
+use sgs_passes::reference::correspondence as twin;
+use sgs_passes::reference::correspondence::{Gradient, Picture, Terms};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::semantic::Head as TwinHead;
+use sgs_passes::scene::{Decoder, EMBEDDING, FEATURES};
+use sgs_shaders::structs::{LossStats, Step};
+use sgs_tests::{Gpu, Tolerance, assert_close, worst};
+
+const CHANNELS: usize = 40;
+const FIRST: usize = 8;
+const MASK_OFFSET: usize = 2;
+const LARGEST: [u32; 2] = [37, 29];
+const WEIGHT: f64 = 0.375;
+const TEMPERATURE: f64 = 0.5;
+/// What is in the training view's gradient before.
+const BEFORE: f32 = 0.25;
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+fn head(classes: usize, seed: u32) -> TwinHead {
+    let mut rng = Pcg::new(seed);
+    let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
+    TwinHead {
+        features: FEATURES,
+        embedding: EMBEDDING,
+        decoder: Decoder::initial(seed).into_iter().map(f64::from).collect(),
+        text: normalize_embeddings(&text).into_iter().map(f64::from).collect(),
+    }
+}
+
+/// A picture of features with something in common, and a mask of about that share of its pixels.
+fn picture(size: [usize; 2], share: f64, seed: u32) -> ([usize; 2], Picture) {
+    let mut common = Pcg::new(77);
+    let center: Vec<f64> = (0..FEATURES).map(|_| 2.0 * common.normal()).collect();
+    let mut rng = Pcg::new(seed);
+    let pixels = size[0] * size[1];
+    let image = (0..pixels * FEATURES).map(|i| f64::from((center[i % FEATURES] + rng.normal()) as f32)).collect();
+    (size, Picture { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() })
+}
+
+struct Found {
+    train: Vec<f32>,
+    pseudo: Vec<Vec<f32>>,
+    decoder: Vec<f32>,
+    stats: LossStats,
+}
+
+fn run(gpu: &Gpu, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
+    let room = (LARGEST[0] * LARGEST[1]) as usize;
+    let mut g = Graph::new("correspondence");
+    let tuning = gpu.tuning();
+    let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+    let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
+    let on_gpu = Head { decoder, embeddings, classes: h.classes() as u32 };
+    let prepared = semantic_prepare(&mut g, tuning, &on_gpu).unwrap();
+    let wide = |x: &[f64]| bytes(&x.iter().map(|&x| x as f32).collect::<Vec<f32>>());
+    let stats = g.external("stats", size_of::<LossStats>() as u64);
+    let mut inputs = vec![
+        (decoder, wide(&h.decoder)),
+        (embeddings, wide(&h.text)),
+        (stats, bytes(&[LossStats { total: 0.5, ..Default::default() }])),
+    ];
+    let shared = regions(&mut g, pictures.len() as u32 - 1);
+    let mut declared = Vec::new();
+    for (i, (size, p)) in pictures.iter().enumerate() {
+        let mut image = vec![f32::NAN; room * CHANNELS];
+        for pixel in 0..size[0] * size[1] {
+            for k in 0..FEATURES {
+                image[pixel * CHANNELS + FIRST + k] = p.image[pixel * FEATURES + k] as f32;
+            }
+        }
+        let mask = [vec![u32::MAX; MASK_OFFSET], pack_mask(&p.mask)].concat();
+        let floats = 4 * image.len() as u64;
+        let on_gpu_picture = Pictured {
+            step: g.uniform(format!("step{i}"), size_of::<Step>() as u64),
+            image: g.input(format!("image{i}"), floats),
+            channels: CHANNELS as u32,
+            first: FIRST as u32,
+            largest: LARGEST,
+            mask: g.input(format!("mask{i}"), 4 * mask.len() as u64),
+        };
+        let gradient = g.external(format!("gradient{i}"), floats);
+        let mut values = Step {
+            weight_correspondence: WEIGHT as f32,
+            inverse_temperature: (1.0 / TEMPERATURE) as f32,
+            mask_offset: MASK_OFFSET as u32,
+            ..Default::default()
+        };
+        values.camera.size = size.map(|n| n as u32);
+        inputs.push((on_gpu_picture.step, bytes(&[values])));
+        inputs.push((on_gpu_picture.image, bytes(&image)));
+        inputs.push((on_gpu_picture.mask, bytes(&mask)));
+        if i == 0 {
+            inputs.push((gradient, bytes(&vec![BEFORE; room * CHANNELS])));
+        }
+        region(&mut g, &on_gpu_picture, &on_gpu, &prepared, &shared, i as u32).unwrap();
+        declared.push((on_gpu_picture, gradient));
+    }
+    let (train, train_gradient) = declared[0];
+    let left = correspondence_bwd(&mut g, tuning, &declared[1..], &on_gpu, &prepared, &shared).unwrap();
+    correspondence_train_bwd(&mut g, tuning, &train, &shared, train_gradient).unwrap();
+    let gradient = g.external("decoder_gradient", 4 * h.decoder.len() as u64);
+    decoder_gradient(&mut g, tuning, &on_gpu, &prepared, None, gradient).unwrap();
+    semantic_sum(&mut g, tuning, train.step, None, Some((&left, &shared)), stats).unwrap();
+    let out = gpu.run(g, &inputs);
+    let mut found: Vec<Vec<f32>> = Vec::new();
+    for (i, ((size, _), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
+        let mut features = Vec::new();
+        for (p, pixel) in out.get::<f32>(*buffer).chunks(CHANNELS).enumerate() {
+            let mine = p < size[0] * size[1];
+            for (c, x) in pixel.iter().enumerate() {
+                let untouched = if i == 0 { *x == BEFORE } else { x.to_bits() == u32::MAX };
+                let feature = (FIRST..FIRST + FEATURES).contains(&c);
+                assert!(mine && feature || untouched, "channel {c} of pixel {p} of picture {i} was written");
+            }
+            if mine {
+                features.extend(pixel[FIRST..FIRST + FEATURES].iter().map(|x| if i == 0 { x - BEFORE } else { *x }));
+            }
+        }
+        found.push(features);
+    }
+    let train = found.remove(0);
+    Found { train, pseudo: found, decoder: out.get(gradient), stats: out.get::<LossStats>(stats)[0] }
+}
+
+fn tolerance(expected: &[f64]) -> Tolerance {
+    let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    Tolerance::new(2e-5 * largest, 1e-4)
+}
+
+fn expected(h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> (Terms, Gradient) {
+    let all: Vec<Picture> = pictures.iter().map(|(_, p)| p.clone()).collect();
+    twin::correspondence(h, &all[0], &all[1..], WEIGHT, TEMPERATURE)
+}
+
+#[track_caller]
+fn check(gpu: &Gpu, what: &str, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
+    let found = run(gpu, h, pictures);
+    let (terms, gradient) = expected(h, pictures);
+    let t = Tolerance::new(2e-6, 5e-6);
+    assert_close(&format!("distance of {what}"), &[terms.distance], &[found.stats.correspondence], t);
+    assert_close(&format!("cross-entropy of {what}"), &[terms.class], &[found.stats.correspondence_class], t);
+    let total = 0.5 + WEIGHT * (terms.distance + terms.class);
+    assert_close(&format!("total of {what}"), &[total], &[found.stats.total], t);
+    assert_eq!(found.stats.correspondence_pairs as usize, terms.pairs, "{what}");
+    // The training view's was added to something larger.
+    let coarse = Tolerance::new(tolerance(&gradient.train).absolute + 3e-8, 1e-4);
+    assert_close(&format!("training view of {what}"), &gradient.train, &found.train, coarse);
+    for (i, (e, f)) in gradient.pseudo.iter().zip(&found.pseudo).enumerate() {
+        assert_close(&format!("pseudo-view {i} of {what}"), e, f, tolerance(e));
+    }
+    assert_close(&format!("decoder of {what}"), &gradient.decoder, &found.decoder, tolerance(&gradient.decoder));
+    found
+}
+
+#[test]
+fn correspondence_is_its_reference() {
+    let gpu = Gpu::new();
+    let cases = [
+        (1, vec![picture([5, 5], 1.0, 1), picture([4, 7], 1.0, 2)]),
+        (9, vec![picture([31, 17], 0.4, 3), picture([37, 29], 0.5, 4), picture([16, 1], 1.0, 5)]),
+        (200, vec![picture([16, 16], 0.9, 6), picture([1, 33], 0.8, 7), picture([13, 11], 0.5, 8)]),
+    ];
+    for (classes, pictures) in cases {
+        let h = head(classes, classes as u32);
+        let found = check(&gpu, &format!("{classes} classes"), &h, &pictures);
+        assert!(found.train.iter().any(|&g| g != 0.0));
+    }
+}
+
+#[test]
+fn small_regions_are_no_evidence() {
+    let gpu = Gpu::new();
+    let h = head(5, 3);
+    let mut pictures = vec![picture([12, 12], 0.5, 1), picture([12, 12], 0.5, 2), picture([12, 12], 0.0, 3)];
+    pictures[2].1.mask[..15].fill(true);
+    let found = check(&gpu, "15 pixels in one", &h, &pictures);
+    assert!(found.stats.correspondence_pairs == 1 && found.pseudo[1].iter().all(|&g| g == 0.0));
+    pictures[2].1.mask[15] = true;
+    assert_eq!(check(&gpu, "16 pixels in one", &h, &pictures).stats.correspondence_pairs, 2);
+    // A pixel that is no number does not belong.
+    pictures[2].1.image[3 * FEATURES + 8] = f64::NAN;
+    assert_eq!(check(&gpu, "15 good pixels in one", &h, &pictures).stats.correspondence_pairs, 1);
+    pictures[0].1.mask.fill(false);
+    let found = check(&gpu, "none in the training view", &h, &pictures);
+    let all = found.train.iter().chain(found.pseudo.iter().flatten()).chain(&found.decoder);
+    assert!(all.into_iter().all(|&g| g == 0.0) && found.stats.total == 0.5);
+}
+
+#[test]
+fn correspondence_at_extremes() {
+    let gpu = Gpu::new();
+    let h = head(6, 4);
+    for scale in [0.0, 1e-20, 1e4, 1e25] {
+        let mut pictures = vec![picture([11, 9], 0.6, 1), picture([10, 10], 0.7, 2)];
+        for (_, p) in &mut pictures {
+            p.image.iter_mut().for_each(|x| *x = f64::from((scale * *x) as f32));
+        }
+        let found = check(&gpu, &format!("features times {scale}"), &h, &pictures);
+        let all = found.train.iter().chain(found.pseudo.iter().flatten()).chain(&found.decoder);
+        assert!(all.into_iter().all(|g| g.is_finite()));
+    }
+    // The same picture twice: no distance, and no direction.
+    let same = picture([9, 9], 0.8, 5);
+    let found = check(&gpu, "the same picture", &h, &[same.clone(), same]);
+    assert!(found.stats.correspondence == 0.0 && found.train.iter().all(|&g| g == 0.0));
+}
+
+#[test]
+fn correspondence_is_the_same_every_time() {
+    let gpu = Gpu::new();
+    let h = head(7, 8);
+    let pictures = [picture([37, 29], 0.7, 1), picture([30, 29], 0.7, 2), picture([37, 20], 0.7, 3)];
+    let once = || {
+        let f = run(&gpu, &h, &pictures);
+        [bytes(&f.train), bytes(&f.pseudo.concat()), bytes(&f.decoder), bytes(&[f.stats])]
+    };
+    let first = once();
+    assert!((0..3).all(|_| once() == first));
+}
+
+/// The comparisons would notice a lost pixel, a view left out of the mean, and a lost distance.
+#[test]
+fn correspondence_checks_can_fail() {
+    let h = head(7, 8);
+    let pictures = [picture([20, 10], 0.7, 1), picture([10, 20], 0.7, 2), picture([15, 9], 0.7, 3)];
+    let exact = expected(&h, &pictures).1;
+    let differs = |other: &Gradient| {
+        let narrow = |v: &[f64]| v.iter().map(|&x| x as f32).collect::<Vec<f32>>();
+        let far = |e: &[f64], f: &[f64]| worst(e, &narrow(f), tolerance(e)).is_some_and(|w| w.3 > 1.0);
+        [far(&exact.train, &other.train), far(&exact.pseudo[0], &other.pseudo[0]), far(&exact.decoder, &other.decoder)]
+    };
+    assert_eq!(differs(&exact), [false; 3]);
+    let mut other = pictures.clone();
+    let lost = other[1].1.mask.iter().position(|&m| m).unwrap();
+    other[1].1.mask[lost] = false;
+    assert_eq!(differs(&expected(&h, &other).1), [true; 3]);
+    let mut other = exact.clone();
+    other.train.iter_mut().for_each(|g| *g *= 1.001);
+    assert_eq!(differs(&other), [true, false, false]);
+    let all: Vec<Picture> = pictures.iter().map(|(_, p)| p.clone()).collect();
+    let summed = twin::correspondence(&h, &all[0], &all[1..], 2.0 * WEIGHT, TEMPERATURE).1;
+    assert_eq!(differs(&summed), [true; 3]);
+}
