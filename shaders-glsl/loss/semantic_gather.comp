@@ -19,7 +19,7 @@ const uint QUADS = FEATURES / 4u;
 
 // Samples that touch pixel `at`: first, and one past the last.
 uvec2 span(uint at, uint samples, uint pixels) {
-    if (samples == 1u || pixels == 1u) return at == 0u ? uvec2(0u, samples) : uvec2(0u);
+    if (samples <= 1u || pixels == 1u) return at == 0u ? uvec2(0u, samples) : uvec2(0u);
     uint across = pixels - 1u, steps = samples - 1u;
     uint low = at == 0u ? 0u : (at - 1u) * steps / across + 1u;
     uint high = min(((at + 1u) * steps - 1u) / across, steps);

@@ -227,6 +227,9 @@ fn semantic_loss_at_odd_sizes() {
         assert_eq!(found.stats.semantic_excluded, 0);
     }
     let h = head(5, 40);
+    let none = View { map: [0, 0], targets: vec![], labels: vec![], ..view([9, 7], [1, 1], &h, 1) };
+    let found = check(&gpu, "a view without a map", &h, &none, false, [9, 7]);
+    assert!(found.image.iter().chain(&found.decoder).all(|&g| g == 0.0));
     check(&gpu, "a small view of a large buffer", &h, &view([9, 7], [6, 8], &h, 1), false, [31, 20]);
 }
 

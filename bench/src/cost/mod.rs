@@ -6,6 +6,7 @@
 //! specialization constants say about it, and not from what a kernel happens to do: a kernel that does more than it must
 //! shows a lower share.
 
+mod meaning;
 mod model;
 
 use crate::commands::ceiling::Ceiling;
@@ -31,6 +32,10 @@ pub struct Counts {
     pub elements: f64,
     /// Gaussians that densification copies.
     pub moved: f64,
+    /// Samples of a semantic target map.
+    pub samples: f64,
+    /// Pixels of a region.
+    pub masked: f64,
 }
 
 /// What a pass costs.

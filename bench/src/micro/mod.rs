@@ -7,6 +7,7 @@ mod blend_bwd;
 pub mod densify;
 mod photometric;
 mod primitives;
+mod semantic;
 pub mod view;
 
 use crate::commands::ceiling::Ceiling;
@@ -37,12 +38,14 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 7] = [
+pub const STAGES: [(&str, Stage); 9] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
     ("blend_bwd", blend_bwd::both),
     ("photometric", photometric::both),
+    ("semantic", semantic::loss),
+    ("correspondence", semantic::correspondence),
     ("adam", adam::one),
     ("densify", densify::one),
 ];

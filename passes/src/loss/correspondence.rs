@@ -101,7 +101,7 @@ pub fn region(
     let count = sample_groups(pixels(p));
     let sums = g.transient(name("sums"), u64::from(count) * 4 * AUGMENTED as u64);
     let histogram = g.transient(name("histogram"), 4 * u64::from(head.classes));
-    g.fill(&name("clear"), histogram, 0)?;
+    g.fill(name("clear"), histogram, 0)?;
     let bindings = region_sums::Bindings {
         params: p.step.into(),
         image: p.image.into(),

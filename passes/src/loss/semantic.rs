@@ -184,7 +184,7 @@ pub(super) fn sample_groups(count: u64) -> u32 {
 /// Sums of `groups` workgroups, zero at first.
 pub(super) fn partials(g: &mut Graph, name: &str, classes: u32, groups: u32) -> Result<Buffer, GraphError> {
     let buffer = g.transient(format!("{name}.partials"), u64::from(groups) * rows(classes) * 4 * AUGMENTED as u64);
-    g.fill(&format!("{name}.clear"), buffer, 0)?;
+    g.fill(format!("{name}.clear"), buffer, 0)?;
     Ok(buffer)
 }
 

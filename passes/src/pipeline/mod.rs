@@ -5,14 +5,18 @@
 
 mod densify;
 mod geometry;
+mod labeler;
 mod render;
 mod status;
 mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
 pub use geometry::{GeometryOptions, GeometryStep};
+pub use labeler::{LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
 pub use status::{RING, Status};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
-pub use sgs_shaders::structs::{Camera, Densify as DensifySettings, DensifyStats, LossStats, Step, StepReport};
+pub use sgs_shaders::structs::{
+    Camera, Densify as DensifySettings, DensifyStats, LossStats, SemanticTarget, Step, StepReport,
+};

@@ -154,7 +154,7 @@ mod tests {
         let mut rng = Pcg::new(2);
         let h = head(3, 5, 2, &mut rng);
         let train = picture(64, 1.0, &mut rng);
-        let (terms, gradient) = correspondence(&h, &train, &[train.clone()], 1.0, 1.0);
+        let (terms, gradient) = correspondence(&h, &train, std::slice::from_ref(&train), 1.0, 1.0);
         assert_eq!((terms.distance, terms.pairs), (0.0, 1));
         assert!(gradient.train.iter().all(|&g| g == 0.0));
     }

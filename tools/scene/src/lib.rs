@@ -34,7 +34,7 @@ pub use image::{
 };
 pub use maps::{MaskedMap, NormalFrame, RegionMap};
 pub use points::{Pcg, PointCloud, RandomBox};
-pub use priors::{FeatureMap, TextEmbeddings};
+pub use priors::{FeatureMap, TextEmbeddings, UnknownClass};
 pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
 pub use splats::{SH_C0, Splats};

@@ -18,7 +18,7 @@ use crate::view::View;
 const NORMAL_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 const MAP_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 
-/// Per-pixel features, at the size and in the precision they are stored with, and with the photograph's distortion.
+/// Per-pixel features, at the size and in the precision they are stored with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureMap {
     /// Width in cells; the map covers the whole image.
@@ -40,6 +40,25 @@ pub struct TextEmbeddings {
     pub channels: usize,
     /// Embeddings, class by class.
     pub data: Vec<f32>,
+}
+
+impl TextEmbeddings {
+    /// The class of a name.
+    ///
+    /// # Errors
+    /// If there is none; the message lists those that there are.
+    pub fn class(&self, name: &str) -> std::result::Result<usize, UnknownClass> {
+        let at = self.labels.iter().position(|l| l == name);
+        at.ok_or_else(|| UnknownClass { name: name.to_owned(), known: self.labels.join(", ") })
+    }
+}
+
+/// A class that has no text embedding.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is no class \"{name}\"; there are {known}")]
+pub struct UnknownClass {
+    name: String,
+    known: String,
 }
 
 /// `priors/priors.json`.
@@ -127,7 +146,8 @@ impl Scene {
         }
     }
 
-    /// The semantic features of a view, as stored: not resized, not undistorted.
+    /// The semantic features of a view, at the size they are stored with. Distortion is undone cell by cell: features
+    /// are directions, which cannot be averaged. Cells may hold what is not finite, or zeros: they say nothing.
     pub fn semantic_prior(&self, view: usize) -> Result<Option<FeatureMap>> {
         let view = self.view(view)?;
         let Some(path) = self.prior_path("semantic", view, &["npy"]) else {
@@ -135,15 +155,24 @@ impl Scene {
         };
         let array = NpyArray::read(&path)?;
         let [height, width, channels] = array.dimensions3()?;
-        let data = array.to_f16();
-        if let Some(at) = data.iter().position(|v| !v.is_finite()) {
-            let cell = at / channels;
+        if let Some(text) = self.text_embeddings()?
+            && text.channels != channels
+        {
             let problem = format!(
-                "the feature in column {}, row {} is not finite; compute the map again",
-                cell % width,
-                cell / width
+                "the map has {channels} features a cell, but text_embeddings.npy beside it has {} for each class; compute \
+                 both with the same network",
+                text.channels
             );
             return Err(SceneError::image(&path, problem));
+        }
+        let stored = array.to_f16();
+        if view.distortion.is_none() {
+            return Ok(Some(FeatureMap { width, height, channels, data: stored }));
+        }
+        let mut data = Vec::with_capacity(stored.len());
+        for [column, row] in maps::cells(view, width, height) {
+            let at = (row * width + column) * channels;
+            data.extend_from_slice(stored.get(at..at + channels).unwrap_or_default());
         }
         Ok(Some(FeatureMap { width, height, channels, data }))
     }
@@ -159,7 +188,14 @@ impl Scene {
         let Labels { labels } = read_json(&folder.join("labels.json"))?;
         let data = array.to_f32();
         match array.shape[..] {
-            [classes, channels] if classes == labels.len() && channels > 0 && data.iter().all(|v| v.is_finite()) => {
+            [classes, channels]
+                if classes == labels.len() && classes * channels > 0 && data.iter().all(|v| v.is_finite()) =>
+            {
+                let twice = labels.iter().enumerate().find(|(i, l)| labels[..*i].contains(l));
+                if let Some((_, label)) = twice {
+                    let problem = format!("\"{label}\" occurs twice; every class needs a name of its own");
+                    return Err(SceneError::image(&folder.join("labels.json"), problem));
+                }
                 Ok(Some(TextEmbeddings { labels, channels, data }))
             }
             _ => {

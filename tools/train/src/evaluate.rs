@@ -24,6 +24,9 @@ pub struct ViewMetrics {
     /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
+    /// Classes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub semantic: Option<Semantic>,
 }
 
 /// Image metrics.
@@ -34,6 +37,16 @@ pub struct Nvs {
     /// Structural similarity.
     pub ssim: f64,
 }
+
+/// Metrics of classes.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Semantic {
+    /// Share of pixels with the true class.
+    pub accuracy: f64,
+}
+
+/// Gives the class of every pixel of a rendered picture; none where the model has no features.
+pub type Labels<'l> = &'l mut dyn FnMut(&Picture) -> Result<Option<Vec<u32>>>;
 
 /// Means over the views.
 #[derive(Clone, Debug, Serialize)]
@@ -46,6 +59,9 @@ pub struct Means {
     /// Relative.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
+    /// Classes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub semantic: Option<Semantic>,
 }
 
 /// Metrics of a split.
@@ -70,7 +86,7 @@ pub fn render_view(
     Ok(renderer.render(gaussians, &camera(view), gaussians.model.sh_degree, background)?)
 }
 
-/// Measures at some views; `look` sees every rendered picture.
+/// Measures at some views; `labels` classifies every rendered picture, `look` sees it.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -80,6 +96,7 @@ pub fn evaluate(
     gaussians: &Gaussians,
     views: &[usize],
     background: [f32; 3],
+    labels: Labels<'_>,
     mut look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
     let truth = GroundTruth::of(scene);
@@ -112,8 +129,14 @@ pub fn evaluate(
             Some(t) => known(metrics::depth_rel(&rendered.depth, &t, mask))?,
             None => None,
         };
+        let semantic = match (labels(&picture)?, truth.semantic(i)?) {
+            (Some(l), Some(t)) => known(metrics::label_accuracy(&l, picture.size, &t, mask))?,
+            _ => None,
+        };
+        let semantic = semantic.map(|accuracy| Semantic { accuracy });
         look(&view.camera.name, &rendered)?;
-        out.push(ViewMetrics { name: view.camera.name.clone(), nvs, normal_mae_deg: normal, depth_rel: depth });
+        let name = view.camera.name.clone();
+        out.push(ViewMetrics { name, nvs, normal_mae_deg: normal, depth_rel: depth, semantic });
     }
     let n = out.len().max(1) as f64;
     let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
@@ -125,6 +148,7 @@ pub fn evaluate(
         nvs: Nvs { psnr: mean(&|v| v.nvs.psnr), ssim: mean(&|v| v.nvs.ssim) },
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         depth_rel: some(&|v| v.depth_rel),
+        semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
     };
     Ok(Evaluation { mean, views: out })
 }

@@ -12,14 +12,16 @@ mod memory;
 pub mod metrics;
 mod run;
 mod schedule;
+mod semantics;
 mod settings;
 
 pub use convert::{camera, gaussian_data, splats};
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
-pub use evaluate::{Evaluation, Means, ViewMetrics, evaluate, normals_from_depth, render_view};
+pub use evaluate::{Evaluation, Labels, Means, Semantic, ViewMetrics, evaluate, normals_from_depth, render_view};
 pub use geometry::{Geometry, Progress};
 pub use memory::{Needs, parse_bytes};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;
+pub use semantics::{SemanticData, SemanticView};
 pub use settings::{Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, Rates, Settings};

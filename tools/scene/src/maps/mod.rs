@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 pub use normal::NormalFrame;
 pub(crate) use normal::load as load_normals;
 pub use numbers::RegionMap;
-pub(crate) use numbers::load as load_numbers;
+pub(crate) use numbers::{cells, load as load_numbers};
 
 use crate::error::Result;
 use crate::image::{Encoding, Image, NpyArray, read_raster, resize_valid, srgb_to_linear, undistort};

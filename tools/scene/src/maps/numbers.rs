@@ -37,3 +37,20 @@ pub(crate) fn load(path: &Path, view: &View) -> Result<RegionMap> {
     }
     Ok(RegionMap { width: camera.width, height: camera.height, ids })
 }
+
+/// For every cell of a map of this size without distortion, row by row, the column and row of the stored cell at its
+/// center.
+pub(crate) fn cells(view: &View, width: usize, height: usize) -> impl Iterator<Item = [usize; 2]> {
+    let (camera, distortion) = (view.camera.clone(), view.distortion);
+    let [w, h] = [width, height].map(|n| n as f64);
+    let [across, down] = [f64::from(camera.width), f64::from(camera.height)];
+    (0..width * height).map(move |i| {
+        let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let nx = (x / w * across - camera.cx) / camera.fx;
+        let ny = (y / h * down - camera.cy) / camera.fy;
+        let (dx, dy) = distortion.distort(nx, ny);
+        let (u, v) = ((dx * camera.fx + camera.cx) / across * w, (dy * camera.fy + camera.cy) / down * h);
+        // The casts stop at zero and are total.
+        [((u + 1e-9).floor() as usize).min(width - 1), ((v + 1e-9).floor() as usize).min(height - 1)]
+    })
+}

@@ -5,11 +5,13 @@
 //! no pixel counts, instead of returning a number that means nothing.
 
 mod depth;
+mod label;
 mod normal;
 mod psnr;
 mod ssim;
 
 pub use depth::depth_rel;
+pub use label::label_accuracy;
 pub use normal::normal_mae_deg;
 pub use psnr::{mse, psnr, psnr_scaled};
 pub use ssim::ssim;

@@ -1,0 +1,64 @@
+//! The cost of the kernels of meaning.
+
+use super::{Cost, Counts, Stage};
+
+/// Features, and with the bias's one; width of what is decoded; bytes of the decoder.
+const FEATURES: f64 = 32.0;
+const AUGMENTED: f64 = 33.0;
+const EMBEDDING: f64 = 512.0;
+const DECODER_BYTES: f64 = 4.0 * EMBEDDING * AUGMENTED;
+
+/// One sample: the product with the Gram matrix and its square's share of the decoder's sums; lengths and scaling.
+const SAMPLE: f64 = 4.0 * AUGMENTED * AUGMENTED + 400.0;
+
+/// One class of a sample: its logit, its part of the gradient, its row of the decoder's sums; two exponentials.
+const CLASS: f64 = 2.0 * AUGMENTED + 2.0 * FEATURES + 2.0 * AUGMENTED + 18.0;
+
+/// A kernel's cost, if it is one of these.
+pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    let spec = s.specs;
+    let (classes, m, p) = (spec("CLASSES"), c.samples, c.pixels);
+    let text = 4.0 * classes * EMBEDDING;
+    let target = 2.0 * EMBEDDING;
+    // What a sample or pixel leaves for the decoder is added up by workgroup; that is memory of its own.
+    let small = 4.0 * AUGMENTED * (AUGMENTED + classes);
+    let (bytes, operations) = match s.kernel {
+        "semantic_target" => ((target + 8.0) * m + text, 2.0 * EMBEDDING * (1.0 + classes) * m),
+        "semantic_prepare" => (DECODER_BYTES + text + small, 2.0 * EMBEDDING * AUGMENTED * (AUGMENTED + classes)),
+        "semantic_project" => ((target + 4.0 * AUGMENTED) * m + DECODER_BYTES, 2.0 * EMBEDDING * AUGMENTED * m),
+        "semantic_outer" => {
+            ((target + 4.0 * AUGMENTED) * m + DECODER_BYTES * spec("SPLITS"), 2.0 * EMBEDDING * AUGMENTED * m)
+        }
+        // A sample reads the features of up to four pixels, its target's products, and writes those and a gradient.
+        "semantic_samples" => {
+            let read = 4.0 * FEATURES * p.min(4.0 * m) + (8.0 + 4.0 * AUGMENTED) * m;
+            (read + 4.0 * (AUGMENTED + FEATURES) * m + 2.0 * small * s.groups, (SAMPLE + CLASS * classes) * m)
+        }
+        "semantic_gather" => (4.0 * FEATURES * (m + p), 8.0 * FEATURES * m + 10.0 * FEATURES * p),
+        "semantic_reduce" => {
+            let (width, groups) = ((s.push)(0), (s.push)(1));
+            (4.0 * width * (groups + 2.0), width * groups)
+        }
+        "decoder_gradient" => {
+            let splits = spec("SPLITS");
+            let sums = splits + 2.0 * (AUGMENTED + classes);
+            (DECODER_BYTES * (splits + 2.0) + text + small, EMBEDDING * AUGMENTED * sums)
+        }
+        "region_sums" => {
+            let class = if spec("CLASSIFY") > 0.0 { 2.0 * AUGMENTED * classes } else { 0.0 };
+            (4.0 * FEATURES * c.masked + p / 8.0, (FEATURES + class) * c.masked)
+        }
+        "region_finish" => (4.0 * AUGMENTED * (s.push)(0), AUGMENTED * (s.push)(0)),
+        "correspondence_bwd" => {
+            let bytes = 4.0 * FEATURES * (c.masked + p) + p / 8.0 + 2.0 * small * s.groups;
+            (bytes, (SAMPLE + CLASS * classes) * c.masked)
+        }
+        "correspondence_train_bwd" => (12.0 * FEATURES * c.masked + p / 8.0, 2.0 * FEATURES * c.masked),
+        "semantic_labels" => {
+            ((4.0 * FEATURES + 8.0) * p, (2.0 * AUGMENTED * AUGMENTED + 4.0 * AUGMENTED * classes) * p)
+        }
+        "semantic_sum" => (64.0, 16.0),
+        _ => return None,
+    };
+    Some(Cost { bytes, operations })
+}

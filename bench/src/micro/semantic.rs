@@ -1,0 +1,224 @@
+//! The semantic loss of a view, and the correspondence of a region, against their twins: losses, gradients by features
+//! and by the decoder.
+
+use super::Context;
+use crate::cost::Counts;
+use crate::harness::{Rig, add_passes, bytes};
+use crate::report::Report;
+use half::f16;
+use sgs_engine::graph::Graph;
+use sgs_passes::loss::{
+    Head, Pictured, SemanticLoss, SemanticTargets, correspondence_bwd, correspondence_train_bwd, decoder_gradient,
+    normalize_embeddings, pack_mask, region, regions, semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
+};
+use sgs_passes::reference::correspondence as region_twin;
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::semantic as twin;
+use sgs_passes::scene::{Decoder, EMBEDDING, FEATURES};
+use sgs_shaders::structs::{LossStats, SemanticTarget, Step};
+
+/// As many as a furnished room has.
+const CLASSES: usize = 27;
+/// Color and features.
+const CHANNELS: usize = 3 + FEATURES;
+const FIRST: usize = 3;
+/// The twin forms everything at full width; larger maps would take it minutes.
+const LARGEST_MAP: [u32; 2] = [240, 180];
+/// Likewise, for pictures of a region.
+const LARGEST_PICTURE: [u32; 2] = [640, 480];
+
+fn head() -> twin::Head {
+    let mut rng = Pcg::new(3);
+    let text: Vec<f32> = (0..CLASSES * EMBEDDING).map(|_| rng.normal() as f32).collect();
+    let wide = |v: Vec<f32>| v.into_iter().map(f64::from).collect();
+    twin::Head {
+        features: FEATURES,
+        embedding: EMBEDDING,
+        decoder: wide(Decoder::initial(3)),
+        text: wide(normalize_embeddings(&text)),
+    }
+}
+
+fn narrow(v: &[f64]) -> Vec<f32> {
+    v.iter().map(|&x| x as f32).collect()
+}
+
+/// Features of a picture among its channels.
+fn interleaved(features: &[f64]) -> Vec<f32> {
+    let pixel = |f: &[f64]| [vec![0.0; FIRST], narrow(f)].concat();
+    features.chunks(FEATURES).flat_map(pixel).collect()
+}
+
+fn features_of(image: &[f32]) -> Vec<f32> {
+    image.chunks(CHANNELS).flat_map(|p| &p[FIRST..]).copied().collect()
+}
+
+/// Fails unless all elements are within a share of the largest.
+fn close(what: &str, expected: &[f64], found: &[f32]) -> anyhow::Result<()> {
+    let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
+    for (i, (e, f)) in expected.iter().zip(found).enumerate() {
+        let right = (e - f64::from(*f)).abs() <= 2e-5 * largest + 1e-4 * e.abs();
+        anyhow::ensure!(right, "Element {i} of the gradient by {what} is {f}, but should be {e}.");
+    }
+    Ok(())
+}
+
+fn values(size: [u32; 2]) -> Step {
+    let mut s = Step {
+        weight_semantic: 1.0,
+        weight_semantic_class: 1.0,
+        weight_correspondence: 1.0,
+        inverse_temperature: 1.0,
+        ..Default::default()
+    };
+    s.camera.size = size;
+    s
+}
+
+/// The training view's loss.
+pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    let size = c.workload.largest;
+    let map = [0, 1].map(|k| (size[k] / 4).clamp(1, LARGEST_MAP[k]));
+    let [pixels, samples] = [size, map].map(|[w, h]| (w * h) as usize);
+    let h = head();
+    let mut rng = Pcg::new(9);
+    let image: Vec<f64> = (0..pixels * FEATURES).map(|_| f64::from((2.0 * rng.normal()) as f32)).collect();
+    let mut halves = Vec::with_capacity(samples * EMBEDDING);
+    for _ in 0..samples {
+        let text = &h.text[rng.next_u32() as usize % CLASSES * EMBEDDING..][..EMBEDDING];
+        halves.extend(text.iter().map(|t| f16::from_f64(3.0 * t + 0.05 * rng.normal())));
+    }
+    let sides = |s: [u32; 2]| s.map(|n| n as usize);
+    let targets: Vec<f64> = halves.iter().map(|t| t.to_f64()).collect();
+    let mut view = twin::View { size: sides(size), image, map: sides(map), targets, labels: vec![] };
+    view.labels = view.own_labels(&h);
+
+    let mut g = Graph::new("semantic");
+    let floats = 4 * (pixels * CHANNELS) as u64;
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let image = g.input("image", floats);
+    let features = g.input("features", 2 * halves.len() as u64);
+    let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
+    let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+    let targets = g.external("targets", (samples * size_of::<SemanticTarget>()) as u64);
+    let grad_image = g.external("grad_image", floats);
+    let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
+    let stats = g.external("stats", size_of::<LossStats>() as u64);
+    let classes = CLASSES as u32;
+    semantic_targets(&mut g, c.tuning, features, embeddings, classes, None, samples as u32, targets)?;
+    let on_gpu = Head { decoder, embeddings, classes };
+    let prepared = semantic_prepare(&mut g, c.tuning, &on_gpu)?;
+    let a = SemanticLoss {
+        step,
+        image,
+        channels: CHANNELS as u32,
+        first: FIRST as u32,
+        largest: size,
+        targets: SemanticTargets { features, targets, largest: samples as u32 },
+    };
+    let sums = semantic_loss(&mut g, c.tuning, &a, &on_gpu, &prepared, grad_image)?;
+    decoder_gradient(&mut g, c.tuning, &on_gpu, &prepared, Some(&sums), gradient)?;
+    g.fill("out.clear", stats, 0)?;
+    semantic_sum(&mut g, c.tuning, step, Some(&sums), None, stats)?;
+    let counted = samples as u32;
+    let values = Step { semantic_size: map, semantic_valid: counted, semantic_labeled: counted, ..values(size) };
+    let inputs = vec![
+        (step, bytes(&[values])),
+        (image, bytes(&interleaved(&view.image))),
+        (features, bytes(&halves)),
+        (embeddings, bytes(&narrow(&h.text))),
+        (decoder, bytes(&narrow(&h.decoder))),
+    ];
+    let mut rig = Rig::new(c.device, g, inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    let counts = Counts { pixels: pixels as f64, samples: samples as f64, ..Default::default() };
+    add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
+
+    let (terms, expected) =
+        twin::semantic_loss(&h, &view, &twin::Weights { cosine: 1.0, class: 1.0, temperature: 1.0 });
+    let found: LossStats = rig.get(stats)?[0];
+    for (name, e, f) in [("cosine", terms.cosine, found.semantic), ("cross-entropy", terms.class, found.semantic_class)]
+    {
+        anyhow::ensure!((e - f64::from(f)).abs() < 1e-5 * e.abs(), "The {name} is {f}, but should be {e}.");
+    }
+    close("features", &expected.image, &features_of(&rig.get(grad_image)?))?;
+    close("the decoder", &expected.decoder, &rig.get(gradient)?)?;
+    report.check(format!("semantic: losses and gradients of {samples} samples are those of the twin"));
+    Ok(())
+}
+
+/// A region in a training view and one pseudo-view.
+pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    let size = [0, 1].map(|k| c.workload.largest[k].min(LARGEST_PICTURE[k]));
+    let pixels = (size[0] * size[1]) as usize;
+    let h = head();
+    let picture = |seed: u32| {
+        let mut rng = Pcg::new(seed);
+        let image = (0..pixels * FEATURES).map(|_| f64::from((1.0 + rng.normal()) as f32)).collect();
+        // A third of the columns and of the rows.
+        let third = |p: usize| {
+            let (x, y) = (p as u32 % size[0], p as u32 / size[0]);
+            3 * x >= size[0] && 3 * x < 2 * size[0] && 3 * y >= size[1] && 3 * y < 2 * size[1]
+        };
+        region_twin::Picture { image, mask: (0..pixels).map(third).collect() }
+    };
+    let pictures = [picture(1), picture(2)];
+    let mut g = Graph::new("correspondence");
+    let floats = 4 * (pixels * CHANNELS) as u64;
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
+    let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+    let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
+    let on_gpu = Head { decoder, embeddings, classes: CLASSES as u32 };
+    let prepared = semantic_prepare(&mut g, c.tuning, &on_gpu)?;
+    let shared = regions(&mut g, 1);
+    let mut inputs = vec![
+        (step, bytes(&[values(size)])),
+        (embeddings, bytes(&narrow(&h.text))),
+        (decoder, bytes(&narrow(&h.decoder))),
+    ];
+    let mut declared = Vec::new();
+    for (i, p) in pictures.iter().enumerate() {
+        let mask = pack_mask(&p.mask);
+        let on_gpu_picture = Pictured {
+            step,
+            image: g.input(format!("image{i}"), floats),
+            channels: CHANNELS as u32,
+            first: FIRST as u32,
+            largest: size,
+            mask: g.input(format!("mask{i}"), 4 * mask.len() as u64),
+        };
+        inputs.push((on_gpu_picture.image, bytes(&interleaved(&p.image))));
+        inputs.push((on_gpu_picture.mask, bytes(&mask)));
+        region(&mut g, &on_gpu_picture, &on_gpu, &prepared, &shared, i as u32)?;
+        declared.push((on_gpu_picture, g.external(format!("grad_image{i}"), floats)));
+    }
+    correspondence_bwd(&mut g, c.tuning, &declared[1..], &on_gpu, &prepared, &shared)?;
+    g.fill("out.clear", declared[0].1, 0)?;
+    correspondence_train_bwd(&mut g, c.tuning, &declared[0].0, &shared, declared[0].1)?;
+    decoder_gradient(&mut g, c.tuning, &on_gpu, &prepared, None, gradient)?;
+    let mut rig = Rig::new(c.device, g, inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    let masked = pictures[0].mask.iter().filter(|&&m| m).count();
+    let counts = Counts { pixels: pixels as f64, masked: masked as f64, ..Default::default() };
+    add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
+
+    let (_, expected) = region_twin::correspondence(&h, &pictures[0], &pictures[1..], 1.0, 1.0);
+    close("the training view", &expected.train, &features_of(&rig.get(declared[0].1)?))?;
+    close("the pseudo-view", &expected.pseudo[0], &features_of(&rig.get(declared[1].1)?))?;
+    close("the decoder", &expected.decoder, &rig.get(gradient)?)?;
+    report.check(format!("correspondence: gradients of {masked} pixels of {pixels} are those of the twin"));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_caught() {
+        assert!(close("x", &[1.0, 0.1], &[1.0, 0.1]).is_ok());
+        assert!(close("x", &[1.0, 0.1], &[1.0, 0.101]).is_err());
+        assert!(close("x", &[1.0, 0.1], &[f32::NAN, 0.1]).is_err());
+    }
+}

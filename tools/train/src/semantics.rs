@@ -1,0 +1,130 @@
+//! Semantic features of the training views on the GPU, one behind the other, with what they say; and the classes' texts.
+
+use crate::error::{Result, TrainError};
+use half::f16;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_passes::Tuning;
+use sgs_passes::loss::{count_targets, normalize_embeddings, semantic_targets};
+use sgs_passes::pipeline::SemanticTarget;
+use sgs_passes::scene::EMBEDDING;
+use sgs_scene::{FeatureMap, Scene, TextEmbeddings};
+use std::sync::Arc;
+
+/// A view's map in the buffers of all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SemanticView {
+    /// Columns and rows of the map; zeros for a view without one.
+    pub size: [u32; 2],
+    /// First sample.
+    pub offset: u32,
+    /// Samples that say something.
+    pub valid: u32,
+    /// Samples that have a class.
+    pub labeled: u32,
+}
+
+/// What semantic losses compare with.
+pub struct SemanticData {
+    /// `[samples * 512]` halves.
+    pub features: DeviceBuffer,
+    /// `[samples]` of `SemanticTarget`.
+    pub targets: DeviceBuffer,
+    /// `[classes * 512]` floats, each row of length one.
+    pub embeddings: DeviceBuffer,
+    /// Names of the classes, and their texts as stored.
+    pub text: TextEmbeddings,
+    /// Samples of the largest map.
+    pub largest: u32,
+    /// By training view, in the order of the split.
+    pub views: Vec<SemanticView>,
+}
+
+impl SemanticData {
+    /// Loads the maps of the training views; none without text embeddings or without any map. Maps may differ in size.
+    ///
+    /// # Errors
+    /// If a file cannot be used, a width is not 512, or memory runs out.
+    pub fn load(device: &Device, scene: &Scene) -> Result<Option<SemanticData>> {
+        let Some(text) = scene.text_embeddings()? else { return Ok(None) };
+        if text.channels != EMBEDDING {
+            return Err(TrainError::Setting(format!(
+                "The text embeddings are {} wide, but the decoder makes {EMBEDDING} numbers; compute priors/semantic with \
+                 CLIP ViT-B/16 or a network of that width.",
+                text.channels
+            )));
+        }
+        let mut views = Vec::new();
+        let mut samples = 0_u64;
+        // Sizes first, so that only one map is in the host's memory at a time.
+        for &i in &scene.split.train {
+            let map = scene.semantic_prior(i)?;
+            let size = map.map_or([0, 0], |m| [m.width as u32, m.height as u32]);
+            views.push(SemanticView { size, offset: samples as u32, ..Default::default() });
+            samples += u64::from(size[0]) * u64::from(size[1]);
+        }
+        if samples == 0 {
+            return Ok(None);
+        }
+        // Kernels count words of two halves in 32 bits.
+        if samples * EMBEDDING as u64 / 2 > u64::from(u32::MAX) {
+            return Err(TrainError::Setting(format!(
+                "The semantic maps hold {samples} cells, more than the 16777215 that one buffer can; make them smaller."
+            )));
+        }
+        let row = 2 * EMBEDDING as u64;
+        let features = device.buffer("semantic_features", samples * row, Location::Device)?;
+        for (&i, view) in scene.split.train.iter().zip(&views) {
+            if let Some(FeatureMap { data, .. }) = scene.semantic_prior(i)? {
+                device.upload(&features, u64::from(view.offset) * row, bytemuck::cast_slice::<f16, u8>(&data))?;
+            }
+        }
+        let unit = normalize_embeddings(&text.data);
+        let embeddings = device.buffer("text_embeddings", 4 * unit.len() as u64, Location::Device)?;
+        device.upload(&embeddings, 0, bytemuck::cast_slice(&unit))?;
+        let bytes = samples * size_of::<SemanticTarget>() as u64;
+        let targets = device.buffer("semantic_targets", bytes, Location::Device)?;
+        work_out(device, &features, &embeddings, text.labels.len() as u32, samples as u32, &targets)?;
+        let said: Vec<SemanticTarget> = device.download_as(&targets, samples as usize)?;
+        let mut largest = 0;
+        for view in &mut views {
+            let count = view.size[0] * view.size[1];
+            largest = largest.max(count);
+            let first = view.offset as usize;
+            [view.valid, view.labeled] = count_targets(&said[first..first + count as usize]);
+        }
+        Ok(Some(SemanticData { features, targets, embeddings, text, largest, views }))
+    }
+
+    /// Bytes of device memory.
+    pub fn bytes(&self) -> u64 {
+        self.features.bytes() + self.targets.bytes() + self.embeddings.bytes()
+    }
+}
+
+/// Runs `semantic_target` once over all samples.
+fn work_out(
+    device: &Device,
+    features: &DeviceBuffer,
+    embeddings: &DeviceBuffer,
+    classes: u32,
+    samples: u32,
+    targets: &DeviceBuffer,
+) -> Result<()> {
+    let run = || -> sgs_engine::Result<()> {
+        let mut g = Graph::new("semantic_targets");
+        let handles = [g.input("features", features.bytes()), g.input("embeddings", embeddings.bytes())];
+        let out = g.external("targets", targets.bytes());
+        let tuning = Tuning::for_device(device.info());
+        semantic_targets(&mut g, tuning, handles[0], handles[1], classes, None, samples, out)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let mut exec = Executor::new(device, plan, ExecOptions::default())?;
+        exec.bind(handles[0], features)?;
+        exec.bind(handles[1], embeddings)?;
+        exec.bind(out, targets)?;
+        exec.submit(&[])?;
+        exec.finish()
+    };
+    Ok(run()?)
+}
