@@ -549,3 +549,71 @@ fn label_maps_are_those_of_the_reference() {
         assert!(relevance[pixels..].iter().all(|r| r.to_bits() == u32::MAX));
     }
 }
+
+/// Targets of a scene on disk: maps of different sizes, a view without one, cells that say nothing; and a picture's
+/// classes, twice larger the second time.
+#[test]
+fn semantic_priors_of_a_scene_reach_the_device() {
+    use sgs_passes::pipeline::{Labeler, Picture, Query};
+    use sgs_scene::{Scene, SceneOptions};
+    use sgs_tests::{Place, rooms::Room};
+    use sgs_train::{SemanticData, SemanticView};
+    let gpu = Gpu::new();
+    let device = gpu.device();
+    let place = Place::new(Room { views: 4, size: [8, 6], ..Default::default() });
+    let h = head(3, 31);
+    let npy = |descr: &str, shape: &str, data: &[u8]| {
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        header.push_str(&" ".repeat(63 - (header.len() + 10) % 64));
+        header.push('\n');
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), data].concat()
+    };
+    let folder = place.path("scene/priors/semantic");
+    std::fs::create_dir_all(&folder).unwrap();
+    let write = |name: &str, content: Vec<u8>| std::fs::write(folder.join(name), content).unwrap();
+    let twice: Vec<f32> = h.text.iter().map(|&t| (2.0 * t) as f32).collect();
+    write("text_embeddings.npy", npy("<f4", "(3, 512)", bytemuck::cast_slice(&twice)));
+    write("labels.json", br#"{"labels": ["background", "wall", "floor"]}"#.to_vec());
+    let class = |c: usize| h.text[c * EMBEDDING..][..EMBEDDING].iter().map(|&t| f16::from_f64(t)).collect::<Vec<f16>>();
+    // View 1 is a test view, view 2 has no map.
+    let first =
+        [class(2), class(0), vec![f16::ZERO; EMBEDDING], class(1), class(1), vec![f16::NAN; EMBEDDING]].concat();
+    write("000.npy", npy("<f2", "(2, 3, 512)", bytemuck::cast_slice(&first)));
+    write("003.npy", npy("<f2", "(1, 1, 512)", bytemuck::cast_slice(&class(1))));
+    let open = || Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let data = SemanticData::load(device, &open()).unwrap().unwrap();
+    let view = |size, offset, valid| SemanticView { size, offset, valid, labeled: valid };
+    assert_eq!(data.views, [view([3, 2], 0, 4), view([0, 0], 6, 0), view([1, 1], 6, 1)]);
+    assert_eq!((data.largest, data.text.labels.len()), (6, 3));
+    let targets: Vec<SemanticTarget> = device.download_as(&data.targets, 7).unwrap();
+    let labels: Vec<u32> = targets.iter().map(|t| t.label).collect();
+    assert_eq!(labels, [2, 0, NO_LABEL, 1, 1, NO_LABEL, 1]);
+    let unit: Vec<f32> = device.download_as(&data.embeddings, 3 * EMBEDDING).unwrap();
+    assert_close("texts", &h.text, &unit, Tolerance::new(1e-8, 2e-7));
+
+    let decoder = Decoder::new(device, 31, false).unwrap();
+    let query = Query { class: 1, meaning: Relevance::Probability, temperature: 0.25 };
+    let mut labeler = Labeler::new(device, gpu.tuning(), &unit, query).unwrap();
+    for size in [[5, 3], [4, 2], [10, 6]] {
+        let pixels = (size[0] * size[1]) as usize;
+        let mut rng = Pcg::new(size[0]);
+        let image: Vec<f32> = (0..pixels * CHANNELS).map(|_| rng.normal() as f32).collect();
+        let picture = Picture { size, channels: CHANNELS as u32, image, transmittance: vec![0.0; pixels] };
+        let map = labeler.label(&decoder, &picture, FIRST as u32).unwrap();
+        for (p, pixel) in picture.image.chunks(CHANNELS).enumerate() {
+            let f: Vec<f64> = pixel[FIRST..FIRST + FEATURES].iter().map(|&x| f64::from(x)).collect();
+            let (label, logits) = twin::classify(&h, &f, 0.25);
+            assert_eq!(map.labels[p] as usize, label);
+            let expected = 1.0 / logits.iter().map(|l| (l - logits[1]).exp()).sum::<f64>();
+            assert_close("relevance", &[expected], &[map.relevance[p]], Tolerance::new(2e-6, 1e-5));
+        }
+    }
+
+    write("text_embeddings.npy", npy("<f4", "(3, 2)", &[0; 24]));
+    std::fs::remove_file(folder.join("000.npy")).unwrap();
+    std::fs::remove_file(folder.join("003.npy")).unwrap();
+    let error = SemanticData::load(device, &open()).err().unwrap().to_string();
+    assert!(error.starts_with("The text embeddings are 2 wide, but the decoder makes 512"), "{error}");
+    std::fs::remove_file(folder.join("text_embeddings.npy")).unwrap();
+    assert!(SemanticData::load(device, &open()).unwrap().is_none());
+}

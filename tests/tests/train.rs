@@ -143,8 +143,7 @@ fn learn(place: &Place, s: &Settings) -> (Vec<f32>, Evaluation) {
     training.train(s.geometry.steps, heard, || true).unwrap();
     let background = s.geometry.background;
     let views = &scene.split.test;
-    let result =
-        evaluate(&device, &scene, training.gaussians(), views, background, &mut |_| Ok(None), |_, _| Ok(())).unwrap();
+    let result = evaluate(&device, &scene, training.gaussians(), views, background, |_, _| Ok(())).unwrap();
     (losses, result)
 }
 

@@ -86,11 +86,26 @@ pub fn render_view(
     Ok(renderer.render(gaussians, &camera(view), gaussians.model.sh_degree, background)?)
 }
 
-/// Measures at some views; `labels` classifies every rendered picture, `look` sees it.
+/// Measures at some views; `look` sees every rendered picture.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
 pub fn evaluate(
+    device: &Device,
+    scene: &Scene,
+    gaussians: &Gaussians,
+    views: &[usize],
+    background: [f32; 3],
+    look: impl FnMut(&str, &Rendered) -> Result<()>,
+) -> Result<Evaluation> {
+    evaluate_classes(device, scene, gaussians, views, background, &mut |_| Ok(None), look)
+}
+
+/// As [`evaluate`], and `labels` classifies every rendered picture.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate_classes(
     device: &Device,
     scene: &Scene,
     gaussians: &Gaussians,

@@ -18,7 +18,9 @@ mod settings;
 pub use convert::{camera, gaussian_data, splats};
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
-pub use evaluate::{Evaluation, Labels, Means, Semantic, ViewMetrics, evaluate, normals_from_depth, render_view};
+pub use evaluate::{
+    Evaluation, Labels, Means, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth, render_view,
+};
 pub use geometry::{Geometry, Progress};
 pub use memory::{Needs, parse_bytes};
 pub use run::{RunDirectory, StepLog};

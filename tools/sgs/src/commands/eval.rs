@@ -46,34 +46,26 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(dir) = &a.images {
         std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
     }
-    let result = evaluate(
-        &device,
-        &scene,
-        &gaussians,
-        views,
-        settings.geometry.background,
-        &mut |_| Ok(None),
-        |name, rendered| {
-            if let Some(dir) = &a.images {
-                write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
-                let view = scene.views.iter().position(|v| v.camera.name == name);
-                let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
-                row.push(rendered.rgb.clone());
-                if let Some(normal) = &rendered.normal {
-                    let mut shown = normal.clone();
-                    shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
-                    write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
-                    row.push(shown);
-                }
-                write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
-                let mut shown = rendered.depth.clone();
-                let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-                shown.data.iter_mut().for_each(|v| *v /= far);
-                write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+    let result = evaluate(&device, &scene, &gaussians, views, settings.geometry.background, |name, rendered| {
+        if let Some(dir) = &a.images {
+            write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+            let view = scene.views.iter().position(|v| v.camera.name == name);
+            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+            row.push(rendered.rgb.clone());
+            if let Some(normal) = &rendered.normal {
+                let mut shown = normal.clone();
+                shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
+                write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+                row.push(shown);
             }
-            Ok(())
-        },
-    )?;
+            write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
+            let mut shown = rendered.depth.clone();
+            let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
+            shown.data.iter_mut().for_each(|v| *v /= far);
+            write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+        }
+        Ok(())
+    })?;
     let split = if a.split == Split::Test { "test" } else { "train" };
     record(&run, split, &result, splats.len())?;
     if !common.answer(&result)? {
