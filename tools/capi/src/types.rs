@@ -1,7 +1,7 @@
 //! The types of `sgs.h`: results, constants, structs that begin with their size.
 //!
 //! Promises that every struct is valid with all bits zero, and that fields are only ever added at the end. Leaves reading
-//! and writing them across the border to [`crate::border`].
+//! and writing them across the border to `border`.
 
 use std::ffi::{c_char, c_void};
 
