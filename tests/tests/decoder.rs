@@ -1,0 +1,243 @@
+//! The decoder's step, label maps, and semantic priors of a scene on a device.
+
+use half::f16;
+use sgs_engine::graph::Graph;
+use sgs_passes::loss::{
+    Head, NO_LABEL, Relevance, SemanticLabels, normalize_embeddings, semantic_labels, semantic_prepare,
+};
+use sgs_passes::reference::adam as adam_twin;
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::semantic as twin;
+use sgs_passes::scene::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
+use sgs_shaders::structs::{SemanticTarget, Step, Work};
+use sgs_tests::{Gpu, Tolerance, assert_close, worst};
+
+/// Pixels behind this view's.
+const SPARE: usize = 7;
+const CHANNELS: usize = 38;
+const FIRST: usize = 4;
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// A decoder as it starts, and texts.
+fn head(classes: usize, seed: u32) -> twin::Head {
+    let mut rng = Pcg::new(seed);
+    let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
+    twin::Head {
+        features: FEATURES,
+        embedding: EMBEDDING,
+        decoder: Decoder::initial(seed).into_iter().map(f64::from).collect(),
+        text: normalize_embeddings(&text).into_iter().map(f64::from).collect(),
+    }
+}
+
+#[test]
+fn the_decoder_follows_adam_and_a_flag_stops_it() {
+    let gpu = Gpu::new();
+    let n = EMBEDDING * AUGMENTED;
+    let mut rng = Pcg::new(1);
+    let start = Decoder::initial(8);
+    // Small enough that epsilon is seen.
+    let slope: Vec<f32> = (0..n).map(|_| (1e-7 * rng.normal()) as f32).collect();
+    for flag in [0_u32, 4] {
+        let mut g = Graph::new("decoder");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let decoder = DecoderHandles {
+            parameters: g.external("decoder", 4 * n as u64),
+            moments: Some(g.external("moments", 8 * n as u64)),
+            work: g.input("work", size_of::<Work>() as u64),
+        };
+        let (gradients, flags) = (g.input("gradients", 4 * n as u64), g.input("flags", 4));
+        let skipped = g.external("skipped", 4);
+        decoder_step(&mut g, gpu.tuning(), step, &decoder, gradients, flags, skipped).unwrap();
+        let rates = adam_twin::Rates::at(1e-4, 1);
+        let values = Step {
+            lr_decoder: rates.lr as f32,
+            correction1: rates.correction1 as f32,
+            correction2: rates.correction2 as f32,
+            lr_means: f32::NAN,
+            ..Default::default()
+        };
+        let inputs = [
+            (step, bytes(&[values])),
+            (decoder.parameters, bytes(&start)),
+            (decoder.moments.unwrap(), vec![0; 8 * n]),
+            (decoder.work, bytes(&[Work { x: 2, y: 1, z: 1, count: EMBEDDING as u32 }])),
+            (gradients, bytes(&slope)),
+            (flags, bytes(&[flag])),
+            (skipped, bytes(&[0_u32])),
+        ];
+        let out = gpu.run(g, &inputs);
+        let found = out.get::<f32>(decoder.parameters);
+        if flag != 0 {
+            assert!(bytes(&found) == bytes(&start));
+            assert!(out.get::<u32>(decoder.moments.unwrap()).iter().all(|&x| x == 0));
+            continue;
+        }
+        let moved = |epsilon: f64| -> Vec<f64> {
+            let one = |(&p, &g): (&f32, &f32)| {
+                let p = f64::from(p);
+                adam_twin::adam_with(p, [0.0; 2], f64::from(g), rates, epsilon).0
+            };
+            start.iter().zip(&slope).map(one).collect()
+        };
+        let t = Tolerance::new(1e-8, 2e-7);
+        assert_close("decoder", &moved(1e-8), &found, t);
+        assert!(worst(&moved(1e-15), &found, t).is_some_and(|w| w.3 > 1.0), "epsilon is not seen");
+    }
+}
+
+#[test]
+fn a_decoder_goes_to_a_checkpoint_and_back() {
+    let gpu = Gpu::new();
+    let device = gpu.device();
+    let a = Decoder::new(device, 3, true).unwrap();
+    assert_eq!(a.download(device).unwrap(), Decoder::initial(3));
+    let moments: Vec<f32> = (0..2 * EMBEDDING * AUGMENTED).map(|i| i as f32).collect();
+    let b = Decoder::new(device, 4, true).unwrap();
+    b.upload(device, &a.download(device).unwrap()).unwrap();
+    assert!(b.download_moments(device).unwrap().iter().all(|&m| m == 0.0));
+    b.upload_moments(device, &moments).unwrap();
+    assert_eq!(b.download_moments(device).unwrap(), moments);
+    assert_eq!(b.download(device).unwrap(), Decoder::initial(3));
+    assert!(Decoder::new(device, 3, false).unwrap().download_moments(device).unwrap().is_empty());
+}
+
+#[test]
+fn label_maps_are_those_of_the_reference() {
+    let gpu = Gpu::new();
+    for (classes, query, meaning) in
+        [(1, 0, Relevance::Cosine), (9, 4, Relevance::Probability), (200, 199, Relevance::Cosine)]
+    {
+        let h = head(classes, 21);
+        let pixels = 13 * 9;
+        let mut rng = Pcg::new(121);
+        let features: Vec<f64> = (0..pixels * FEATURES).map(|_| 2.0 * rng.normal()).collect();
+        let mut image = vec![f32::NAN; (pixels + SPARE) * CHANNELS];
+        for p in 0..pixels {
+            for k in 0..FEATURES {
+                let scale = if p == 3 { 1e25 } else { f64::from(u8::from(p != 4)) };
+                image[p * CHANNELS + FIRST + k] = (scale * features[p * FEATURES + k]) as f32;
+            }
+        }
+        image[7 * CHANNELS + FIRST + 30] = f32::INFINITY;
+        let mut g = Graph::new("labels");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let image_buffer = g.input("image", 4 * image.len() as u64);
+        let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+        let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
+        let labels = g.external("labels", 4 * (pixels + SPARE) as u64);
+        let relevance = g.external("relevance", 4 * (pixels + SPARE) as u64);
+        let on_gpu = Head { decoder, embeddings, classes: classes as u32 };
+        let prepared = semantic_prepare(&mut g, gpu.tuning(), &on_gpu).unwrap();
+        let a = SemanticLabels {
+            step,
+            image: image_buffer,
+            channels: CHANNELS as u32,
+            first: FIRST as u32,
+            largest: [20, 11],
+            classes: classes as u32,
+            query,
+            meaning,
+        };
+        semantic_labels(&mut g, &a, &prepared, labels, relevance).unwrap();
+        let mut values = Step { inverse_temperature: 4.0, ..Default::default() };
+        values.camera.size = [13, 9];
+        let wide = |x: &[f64]| bytes(&x.iter().map(|&x| x as f32).collect::<Vec<f32>>());
+        let inputs = [
+            (step, bytes(&[values])),
+            (image_buffer, bytes(&image)),
+            (decoder, wide(&h.decoder)),
+            (embeddings, wide(&h.text)),
+        ];
+        let out = gpu.run(g, &inputs);
+        let (labels, relevance) = (out.get::<u32>(labels), out.get::<f32>(relevance));
+        for p in 0..pixels {
+            if p == 7 {
+                assert_eq!((labels[p], relevance[p]), (NO_LABEL, 0.0));
+                continue;
+            }
+            let f: Vec<f64> = image[p * CHANNELS + FIRST..][..FEATURES].iter().map(|&x| f64::from(x)).collect();
+            let (label, logits) = twin::classify(&h, &f, 0.25);
+            assert_eq!(labels[p] as usize, label, "pixel {p}");
+            let q = query as usize;
+            let expected = match meaning {
+                Relevance::Cosine => 0.25 * logits[q],
+                Relevance::Probability => 1.0 / logits.iter().map(|l| (l - logits[q]).exp()).sum::<f64>(),
+            };
+            assert_close("relevance", &[expected], &[relevance[p]], Tolerance::new(2e-6, 1e-5));
+        }
+        assert!(labels[pixels..].iter().all(|&l| l == u32::MAX));
+        assert!(relevance[pixels..].iter().all(|r| r.to_bits() == u32::MAX));
+    }
+}
+
+/// Targets of a scene on disk: maps of different sizes, a view without one, cells that say nothing; and a picture's
+/// classes, twice larger the second time.
+#[test]
+fn semantic_priors_of_a_scene_reach_the_device() {
+    use sgs_passes::pipeline::{Labeler, Picture, Query};
+    use sgs_scene::{Scene, SceneOptions};
+    use sgs_tests::{Place, rooms::Room};
+    use sgs_train::{SemanticData, SemanticView};
+    let gpu = Gpu::new();
+    let device = gpu.device();
+    let place = Place::new(Room { views: 4, size: [8, 6], ..Default::default() });
+    let h = head(3, 31);
+    let npy = |descr: &str, shape: &str, data: &[u8]| {
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        header.push_str(&" ".repeat(63 - (header.len() + 10) % 64));
+        header.push('\n');
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), data].concat()
+    };
+    let folder = place.path("scene/priors/semantic");
+    std::fs::create_dir_all(&folder).unwrap();
+    let write = |name: &str, content: Vec<u8>| std::fs::write(folder.join(name), content).unwrap();
+    let twice: Vec<f32> = h.text.iter().map(|&t| (2.0 * t) as f32).collect();
+    write("text_embeddings.npy", npy("<f4", "(3, 512)", bytemuck::cast_slice(&twice)));
+    write("labels.json", br#"{"labels": ["background", "wall", "floor"]}"#.to_vec());
+    let class = |c: usize| h.text[c * EMBEDDING..][..EMBEDDING].iter().map(|&t| f16::from_f64(t)).collect::<Vec<f16>>();
+    // View 1 is a test view, view 2 has no map.
+    let first =
+        [class(2), class(0), vec![f16::ZERO; EMBEDDING], class(1), class(1), vec![f16::NAN; EMBEDDING]].concat();
+    write("000.npy", npy("<f2", "(2, 3, 512)", bytemuck::cast_slice(&first)));
+    write("003.npy", npy("<f2", "(1, 1, 512)", bytemuck::cast_slice(&class(1))));
+    let open = || Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let data = SemanticData::load(device, &open()).unwrap().unwrap();
+    let view = |size, offset, valid| SemanticView { size, offset, valid, labeled: valid };
+    assert_eq!(data.views, [view([3, 2], 0, 4), view([0, 0], 6, 0), view([1, 1], 6, 1)]);
+    assert_eq!((data.largest, data.text.labels.len()), (6, 3));
+    let targets: Vec<SemanticTarget> = device.download_as(&data.targets, 7).unwrap();
+    let labels: Vec<u32> = targets.iter().map(|t| t.label).collect();
+    assert_eq!(labels, [2, 0, NO_LABEL, 1, 1, NO_LABEL, 1]);
+    let unit: Vec<f32> = device.download_as(&data.embeddings, 3 * EMBEDDING).unwrap();
+    assert_close("texts", &h.text, &unit, Tolerance::new(1e-8, 2e-7));
+
+    let decoder = Decoder::new(device, 31, false).unwrap();
+    let query = Query { class: 1, meaning: Relevance::Probability, temperature: 0.25 };
+    let mut labeler = Labeler::new(device, gpu.tuning(), &unit, query).unwrap();
+    for size in [[5, 3], [4, 2], [10, 6]] {
+        let pixels = (size[0] * size[1]) as usize;
+        let mut rng = Pcg::new(size[0]);
+        let image: Vec<f32> = (0..pixels * CHANNELS).map(|_| rng.normal() as f32).collect();
+        let picture = Picture { size, channels: CHANNELS as u32, image, transmittance: vec![0.0; pixels] };
+        let map = labeler.label(&decoder, &picture, FIRST as u32).unwrap();
+        for (p, pixel) in picture.image.chunks(CHANNELS).enumerate() {
+            let f: Vec<f64> = pixel[FIRST..FIRST + FEATURES].iter().map(|&x| f64::from(x)).collect();
+            let (label, logits) = twin::classify(&h, &f, 0.25);
+            assert_eq!(map.labels[p] as usize, label);
+            let expected = 1.0 / logits.iter().map(|l| (l - logits[1]).exp()).sum::<f64>();
+            assert_close("relevance", &[expected], &[map.relevance[p]], Tolerance::new(2e-6, 1e-5));
+        }
+    }
+
+    write("text_embeddings.npy", npy("<f4", "(3, 2)", &[0; 24]));
+    std::fs::remove_file(folder.join("000.npy")).unwrap();
+    std::fs::remove_file(folder.join("003.npy")).unwrap();
+    let error = SemanticData::load(device, &open()).err().unwrap().to_string();
+    assert!(error.starts_with("The text embeddings are 2 wide, but the decoder makes 512"), "{error}");
+    std::fs::remove_file(folder.join("text_embeddings.npy")).unwrap();
+    assert!(SemanticData::load(device, &open()).unwrap().is_none());
+}
