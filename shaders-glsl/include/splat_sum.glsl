@@ -31,6 +31,13 @@ Visible visible_splat(uint v) {
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] += entry_gradients[at + 6u + c];
         if (WEIGHTS > 0u) s.weight += entry_gradients[at + 6u + CHANNELS];
     }
+    // Moments that came through features; the features' own gradients are summed elsewhere (features_bwd).
+    if (FEATURES > 0u) {
+        for (uint e = first; e < last; ++e) {
+            if (entry_flags[e] == 0u) continue;
+            [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
+        }
+    }
     float any_gradient = 0.0;
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient = max(any_gradient, abs(moments[j]));
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient = max(any_gradient, abs(colors[c]));

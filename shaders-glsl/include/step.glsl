@@ -26,6 +26,7 @@ struct Step {
     float lr_sh_rest;
     float lr_normals;
     float lr_decoder;        // of the semantic decoder
+    float lr_semantics;
     float correction1;
     float correction2;
     // loss weights

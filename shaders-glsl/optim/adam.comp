@@ -37,6 +37,7 @@ float learning_rate() {
     case 5: return params.step.lr_sh_rest;
     case 6: return params.step.lr_normals;
     case 8: return params.step.lr_decoder;
+    case 9: return params.step.lr_semantics;
     default: return push.rate;
     }
 }

@@ -26,7 +26,8 @@ float learning_rate() {
     case 3: return params.step.lr_opacities;
     case 4: return params.step.lr_sh0;
     case 5: return params.step.lr_sh_rest;
-    default: return params.step.lr_normals;
+    case 6: return params.step.lr_normals;
+    default: return params.step.lr_semantics;
     }
 }
 

@@ -16,6 +16,7 @@ layout(constant_id = 4) const bool HAS_NORMALS = false;
 layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool POSE = false;
+layout(constant_id = 8) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -25,6 +26,8 @@ IN(uint, entry_starts);
 IN(uint, tile_counts);
 IN(float, features);
 IN(float, entry_gradients);
+IN(float, entry_features);
+IN(uint, entry_flags);
 IN(vec3, means);
 IN(vec3, log_scales);
 IN(vec4, rotations);

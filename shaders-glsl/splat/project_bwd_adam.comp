@@ -17,6 +17,7 @@ layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool STATISTICS = false;
 layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
+layout(constant_id = 9) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -27,6 +28,8 @@ IN(uint, entry_starts);
 IN(uint, tile_counts);
 IN(float, features);
 IN(float, entry_gradients);
+IN(float, entry_features);
+IN(uint, entry_flags);
 INOUT(vec3, means);
 INOUT(vec3, log_scales);
 INOUT(vec4, rotations);

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec2, DVec3};
 use sgs_passes::pipeline as gpu;
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::scene::{GaussianData, Group};
+use sgs_passes::scene::{GaussianData, Group, SEMANTIC_FEATURES};
 
 /// A small deterministic generator (PCG hash of a counter).
 #[derive(Clone, Debug)]
@@ -129,6 +129,13 @@ pub fn hard(seed: u64) -> Gaussians {
     g
 }
 
+/// The same Gaussians with semantic features.
+pub fn with_semantics(mut g: Gaussians, seed: u64) -> Gaussians {
+    let mut r = Rng::new(seed);
+    g.semantics = (0..g.len() * SEMANTIC_FEATURES as usize).map(|_| single(r.between(-1.0, 1.0))).collect();
+    g
+}
+
 /// Reference Gaussians as the GPU takes them.
 pub fn data(g: &Gaussians) -> GaussianData {
     let single = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<f32>>();
@@ -141,5 +148,6 @@ pub fn data(g: &Gaussians) -> GaussianData {
         d.groups[Group::Sh0 as usize + band] = single(&g.sh[band]);
     }
     d.groups[Group::Normals as usize] = single(&g.normals);
+    d.groups[Group::Semantics as usize] = single(&g.semantics);
     d
 }

@@ -34,8 +34,8 @@ fn width(group: usize) -> usize {
 struct Scene {
     count: usize,
     capacity: usize,
-    parameters: [Vec<f32>; 9],
-    moments: [Vec<f32>; 9],
+    parameters: [Vec<f32>; Group::COUNT],
+    moments: [Vec<f32>; Group::COUNT],
     statistics: Vec<f32>,
 }
 
@@ -146,7 +146,7 @@ impl Scene {
         let live = g.external("live", size_of::<Work>() as u64);
         let stats = g.external("stats", size_of::<DensifyStats>() as u64);
         let settings = g.uniform("settings", size_of::<structs::Densify>() as u64);
-        let model = Model { sh_degree: 3, normals: true };
+        let model = Model { sh_degree: 3, normals: true, ..Default::default() };
         let capacity = self.capacity as u32;
         let a = Densify { model, capacity, parameters, moments, statistics, live, settings, stats };
         densify(&mut g, gpu.tuning(), &a).unwrap();

@@ -11,7 +11,7 @@ use sgs_tests::{Gpu, scenes};
 /// pixels, and the PSNR over all.
 fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64, f64) {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
-    let model = Model { sh_degree: degree, normals: !g.normals.is_empty() };
+    let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: !g.semantics.is_empty() };
     let channels = Channels { normals: model.normals, depth };
     let device = gpu.device();
     let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();

@@ -5,9 +5,10 @@ use sgs_engine::graph::Graph;
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model};
+use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, blend_debt, intersect, project, project_bwd,
+    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, blend_debt, blend_features,
+    blend_features_bwd, features_bwd, intersect, project, project_bwd, wanted_words,
 };
 use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, finite_difference};
@@ -19,6 +20,15 @@ struct Case {
     /// Weights of every output: the loss is their dot product with the outputs.
     image: Vec<f64>,
     transmittance: Vec<f64>,
+    /// Weights of features, by pixel; zero where they are not wanted.
+    features: Vec<f64>,
+    /// Whether features move opacities and footprints.
+    features_move: bool,
+}
+
+/// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
+fn wants(pixel: usize) -> bool {
+    pixel % 7 < 3 || (100..230).contains(&pixel)
 }
 
 const BACKGROUND: [f64; 3] = [0.3, 0.1, 0.6];
@@ -32,7 +42,10 @@ impl Case {
         let single = |v: f64| f64::from(v as f32);
         let image = (0..pixels * channels).map(|_| single(r.between(-1.0, 1.0))).collect();
         let transmittance = (0..pixels).map(|_| single(r.between(-1.0, 1.0))).collect();
-        Case { gaussians, camera, depth, image, transmittance }
+        let wide = if gaussians.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
+        let features = (0..pixels * wide).map(|i| if wants(i / wide) { single(r.between(-1.0, 1.0)) } else { 0.0 });
+        let features = features.collect();
+        Case { gaussians, camera, depth, image, transmittance, features, features_move: true }
     }
 
     fn degree(&self) -> usize {
@@ -42,13 +55,40 @@ impl Case {
     fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
         let r = render(g, camera, self.degree(), self.depth, BACKGROUND);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-        dot(&r.image, &self.image) + dot(&r.transmittance, &self.transmittance)
+        let weights: Vec<f64> = if self.features.is_empty() {
+            self.image.clone()
+        } else {
+            // The twin has features behind the other channels of a pixel.
+            let base = self.image.len() / self.transmittance.len();
+            let pixels = self.image.chunks_exact(base).zip(self.features.chunks_exact(SEMANTIC_FEATURES as usize));
+            pixels.flat_map(|(a, b)| a.iter().chain(b).copied()).collect()
+        };
+        dot(&r.image, &weights) + dot(&r.transmittance, &self.transmittance)
+    }
+
+    /// Blended features against the twin where they are wanted; elsewhere nothing may be written.
+    fn check_features(&self, found: &[f32]) {
+        let r = render(&self.gaussians, &self.camera, self.degree(), self.depth, BACKGROUND);
+        let (f, all) = (SEMANTIC_FEATURES as usize, r.image.len() / r.transmittance.len());
+        for (p, pixel) in found.chunks_exact(f).enumerate() {
+            if !wants(p) {
+                assert!(pixel.iter().all(|x| x.to_bits() == u32::MAX), "pixel {p} is not wanted, but was written");
+            } else if !r.doubtful[p] {
+                let expected = &r.image[(p + 1) * all - f..(p + 1) * all];
+                let worst = pixel.iter().zip(expected).map(|(x, y)| (f64::from(*x) - y).abs()).fold(0.0, f64::max);
+                assert!(worst < 1e-4, "pixel {p}: features are off by {worst}");
+            }
+        }
     }
 
     /// Gradients by the GPU: every group, then the twelve numbers of the pose.
     fn gpu_gradients(&self, gpu: &Gpu, which: BackwardKernel) -> (Vec<Vec<f32>>, Vec<f32>) {
         let n = self.gaussians.len() as u32;
-        let model = Model { sh_degree: self.degree() as u32, normals: !self.gaussians.normals.is_empty() };
+        let model = Model {
+            sh_degree: self.degree() as u32,
+            normals: !self.gaussians.normals.is_empty(),
+            semantics: !self.gaussians.semantics.is_empty(),
+        };
         let channels = Channels { normals: model.normals, depth: self.depth };
         let t = gpu.tuning();
         let data = scenes::data(&self.gaussians);
@@ -72,7 +112,19 @@ impl Case {
             transmittance: g.input("grad_transmittance", 4 * screen.pixels()),
         };
         let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
-        let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
+        let mut sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
+        let pixels = screen.pixels();
+        let wide = model.semantics.then(|| {
+            let wanted = g.input("wanted", 4 * wanted_words(pixels));
+            let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+            let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+            blend_features(&mut g, &t, &screen, &handles, &visible, &entries, wanted, image).unwrap();
+            let left = blend_features_bwd(&mut g, &t, &screen, &handles, &visible, &entries, wanted, image, gradient);
+            (wanted, gradient, left.unwrap(), image)
+        });
+        if self.features_move {
+            sums.features = wide.map(|(_, _, left, _)| left);
+        }
         let groups = Group::ALL.map(|group| {
             let count = if model.has(group) { u64::from(n * group.width()) } else { 1 };
             g.external(format!("grad_{}", group.name()), 4 * count.max(3))
@@ -80,6 +132,9 @@ impl Case {
         let pose = g.external("pose", 48);
         let into = Gradients { groups, means2d: g.external("means2d", 8 * u64::from(n)), pose: Some(pose) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
+        if let Some((_, _, left, _)) = &wide {
+            features_bwd(&mut g, &t, &visible, left, groups[Group::Semantics as usize]).unwrap();
+        }
 
         let mut camera = scenes::gpu_camera(&self.camera);
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
@@ -99,6 +154,16 @@ impl Case {
             (gradient.transmittance, single(&self.transmittance)),
             (handles.work, bytemuck::bytes_of(&work).to_vec()),
         ];
+        if let Some((wanted, gradient, ..)) = wide {
+            let mut words = vec![0_u32; wanted_words(pixels) as usize];
+            (0..pixels as usize).filter(|&p| wants(p)).for_each(|p| words[p / 32] |= 1 << (p % 32));
+            inputs.push((wanted, bytemuck::cast_slice(&words).to_vec()));
+            // Where nothing is wanted stands what nobody may read.
+            let weights = self.features.iter().enumerate();
+            let weights =
+                weights.map(|(i, x)| if wants(i / SEMANTIC_FEATURES as usize) { *x as f32 } else { f32::NAN });
+            inputs.push((gradient, bytemuck::cast_slice(&weights.collect::<Vec<_>>()).to_vec()));
+        }
         for group in model.groups() {
             inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
         }
@@ -112,6 +177,9 @@ impl Case {
         );
         let out = gpu.run(g, &inputs);
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
+        if let Some((.., image)) = wide {
+            self.check_features(&out.get::<f32>(image));
+        }
         let all = Group::ALL.map(|group| {
             if model.has(group) {
                 out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec()
@@ -134,6 +202,7 @@ fn parameters(g: &mut Gaussians, group: Group) -> &mut Vec<f64> {
         Group::Sh2 => &mut g.sh[2],
         Group::Sh3 => &mut g.sh[3],
         Group::Normals => &mut g.normals,
+        Group::Semantics => &mut g.semantics,
     }
 }
 
@@ -208,6 +277,32 @@ fn gradients_of_both_kernels_are_those_of_the_twin() {
         check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
         check(&gpu, &Case::new(scenes::ordinary(6, 0, false, 8), [1, 1], false), which);
     }
+}
+
+#[test]
+fn gradients_with_semantic_features_are_those_of_the_twin() {
+    let gpu = Gpu::new();
+    let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
+    check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
+}
+
+/// Where features may not move opacities and footprints, these have the gradients that they have without features, bit for
+/// bit, and the features have those that they have with.
+#[test]
+fn features_that_do_not_move_geometry_leave_its_gradients_alone() {
+    let gpu = Gpu::new();
+    let mut wide = Case::new(scenes::with_semantics(scenes::ordinary(40, 0, true, 15), 6), [30, 21], true);
+    let (moving, _) = wide.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    wide.features_move = false;
+    let (still, _) = wide.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    wide.gaussians.semantics.clear();
+    wide.features.clear();
+    let (plain, _) = wide.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    for group in Group::ALL.into_iter().filter(|g| *g != Group::Semantics) {
+        assert_eq!(still[group as usize], plain[group as usize], "{}", group.name());
+    }
+    assert_eq!(still[Group::Semantics as usize], moving[Group::Semantics as usize]);
+    assert_ne!(moving[Group::OpacityLogits as usize], still[Group::OpacityLogits as usize]);
 }
 
 #[test]

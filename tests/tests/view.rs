@@ -22,7 +22,7 @@ fn options(layer: Layer, format: TexelFormat) -> ViewOptions {
 
 fn upload(gpu: &Gpu, count: usize, normals: bool) -> Gaussians {
     let data = scenes::ordinary(count, 3, normals, 11);
-    let model = Model { sh_degree: 3, normals };
+    let model = Model { sh_degree: 3, normals, ..Default::default() };
     let gaussians = Gaussians::new(gpu.device(), model, count as u32, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&data)).unwrap();
     gaussians

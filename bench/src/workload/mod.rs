@@ -59,7 +59,7 @@ pub fn directory(
     let scene = Scene::open(path, &SceneOptions::default())?;
     let data = TrainingData::load(device, &scene, normals)?;
     anyhow::ensure!(!normals || data.normals.is_some(), "\"{}\" has no normal priors.", path.display());
-    let model = Model { sh_degree, normals: data.normals.is_some() };
+    let model = Model { sh_degree, normals: data.normals.is_some(), ..Default::default() };
     let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
     Ok(Workload {
         name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
@@ -84,6 +84,7 @@ pub fn twin_gaussians(d: &GaussianData) -> twin::Gaussians {
         opacity_logits: wide(Group::OpacityLogits),
         sh: [wide(Group::Sh0), wide(Group::Sh1), wide(Group::Sh2), wide(Group::Sh3)],
         normals: wide(Group::Normals),
+        semantics: wide(Group::Semantics),
     }
 }
 

@@ -57,7 +57,7 @@ pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
             device.upload(normals, offset, bytemuck::cast_slice(&packed.collect::<Vec<u32>>()))?;
         }
     }
-    let model = Model { sh_degree: s.sh_degree, normals: s.normals };
+    let model = Model { sh_degree: s.sh_degree, normals: s.normals, ..Default::default() };
     // Points as a reconstruction would give them.
     let cloud = room::points(s.gaussians as usize, 2);
     let start = gaussian_data(&Splats::from_points(&cloud, s.sh_degree as usize)?, model);
@@ -103,7 +103,7 @@ fn view(index: u32, size: [u32; 2]) -> Camera {
 fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Result<Vec<Picture>> {
     let count = s.gaussians.clamp(*TRUTH.start(), *TRUTH.end());
     let cloud = room::points(count as usize, 1);
-    let model = Model { sh_degree: 0, normals: s.normals };
+    let model = Model { sh_degree: 0, normals: s.normals, ..Default::default() };
     let mut data = gaussian_data(&splats(&cloud), model);
     let size = (0.6 * (room::area() / f64::from(count)).sqrt()).ln() as f32;
     data.groups[Group::LogScales as usize].fill(size);

@@ -30,6 +30,8 @@ pub enum Rate {
     Normals,
     /// `lr_decoder` of the step.
     Decoder,
+    /// `lr_semantics` of the step.
+    Semantics,
     /// One that never changes.
     Constant(f32),
 }
@@ -46,6 +48,7 @@ impl Rate {
             Rate::Normals => 6,
             Rate::Constant(_) => 7,
             Rate::Decoder => 8,
+            Rate::Semantics => 9,
         }
     }
 }

@@ -44,9 +44,9 @@ pub struct Densify {
     /// Most Gaussians that there is room for.
     pub capacity: u32,
     /// Parameters, by position in [`Group::ALL`].
-    pub parameters: [Buffer; 9],
+    pub parameters: [Buffer; Group::COUNT],
     /// Moments, likewise.
-    pub moments: [Buffer; 9],
+    pub moments: [Buffer; Group::COUNT],
     /// By Gaussian: sum of screen gradients, their number, sum of blending weights.
     pub statistics: Buffer,
     /// The number of Gaussians, a `Work`.

@@ -162,6 +162,7 @@ fn rate(group: Group) -> Rate {
         Group::Sh0 => Rate::Sh0,
         Group::Sh1 | Group::Sh2 | Group::Sh3 => Rate::ShRest,
         Group::Normals => Rate::Normals,
+        Group::Semantics => Rate::Semantics,
     }
 }
 

@@ -1,13 +1,15 @@
 //! `blend` and the whole render: the CPU twin in double precision. No tiles: every splat is tried at every pixel of its
 //! box, nearest first.
 
+use crate::scene::SEMANTIC_FEATURES;
+
 use super::project::{Camera, Gaussians, Projected, project};
 use glam::DVec2;
 
 /// What blending leaves.
 #[derive(Clone, Debug)]
 pub struct Blended {
-    /// `[pixels * channels]`, composited over the background (first three channels).
+    /// `[pixels * channels]`, composited over the background (first three channels); semantic features come last.
     pub image: Vec<f64>,
     /// `[pixels]`
     pub transmittance: Vec<f64>,
@@ -70,5 +72,6 @@ pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: 
 /// Projects and blends.
 pub fn render(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, background: [f64; 3]) -> Blended {
     let channels = 3 + if g.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
+    let channels = channels + if g.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
     blend(&project(g, camera, sh_degree, depth), camera.size, channels, background)
 }

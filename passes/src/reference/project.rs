@@ -3,6 +3,7 @@
 //! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the plain quadratic form, not
 //! from the kernel, so that an error in one is not repeated in the other.
 
+use crate::scene::SEMANTIC_FEATURES;
 use glam::{DMat3, DVec2, DVec3};
 
 /// A pinhole camera in OpenCV axes.
@@ -37,6 +38,8 @@ pub struct Gaussians {
     pub sh: [Vec<f64>; 4],
     /// Normals, 3; empty if there are none.
     pub normals: Vec<f64>,
+    /// Semantic features, [`SEMANTIC_FEATURES`]; empty if there are none.
+    pub semantics: Vec<f64>,
 }
 
 impl Gaussians {
@@ -64,7 +67,7 @@ pub struct Projected {
     pub covariance: [f64; 3],
     /// After the sigmoid.
     pub opacity: f64,
-    /// rgb, then the normal if there is one, then z and z² if asked for.
+    /// rgb, then the normal if there is one, then z and z² if asked for, then semantic features.
     pub features: Vec<f64>,
 }
 
@@ -122,6 +125,10 @@ fn project_one(g: &Gaussians, i: usize, camera: &Camera, sh_degree: usize, with_
     }
     if with_depth {
         features.extend([p.z, p.z * p.z]);
+    }
+    if !g.semantics.is_empty() {
+        let width = SEMANTIC_FEATURES as usize;
+        features.extend(&g.semantics[width * i..width * (i + 1)]);
     }
     let projected = Projected { id: i, depth: p.z, mean: center, covariance, opacity, features };
     // A box without a pixel center is not seen.

@@ -13,7 +13,7 @@ pub const STATISTICS: u32 = 3;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianData {
     /// By position in [`Group::ALL`].
-    pub groups: [Vec<f32>; 9],
+    pub groups: [Vec<f32>; Group::COUNT],
 }
 
 impl GaussianData {
@@ -91,9 +91,9 @@ pub struct Gaussians {
     pub model: Model,
     /// Most there can be.
     pub capacity: u32,
-    parameters: [DeviceBuffer; 9],
+    parameters: [DeviceBuffer; Group::COUNT],
     /// First and second moments, pairs; only when training.
-    moments: Option<[DeviceBuffer; 9]>,
+    moments: Option<[DeviceBuffer; Group::COUNT]>,
     statistics: Option<DeviceBuffer>,
     work: DeviceBuffer,
 }
@@ -114,8 +114,8 @@ impl Gaussians {
     pub fn with(device: &Device, model: Model, capacity: u32, training: bool, statistics: bool) -> Result<Gaussians> {
         let capacity = capacity.max(1);
         let layout = Layout { model, capacity, training, statistics };
-        let make = |suffix: &str, bytes: u64| -> Result<[DeviceBuffer; 9]> {
-            let mut made = Vec::with_capacity(9);
+        let make = |suffix: &str, bytes: u64| -> Result<[DeviceBuffer; Group::COUNT]> {
+            let mut made = Vec::with_capacity(Group::COUNT);
             for g in Group::ALL {
                 made.push(device.buffer(
                     &format!("{}{suffix}", g.name()),
@@ -123,7 +123,7 @@ impl Gaussians {
                     Location::Device,
                 )?);
             }
-            Ok(made.try_into().unwrap_or_else(|_| unreachable!("nine were made")))
+            Ok(made.try_into().unwrap_or_else(|_| unreachable!("invariant: one is made for each group")))
         };
         let parameters = make("", 4)?;
         let moments = if training { Some(make("_moments", 8)?) } else { None };
@@ -231,7 +231,7 @@ impl Gaussians {
 
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
-        let sum = |b: &[DeviceBuffer; 9]| b.iter().map(DeviceBuffer::bytes).sum::<u64>();
+        let sum = |b: &[DeviceBuffer; Group::COUNT]| b.iter().map(DeviceBuffer::bytes).sum::<u64>();
         sum(&self.parameters)
             + self.moments.as_ref().map_or(0, sum)
             + self.statistics.as_ref().map_or(0, DeviceBuffer::bytes)
@@ -289,9 +289,9 @@ pub struct Handles {
     /// Most there can be.
     pub capacity: u32,
     /// By position in [`Group::ALL`].
-    pub parameters: [Buffer; 9],
+    pub parameters: [Buffer; Group::COUNT],
     /// Likewise, pairs.
-    pub moments: Option<[Buffer; 9]>,
+    pub moments: Option<[Buffer; Group::COUNT]>,
     /// Densification statistics.
     pub statistics: Option<Buffer>,
     /// Count and dispatch size.

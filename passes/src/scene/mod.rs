@@ -8,4 +8,4 @@ mod model;
 
 pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
-pub use model::{Group, Model};
+pub use model::{Group, Model, SEMANTIC_FEATURES};

@@ -1,5 +1,8 @@
 //! Which parameter groups a scene has.
 
+/// Semantic features of a Gaussian (method: 32, decoded to 512).
+pub const SEMANTIC_FEATURES: u32 = 32;
+
 /// A parameter group of the Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
@@ -21,11 +24,16 @@ pub enum Group {
     Sh3,
     /// Normals, world, any length.
     Normals,
+    /// Semantic features, blended as they are; a decoder gives them a meaning.
+    Semantics,
 }
 
 impl Group {
+    /// How many groups there can be.
+    pub const COUNT: usize = 10;
+
     /// Every group there can be.
-    pub const ALL: [Group; 9] = [
+    pub const ALL: [Group; Group::COUNT] = [
         Group::Means,
         Group::LogScales,
         Group::Rotations,
@@ -35,6 +43,7 @@ impl Group {
         Group::Sh2,
         Group::Sh3,
         Group::Normals,
+        Group::Semantics,
     ];
 
     /// Scalars of one Gaussian.
@@ -46,6 +55,7 @@ impl Group {
             Group::Sh1 => 9,
             Group::Sh2 => 15,
             Group::Sh3 => 21,
+            Group::Semantics => SEMANTIC_FEATURES,
         }
     }
 
@@ -61,17 +71,20 @@ impl Group {
             Group::Sh2 => "sh2",
             Group::Sh3 => "sh3",
             Group::Normals => "normals",
+            Group::Semantics => "semantics",
         }
     }
 }
 
 /// What a scene's Gaussians carry. Worked out once; it chooses kernels, and never becomes a branch inside one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Model {
     /// Highest band of spherical harmonics, 0 to 3.
     pub sh_degree: u32,
     /// Whether there are normals.
     pub normals: bool,
+    /// Whether there are semantic features.
+    pub semantics: bool,
 }
 
 impl Model {
@@ -82,6 +95,7 @@ impl Model {
             Group::Sh2 => self.sh_degree >= 2,
             Group::Sh3 => self.sh_degree >= 3,
             Group::Normals => self.normals,
+            Group::Semantics => self.semantics,
             _ => true,
         }
     }

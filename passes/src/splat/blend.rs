@@ -149,7 +149,7 @@ pub fn blend_bwd(
         BackwardKernel::Pixel => add!(blend_bwd),
         BackwardKernel::Splat => add!(blend_bwd_splat),
     }
-    Ok(EntryGradients { starts: entries.starts, gradients, weights })
+    Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights })
 }
 
 fn per_lane(t: &Tuning, screen: &Screen) -> u32 {

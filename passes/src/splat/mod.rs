@@ -5,11 +5,15 @@
 //! are bit-identical from run to run.
 
 mod blend;
+mod features;
 mod intersect;
 mod present;
 mod project;
 
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
+pub use features::{
+    EntryFeatures, FeatureAdam, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, wanted_words,
+};
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present};
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
@@ -39,8 +43,8 @@ impl Screen {
     }
 }
 
-/// What is blended: always rgb, then the normal (3) and depth (z, z²) if wanted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What is blended at every pixel: always rgb, then the normal (3) and depth (z, z²) if wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Channels {
     /// World-space unit normals.
     pub normals: bool,

@@ -4,7 +4,7 @@
 //! harmonics read, 36 + 4 C written. Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each),
 //! 12 bytes read and 12 written for each of its scalars.
 
-use super::{Channels, Screen};
+use super::{Channels, EntryFeatures, Screen};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
@@ -120,6 +120,8 @@ pub struct EntryGradients {
     pub starts: Buffer,
     /// `[entries * (6 + channels + weights)]`
     pub gradients: Buffer,
+    /// What came through features, if that moves opacities and footprints.
+    pub features: Option<EntryFeatures>,
     /// Whether the sum of weights is among them.
     pub weights: bool,
 }
@@ -128,7 +130,7 @@ pub struct EntryGradients {
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
     /// By position in [`Group::ALL`].
-    pub groups: [Buffer; 9],
+    pub groups: [Buffer; Group::COUNT],
     /// Screen gradient of each visible splat, pixels.
     pub means2d: Buffer,
     /// Gradient of world-to-camera: nine of the rotation by rows, three of the translation; if asked for.
@@ -159,6 +161,8 @@ pub fn project_bwd(
         tile_counts: visible.tile_counts.into(),
         features: visible.features.into(),
         entry_gradients: entries.gradients.into(),
+        entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
+        entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
         means: gaussians.group(Group::Means).into(),
         log_scales: gaussians.group(Group::LogScales).into(),
         rotations: gaussians.group(Group::Rotations).into(),
@@ -188,6 +192,7 @@ pub fn project_bwd(
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
         pose: into.pose.is_some(),
+        features: feature_width(entries),
     };
     stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
@@ -245,6 +250,8 @@ pub fn project_bwd_adam(
         tile_counts: visible.tile_counts.into(),
         features: visible.features.into(),
         entry_gradients: entries.gradients.into(),
+        entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
+        entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
         means: gaussians.group(Group::Means).into(),
         log_scales: gaussians.group(Group::LogScales).into(),
         rotations: gaussians.group(Group::Rotations).into(),
@@ -276,9 +283,15 @@ pub fn project_bwd_adam(
         weights: u32::from(entries.weights),
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),
+        features: feature_width(entries),
     };
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
+}
+
+/// Features whose moments are added.
+fn feature_width(entries: &EntryGradients) -> u32 {
+    if entries.features.is_some() { Group::Semantics.width() } else { 0 }
 }
 
 /// The group sizes that later passes dispatch a count at; the ordinary one first.

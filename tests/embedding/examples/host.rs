@@ -29,7 +29,7 @@ pub fn run(frames: u64) -> usize {
 
     // SAFETY: instance, device and queue are the host's, live longer than the engine, and are as stated.
     let device = unsafe { sgs_engine::Device::adopt(host.offer(true)) }.expect("the device fits");
-    let model = Model { sh_degree: 2, normals: false };
+    let model = Model { sh_degree: 2, normals: false, ..Default::default() };
     let gaussians = Gaussians::new(&device, model, 250, false).expect("memory");
     gaussians.upload(&device, &scenes::data(&scenes::ordinary(250, 2, false, 3))).expect("an upload");
     let options = ViewOptions {

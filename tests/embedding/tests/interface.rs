@@ -97,7 +97,7 @@ fn text(path: &Path) -> CString {
 fn scene(folder: &TempDir) -> std::path::PathBuf {
     let data = scenes::data(&scenes::ordinary(150, 1, true, 8));
     let path = folder.path().join("scene.ply");
-    sgs_train::splats(&data, Model { sh_degree: 1, normals: true }).write_ply(&path).unwrap();
+    sgs_train::splats(&data, Model { sh_degree: 1, normals: true, ..Default::default() }).write_ply(&path).unwrap();
     path
 }
 
@@ -121,7 +121,7 @@ fn layers_in_memory_are_those_of_the_renderer() {
     let scene = context.load(&scene(&folder));
     let size = [40, 30];
     let gpu = sgs_tests::Gpu::new();
-    let model = Model { sh_degree: 1, normals: true };
+    let model = Model { sh_degree: 1, normals: true, ..Default::default() };
     let gaussians = sgs_passes::scene::Gaussians::new(gpu.device(), model, 150, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&scenes::ordinary(150, 1, true, 8))).unwrap();
     let channels = Channels { normals: true, depth: true };

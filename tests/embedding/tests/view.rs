@@ -23,7 +23,8 @@ struct Engine {
 
 fn engine(host: &Host, frames: usize, capacity: u32) -> Engine {
     let device = host.adopt();
-    let gaussians = Gaussians::new(&device, Model { sh_degree: 3, normals: false }, 300, false).unwrap();
+    let gaussians =
+        Gaussians::new(&device, Model { sh_degree: 3, normals: false, ..Default::default() }, 300, false).unwrap();
     gaussians.upload(&device, &scenes::data(&scenes::ordinary(300, 3, false, 4))).unwrap();
     let options = ViewOptions {
         size: SIZE,

@@ -19,7 +19,8 @@ pub(crate) struct SceneObject {
 
 impl SceneObject {
     pub fn new(inner: &Inner, splats: &Splats) -> Outcome<SceneObject> {
-        let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some() };
+        let model =
+            Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
         let gaussians = Gaussians::new(&inner.device, model, splats.len() as u32, false)?;
         gaussians.upload(&inner.device, &sgs_train::gaussian_data(splats, model))?;
         Ok(SceneObject { gaussians, renderer: Mutex::new(None) })

@@ -25,7 +25,7 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
 
 /// Gaussians on the device from splats.
 pub fn upload(device: &Device, splats: &Splats) -> anyhow::Result<Gaussians> {
-    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some() };
+    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     Ok(gaussians)

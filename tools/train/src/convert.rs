@@ -40,6 +40,10 @@ pub fn gaussian_data(s: &Splats, model: Model) -> GaussianData {
             Group::Sh2 => s.sh[2].clone(),
             Group::Sh3 => s.sh[3].clone(),
             Group::Normals => s.normals.as_ref().map_or_else(Vec::new, |n| n.as_flattened().to_vec()),
+            Group::Semantics => match &s.semantic {
+                Some((channels, values)) if *channels == width => values.clone(),
+                _ => Vec::new(),
+            },
         };
         d.groups[group as usize] = if flat.is_empty() { vec![0.0; width * s.len()] } else { flat };
     }
@@ -55,6 +59,7 @@ pub fn splats(d: &GaussianData, model: Model) -> Splats {
         rotations: d.group(Group::Rotations).as_chunks::<4>().0.to_vec(),
         opacity_logits: d.group(Group::OpacityLogits).to_vec(),
         normals: model.normals.then(|| triples(Group::Normals)),
+        semantic: model.semantics.then(|| (Group::Semantics.width() as usize, d.group(Group::Semantics).to_vec())),
         ..Default::default()
     };
     for band in 0..=model.sh_degree as usize {

@@ -83,7 +83,7 @@ impl Geometry {
             device.set_memory_budget(Some(budget));
         }
         let data = Packed::read(scene, wants_normals)?;
-        let model = Model { sh_degree: g.sh_degree, normals: data.normal_bytes().is_some() };
+        let model = Model { sh_degree: g.sh_degree, normals: data.normal_bytes().is_some(), ..Default::default() };
         let initial;
         let start = match start {
             Some(s) => s,

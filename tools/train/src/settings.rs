@@ -133,6 +133,8 @@ pub struct Rates {
     pub sh_rest: f64,
     /// Of normals.
     pub normals: f64,
+    /// Of semantic features.
+    pub semantics: f64,
 }
 
 impl Default for Rates {
@@ -147,6 +149,7 @@ impl Default for Rates {
             sh0: 2.5e-3,
             sh_rest: 1.25e-4,
             normals: 0.01,
+            semantics: 1e-3,
         }
     }
 }
@@ -291,6 +294,7 @@ impl Settings {
             ("rates.sh0", r.sh0),
             ("rates.sh_rest", r.sh_rest),
             ("rates.normals", r.normals),
+            ("rates.semantics", r.semantics),
             ("losses.l1", f64::from(l.l1)),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),

@@ -1,0 +1,194 @@
+//! `blend_features`, `blend_features_bwd`, `features_bwd` and its form fused with Adam: wide features that are blended as
+//! they are (semantics), at the pixels where somebody wants them.
+//!
+//! Feature maps are coarse and region masks are small, so a bit a pixel says where features are wanted, and kernels go
+//! through the list of a tile's wanted pixels, lanes side by side: the cost follows their number. The weights are worked out
+//! again, which is less than features cost themselves (20 operations a pair against 2 F). Features need no projection:
+//! kernels read them from the Gaussians. Gradients of opacity and footprint are linear in those of the channels, so what
+//! comes through features is left at the entries as moments of its own, and added where a splat's entries are summed.
+//!
+//! Cost, F features: an entry of a tile with wanted pixels is fetched once for every `2 x subgroup` of them (28 + 4 F
+//! bytes); a pair takes 20 + 2 F operations, backward 45 + 4 F. Pixels write 4 F bytes; backward reads twice that, and
+//! writes 4 (6 + F) bytes at entries that show. `features_bwd_adam` reads these, and 12 F bytes a visible Gaussian, and
+//! writes 12 F.
+
+use super::{Entries, Screen, Visible};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use crate::scene::{Group, Handles};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::features_bwd_adam as fused;
+use sgs_shaders::{blend_features as forward, blend_features_bwd as backward, features_bwd as kernel};
+
+/// Wanted pixels that a lane has at a time: 64 sums in registers.
+const PER_LANE: u32 = 2;
+
+/// What the features' gradients leave at the entries.
+#[derive(Clone, Copy, Debug)]
+pub struct EntryFeatures {
+    /// First entry of each visible splat.
+    pub starts: Buffer,
+    /// `[entries * (6 + features)]`: moments, then features; only where the flag is up.
+    pub values: Buffer,
+    /// `[entries]`
+    pub flags: Buffer,
+}
+
+/// Words of a map of wanted pixels, a bit each, row by row.
+pub fn wanted_words(pixels: u64) -> u64 {
+    pixels.div_ceil(32)
+}
+
+/// Blends features into `into` (`[pixels * features]`) at the wanted pixels of the view; elsewhere nothing is written.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn blend_features(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &Entries,
+    wanted: Buffer,
+    into: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = forward::Bindings {
+        params: screen.step.into(),
+        tile_ranges: entries.tile_ranges.into(),
+        sorted_entries: entries.sorted,
+        entry_splats: entries.splats.into(),
+        splats: visible.splats.into(),
+        splat_ids: visible.ids.into(),
+        raw_features: gaussians.group(Group::Semantics).into(),
+        wanted: wanted.into(),
+        feature_image: into.into(),
+    };
+    let specs = forward::Specs {
+        subgroup: t.subgroup_size,
+        per_lane: PER_LANE,
+        tile_width: screen.tile[0],
+        tile_height: screen.tile[1],
+        features: Group::Semantics.width(),
+    };
+    stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(u64::from(screen.tiles()), 1))
+}
+
+/// Backward of [`blend_features`].
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn blend_features_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &Entries,
+    wanted: Buffer,
+    image: Buffer,
+    gradient: Buffer,
+) -> Result<EntryFeatures, GraphError> {
+    let features = Group::Semantics.width();
+    let values = g.transient("entry_features", 4 * u64::from(6 + features) * u64::from(entries.capacity));
+    let flags = g.transient("entry_flags", 4 * u64::from(entries.capacity));
+    g.fill("clear_entry_flags", flags, 0)?;
+    let bindings = backward::Bindings {
+        params: screen.step.into(),
+        tile_ranges: entries.tile_ranges.into(),
+        sorted_entries: entries.sorted,
+        entry_splats: entries.splats.into(),
+        splats: visible.splats.into(),
+        splat_ids: visible.ids.into(),
+        raw_features: gaussians.group(Group::Semantics).into(),
+        wanted: wanted.into(),
+        feature_image: image.into(),
+        grad_features: gradient.into(),
+        entry_features: values.into(),
+        entry_flags: flags.into(),
+    };
+    let specs = backward::Specs {
+        subgroup: t.subgroup_size,
+        per_lane: PER_LANE,
+        tile_width: screen.tile[0],
+        tile_height: screen.tile[1],
+        features,
+    };
+    // What the kernel adds to, it has written before: the flags say so.
+    let mut pass = stage(g, "blend_features_bwd", &backward::KERNEL, [], specs.entries(), &[]);
+    for (name, slice) in bindings.entries() {
+        pass = if name == "entry_features" { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
+    }
+    pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(u64::from(screen.tiles()), 1))?;
+    Ok(EntryFeatures { starts: entries.starts, values, flags })
+}
+
+/// Gradients of the features, by Gaussian: written for visible ones alone, so the caller clears them first.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn features_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    visible: &Visible,
+    entries: &EntryFeatures,
+    into: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = kernel::Bindings {
+        visible: visible.work.slice,
+        splat_ids: visible.ids.into(),
+        entry_starts: entries.starts.into(),
+        tile_counts: visible.tile_counts.into(),
+        entry_features: entries.values.into(),
+        entry_flags: entries.flags.into(),
+        grad_features: into.into(),
+    };
+    let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
+    stage(g, "features_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
+}
+
+/// What the fused form works on.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureAdam {
+    /// Uniform `Step`.
+    pub step: Buffer,
+    /// A word that is not zero when the step must change nothing.
+    pub flags: Buffer,
+    /// The features' moments, pairs.
+    pub moments: Buffer,
+    /// For dense Adam: what the fused update of the other groups has marked; the rest is left to another pass.
+    pub seen: Option<Buffer>,
+}
+
+/// Sums the gradients and moves the features.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn features_bwd_adam(
+    g: &mut Graph,
+    t: &Tuning,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &EntryFeatures,
+    a: &FeatureAdam,
+) -> Result<(), GraphError> {
+    let bindings = fused::Bindings {
+        params: a.step.into(),
+        visible: visible.work.slice,
+        flags: a.flags.into(),
+        splat_ids: visible.ids.into(),
+        entry_starts: entries.starts.into(),
+        tile_counts: visible.tile_counts.into(),
+        entry_features: entries.values.into(),
+        entry_flags: entries.flags.into(),
+        seen: a.seen.unwrap_or(visible.ids).into(),
+        parameters: gaussians.group(Group::Semantics).into(),
+        moments: a.moments.into(),
+    };
+    let specs = fused::Specs { workgroup: t.workgroup, features: Group::Semantics.width(), dense: a.seen.is_some() };
+    stage(g, "features_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
+}
