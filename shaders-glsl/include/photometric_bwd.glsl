@@ -85,6 +85,7 @@ void main() {
             // The values are shifted here as they were in the first half.
             float by_ssim = v.x + 2.0 * (x - 0.5) * v.y + (y - 0.5) * v.z;
             float gradient = weight_l1 * sign(x - y) + weight_ssim * by_ssim;
+            if (packed >> 24 == 0u) gradient = 0.0;
 #if IN_PLACE
             image[pixel * 3u + channel] = gradient;
             owed[(channel * TILE_Y + row) * TILE_X + run * RUN + k - WINDOW_DELAY] = x * gradient;

@@ -23,7 +23,7 @@ layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the im
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);    // P x CHANNELS, the first three are red, green, blue
-IN(uint, targets);   // packed RGBA8
+IN(uint, targets);   // packed RGBA8; where alpha is 0, the pixel does not count
 OUT(vec3, partials); // 3 x P: derivatives of SSIM by mean, by variance, by covariance, for each channel
 OUT(vec2, sums);     // by workgroup: of |x - y|, of SSIM
 
@@ -35,8 +35,10 @@ const uint PITCH = COLUMNS | 1u; // odd: runs of neighboring rows start in diffe
 shared vec4 means[3u * TILE_Y * PITCH];
 
 vec2 fetch(uint pixel, uint channel) {
-    float y = float(bitfieldExtract(targets[params.step.target_offset + pixel], int(8u * channel), 8)) / 255.0;
-    return vec2(image[pixel * CHANNELS + channel], y);
+    uint packed = targets[params.step.target_offset + pixel];
+    float y = float(bitfieldExtract(packed, int(8u * channel), 8)) / 255.0;
+    // A pixel that does not count agrees with its photograph.
+    return vec2(packed >> 24 == 0u ? y : image[pixel * CHANNELS + channel], y);
 }
 
 // SSIM from the windowed means of shifted values, and its derivatives by the means of x, x^2 and xy.

@@ -164,7 +164,8 @@ fn settings_that_mean_nothing_are_refused() {
     set("geometry.densify.interval=0").refused(&["geometry.densify.interval is 0"]);
     set("geometry.densify.until=1.5").refused(&["geometry.densify.until is 1.5"]);
     set("geometry.steps.more=3").refused(&["geometry.steps"]);
-    set("exposure=0").refused(&["exposure"]);
+    set("exposure=-1").refused(&["exposure is -1"]);
+    set("exposure=nan").refused(&["exposure is NaN"]);
     set("nothing").refused(&["KEY=VALUE"]);
     set("=3").refused(&["no key"]);
     place.train(&["--seed", "18446744073709551615"]).refused(&["seed is 18446744073709551615"]);

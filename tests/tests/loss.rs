@@ -149,11 +149,11 @@ fn photometric_of_a_folded_grid() {
     let gpu = Gpu::new();
     let shape = Shape { width: 22 * 65_540 + 1, height: 1, channels: 3 };
     let n = shape.pixels();
-    let target = |p: usize| if p.is_multiple_of(1000) { u32::MAX } else { 0 };
+    let target = |p: usize| if p.is_multiple_of(1000) { u32::MAX } else { 0xff00_0000 };
     let targets: Vec<u32> = (0..n).map(target).collect();
     let largest = [shape.width as u32, 1];
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, largest, &vec![0.25; 3 * n], &targets);
-    let l1 = (0..n).map(|p| if target(p) == 0 { 0.25 } else { 0.75 }).sum::<f64>() / n as f64;
+    let l1 = (0..n).map(|p| if target(p) == u32::MAX { 0.75 } else { 0.25 }).sum::<f64>() / n as f64;
     assert_close("L1", &[l1], &[stats.l1], Tolerance::new(0.0, 1e-5));
     // The picture repeats itself, so the gradient does.
     for p in 1010..n - 1010 {
@@ -170,10 +170,10 @@ fn photometric_at_extremes() {
     let cases: [(f32, u32); 6] =
         [(0.0, 0), (1.0, u32::MAX), (0.0, u32::MAX), (1.0, 0), (10.0, 0x0080_4020), (-3.0, 0x00ff_00ff)];
     for (value, target) in cases {
-        check_photometric(&gpu, shape, [30, 21], &vec![value; 3 * n], &vec![target; n]);
+        check_photometric(&gpu, shape, [30, 21], &vec![value; 3 * n], &vec![target | 0xff00_0000; n]);
     }
     // Equal where it is not exact in 32 bits: the sign of L1 there may be anything, SSIM's part must vanish.
-    let target = 0x0080_4020_u32;
+    let target = 0xff80_4020_u32;
     let image: Vec<f32> = (0..3 * n).map(|i| twin::unpack(target, i % 3) as f32).collect();
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [30, 21], &image, &vec![target; n]);
     assert!((stats.ssim - 1.0).abs() < 1e-5 && stats.l1 < 1e-7, "{stats:?}");
@@ -182,6 +182,31 @@ fn photometric_at_extremes() {
         let rest = [g.abs(), (g - l1).abs(), (g + l1).abs()].into_iter().fold(f32::MAX, f32::min);
         assert!(rest < 1e-4 * l1, "{g}");
     }
+}
+
+/// Pixels with alpha 0 do not count, whatever the render is there, and neither do they for their neighbors.
+#[test]
+fn photometric_leaves_out_what_does_not_count() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 45, height: 33, channels: 3 };
+    let (mut image, mut targets) = random_case(shape, 5);
+    let out = |p: usize| p % 45 > 30 || p / 45 == 7 || p.is_multiple_of(13);
+    for (p, t) in targets.iter_mut().enumerate() {
+        *t = (*t & 0x00ff_ffff) | if out(p) { 0 } else { 0xff00_0000 };
+    }
+    check_photometric(&gpu, shape, [45, 33], &image, &targets);
+    let run = |image: &[f32], targets: &[u32]| run_photometric(&gpu, gpu.tuning(), shape, [45, 33], image, targets);
+    let (before, stats) = run(&image, &targets);
+    for p in (0..shape.pixels()).filter(|&p| out(p)) {
+        assert_eq!(before[3 * p..3 * p + 3], [0.0; 3], "pixel {p}");
+        image[3 * p..3 * p + 3].copy_from_slice(&[9.0, -4.0, 0.25]);
+    }
+    let (after, again) = run(&image, &targets);
+    assert_eq!(before[..3 * shape.pixels()], after[..3 * shape.pixels()]);
+    assert_eq!((stats.l1, stats.ssim), (again.l1, again.ssim));
+    // Without the mask the change shows.
+    targets.iter_mut().for_each(|t| *t |= 0xff00_0000);
+    assert!(run(&image, &targets).1.l1 > 2.0 * stats.l1);
 }
 
 #[test]

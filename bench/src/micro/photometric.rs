@@ -118,7 +118,7 @@ fn picture(s: Shape) -> (Vec<f32>, Vec<u32>) {
         let (x, y) = ((p % s.width) as f64, (p / s.width) as f64);
         let wave = 0.5 + 0.3 * (0.31 * x).sin() + 0.2 * (0.17 * y + 0.1 * x).cos();
         let byte = |v: f64| (255.0 * v.clamp(0.0, 1.0)) as u32;
-        let packed = (0..4).map(|c| byte(wave + 0.1 * rng.uniform()) << (8 * c)).sum();
+        let packed = (0..3).map(|c| byte(wave + 0.1 * rng.uniform()) << (8 * c)).sum::<u32>() | 0xff00_0000;
         targets.push(packed);
         image.extend((0..3).map(|c| (twin::unpack(packed, c) + rng.range(-0.1, 0.1)) as f32));
     }

@@ -25,7 +25,7 @@ pub struct Photometric {
     pub step: Buffer,
     /// `[P * channels]` floats; of each pixel the first three are compared.
     pub image: Buffer,
-    /// All photographs, packed RGBA8.
+    /// All photographs, packed RGBA8. A pixel with alpha 0 does not count: it has no loss and no gradient.
     pub targets: Buffer,
     /// Floats of a pixel of `image` and of its gradient.
     pub channels: u32,

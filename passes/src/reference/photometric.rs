@@ -98,9 +98,18 @@ fn inside(shape: Shape, x: i64, y: i64) -> Option<usize> {
     ok.then(|| y as usize * shape.width + x as usize)
 }
 
-/// One channel of the image and of the photograph.
+/// Whether a packed pixel is compared: one with alpha 0 is not.
+pub fn counts(packed: u32) -> bool {
+    packed >> 24 != 0
+}
+
+/// One channel of the image and of the photograph. A pixel that does not count agrees with its photograph.
 fn channel(image: &[f64], targets: &[u32], shape: Shape, c: usize) -> (Vec<f64>, Vec<f64>) {
-    (0..shape.pixels()).map(|p| (image[p * shape.channels + c], unpack(targets[p], c))).unzip()
+    let pixel = |p: usize| {
+        let y = unpack(targets[p], c);
+        (if counts(targets[p]) { image[p * shape.channels + c] } else { y }, y)
+    };
+    (0..shape.pixels()).map(pixel).unzip()
 }
 
 /// L1 and SSIM (Wang et al. 2004; window, padding and means as in 3D Gaussian splatting).
@@ -132,7 +141,9 @@ pub fn photometric_bwd(image: &[f64], targets: &[u32], shape: Shape, weight_l1: 
                 }
             }
             let sign = if x[p] == y[p] { 0.0 } else { (x[p] - y[p]).signum() };
-            gradient[p * shape.channels + c] = (weight_l1 * sign - weight_dssim * by_ssim) / n;
+            if counts(targets[p]) {
+                gradient[p * shape.channels + c] = (weight_l1 * sign - weight_dssim * by_ssim) / n;
+            }
         }
     }
     gradient
@@ -162,6 +173,25 @@ mod tests {
         let r = photometric(&image, &targets, shape);
         assert!(r.l1 == 0.0 && (r.ssim - 1.0).abs() < 1e-12, "{r:?}");
         assert!(photometric_bwd(&image, &targets, shape, 0.8, 0.2).iter().all(|g| g.abs() < 1e-12));
+    }
+
+    #[test]
+    fn what_does_not_count_has_no_loss_and_no_gradient() {
+        let shape = Shape { width: 14, height: 9, channels: 3 };
+        let (mut image, mut targets) = case(shape, 3);
+        for (p, t) in targets.iter_mut().enumerate() {
+            *t = (*t & 0x00ff_ffff) | if p % 14 < 5 { 0 } else { 0xff00_0000 };
+        }
+        let (loss, gradient) = (photometric(&image, &targets, shape), photometric_bwd(&image, &targets, shape, 0.8, 0.2));
+        for p in (0..shape.pixels()).filter(|p| p % 14 < 5) {
+            assert_eq!(gradient[3 * p..3 * p + 3], [0.0; 3]);
+            image[3 * p..3 * p + 3].fill(f64::NAN);
+        }
+        assert_eq!(photometric(&image, &targets, shape), loss);
+        assert_eq!(photometric_bwd(&image, &targets, shape, 0.8, 0.2), gradient);
+        // With every pixel counting, the same picture has another loss.
+        targets.iter_mut().for_each(|t| *t |= 0xff00_0000);
+        assert!(photometric(&image, &targets, shape).l1.is_nan());
     }
 
     #[test]

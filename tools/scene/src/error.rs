@@ -29,20 +29,6 @@ pub enum SceneError {
         /// What is missing and what to do.
         problem: String,
     },
-    /// The layout is recognized, but there is no reader for it yet.
-    #[error(
-        "{} is a scene in the {layout} layout (it holds {sign}), which is not read yet; convert it to transforms.json \
-         or to COLMAP's sparse/0",
-        path.display()
-    )]
-    LayoutNotRead {
-        /// The directory that was given.
-        path: PathBuf,
-        /// The layout's name.
-        layout: &'static str,
-        /// The file that it was recognized by.
-        sign: String,
-    },
     /// A JSON file is not valid, or does not have the fields that it needs.
     #[error("{}, line {line}, column {column}: {problem}", path.display())]
     Json {

@@ -9,8 +9,11 @@
 //! nothing here panics on input. The crate knows neither graphics devices nor training.
 
 mod atomic;
+mod beside;
 mod camera;
+mod depth;
 mod error;
+mod exposure;
 mod ground_truth;
 mod image;
 mod json;
@@ -26,6 +29,7 @@ mod view;
 
 pub use atomic::atomic_write;
 pub use camera::{Camera, Distortion, MAX_IMAGE_SIDE};
+pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
 pub use ground_truth::{GroundTruth, GroundTruthKind};
 pub use image::{

@@ -2,11 +2,14 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::depth::DepthDefinition;
 use crate::error::{Result, SceneError};
+use crate::exposure;
 use crate::image::Image;
 use crate::points::{PointCloud, RandomBox};
 use crate::priors::PriorSettings;
@@ -21,8 +24,13 @@ pub struct SceneOptions {
     pub views: Option<usize>,
     /// Image size as a factor, at most 1.
     pub scale: f64,
-    /// Factor that linear (EXR) images are multiplied with before they are clipped and encoded.
-    pub exposure: f32,
+    /// Factor that linear (EXR) images are multiplied with before they are clipped and encoded; `None` chooses it from the
+    /// training views.
+    pub exposure: Option<f32>,
+    /// Color behind PNG images with alpha, display-referred.
+    pub background: [f32; 3],
+    /// Whether pixels that the data set marks as invalid are left out.
+    pub masks: bool,
     /// Number of random points for scenes without any; held between 100 and 10 million.
     pub random_points: usize,
     /// Seed of the random points.
@@ -31,7 +39,15 @@ pub struct SceneOptions {
 
 impl Default for SceneOptions {
     fn default() -> Self {
-        Self { views: None, scale: 1.0, exposure: 1.0, random_points: 100_000, seed: 0 }
+        Self {
+            views: None,
+            scale: 1.0,
+            exposure: None,
+            background: [0.0; 3],
+            masks: true,
+            random_points: 100_000,
+            seed: 0,
+        }
     }
 }
 
@@ -44,8 +60,10 @@ impl SceneOptions {
         if !(self.scale > 0.0 && self.scale <= 1.0) {
             return fail("--scale", self.scale.to_string(), "the factor must be above 0 and at most 1");
         }
-        if !(self.exposure.is_finite() && self.exposure > 0.0) {
-            return fail("exposure", self.exposure.to_string(), "the exposure must be a positive number");
+        if let Some(exposure) = self.exposure
+            && !(exposure.is_finite() && exposure > 0.0)
+        {
+            return fail("exposure", exposure.to_string(), "the exposure must be a positive number");
         }
         Ok(())
     }
@@ -69,9 +87,10 @@ pub struct Scene {
     pub points_are_random: bool,
     /// What the user should know, one sentence each.
     pub warnings: Vec<String>,
-    /// The options it was opened with; the exposure among them is a part of the result.
+    /// The options it was opened with; the exposure among them is the one that was chosen.
     pub options: SceneOptions,
     pub(crate) prior_settings: PriorSettings,
+    pub(crate) depth_definition: OnceLock<Option<DepthDefinition>>,
     extent: f64,
 }
 
@@ -82,7 +101,7 @@ impl Scene {
     pub fn open(path: &Path, options: &SceneOptions) -> Result<Self> {
         options.check()?;
         let layout = reader::recognize(path)?;
-        let reader::Found { mut frames, missing, points, mut warnings } = reader::read(path, layout)?;
+        let reader::Found { mut frames, missing, points, mut warnings, own_split } = reader::read(path, layout)?;
         frames.sort_by_cached_key(|frame| natural_key(&frame.camera.name));
         let mut places = HashMap::new();
         for frame in &frames {
@@ -97,7 +116,7 @@ impl Scene {
         }
         frames.par_iter().try_for_each(|frame| frame.check_size())?;
         let views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
-        let split = split_of(path, &views, &missing, options, &mut warnings)?;
+        let split = split_of(path, &views, (&missing, own_split), options, &mut warnings)?;
         warnings.extend(coverage_warning(&views));
 
         let cameras = || split.train.iter().filter_map(|&i| views.get(i)).map(|view| &view.camera);
@@ -106,12 +125,26 @@ impl Scene {
         let points_are_random = points.is_none();
         let random = || {
             let count = options.random_points.clamp(100, 10_000_000);
-            RandomBox::around(cameras(), extent).map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
+            let seen = if layout == Layout::Blender { RandomBox::looked_at(cameras()) } else { None };
+            let seen = seen.or_else(|| RandomBox::around(cameras(), extent));
+            seen.map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
         };
         let points = points.unwrap_or_else(random);
         if points_are_random {
             let n = points.len();
             warnings.push(format!("{} has no point cloud; starting from {n} random points", path.display()));
+        }
+        let mut options = options.clone();
+        if options.exposure.is_none() {
+            let train: Vec<&View> = split.train.iter().filter_map(|&i| views.get(i)).collect();
+            let chosen = exposure::choose(&train)?.unwrap_or(1.0);
+            if chosen != 1.0 {
+                warnings.push(format!(
+                    "the linear images are exposed by {chosen}, chosen from the training views; set exposure to choose \
+                     another"
+                ));
+            }
+            options.exposure = Some(chosen);
         }
         Ok(Self {
             root: path.to_path_buf(),
@@ -121,8 +154,9 @@ impl Scene {
             points,
             points_are_random,
             warnings,
-            options: options.clone(),
+            options,
             prior_settings: PriorSettings::read(path)?,
+            depth_definition: OnceLock::new(),
             extent,
         })
     }
@@ -145,7 +179,20 @@ impl Scene {
 
     /// The image of a view, as [`View::load_image`] gives it with the scene's exposure.
     pub fn load_image(&self, view: usize) -> Result<Image> {
-        self.view(view)?.load_image(&LoadOptions { exposure: self.options.exposure })
+        let options = LoadOptions { exposure: self.exposure(), background: self.options.background };
+        self.view(view)?.load_image(&options)
+    }
+
+    /// Where pixels of a view's image count, as [`View::load_mask`] gives it; `None` where all do, or masks are not asked
+    /// for.
+    pub fn load_mask(&self, view: usize) -> Result<Option<Image>> {
+        let view = self.view(view)?;
+        if self.options.masks { view.load_mask() } else { Ok(None) }
+    }
+
+    /// The factor that linear images are multiplied with.
+    pub fn exposure(&self) -> f32 {
+        self.options.exposure.unwrap_or(1.0)
     }
 
     /// The images of all training views, in the order of [`Split::train`].
@@ -171,15 +218,25 @@ fn natural_key(name: &str) -> (Vec<(String, u128)>, String) {
 fn split_of(
     root: &Path,
     views: &[View],
-    missing: &[String],
+    (missing, own_split): (&[String], bool),
     options: &SceneOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Split> {
     let names: Vec<&str> = views.iter().map(|view| view.camera.name.as_str()).collect();
     let path = root.join("split.json");
-    let mut split =
-        if path.is_file() { Split::read(&path, &names, missing)? } else { Split::every_eighth(views.len()) };
+    let mut split = if path.is_file() {
+        Split::read(&path, &names, missing)?
+    } else if own_split {
+        let (test, train) = (0..views.len()).partition(|&i| views[i].beside.test == Some(true));
+        Split { train, test }
+    } else {
+        Split::every_eighth(views.len())
+    };
     if split.train.is_empty() {
+        if own_split {
+            let problem = "all of the views are test views; a scene needs at least one training view";
+            return Err(SceneError::split(root, problem));
+        }
         let problem = format!(
             "no training view is left, because without split.json every 8th of the {} views is a test view; add views or \
              a split.json",

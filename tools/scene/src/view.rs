@@ -2,11 +2,13 @@
 
 use std::path::PathBuf;
 
+use crate::beside::{Beside, check_size};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{
     Encoding, Image, linear_to_srgb, read_raster, resize, srgb_to_linear, undistort, undistort_coverage,
 };
+use crate::maps::{self, Meaning};
 use crate::reader::Frame;
 
 /// Half-float files hold infinity where a lamp was too bright for them; it is read as their largest number, so that
@@ -25,6 +27,7 @@ pub struct View {
     /// The camera at the size of the photograph as stored.
     pub stored_camera: Camera,
     declared_in: PathBuf,
+    pub(crate) beside: Beside,
 }
 
 /// A photograph as it lies on the disk: at its own size and with its lens distortion, which is how priors show it too.
@@ -41,31 +44,34 @@ pub struct Photograph {
 pub struct LoadOptions {
     /// The factor that linear (EXR) values are multiplied with before they are clipped and encoded.
     pub exposure: f32,
+    /// The color behind PNG images with alpha, display-referred.
+    pub background: [f32; 3],
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { exposure: 1.0 }
+        Self { exposure: 1.0, background: [0.0; 3] }
     }
 }
 
 impl View {
     /// The view of a frame, at `scale` times its size.
     pub(crate) fn new(frame: Frame, scale: f64) -> Self {
-        let Frame { camera: stored_camera, lens, image, declared_in } = frame;
+        let Frame { camera: stored_camera, lens, image, declared_in, beside } = frame;
         let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
         let camera = stored_camera.scaled(side(stored_camera.width), side(stored_camera.height));
-        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in }
+        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in, beside }
     }
 
     /// The photograph as training compares with it: sRGB-encoded RGB in `[0, 1]`, without distortion, at the size of
     /// [`View::camera`].
     ///
-    /// Alpha is composited on black: PNG's straight alpha by multiplication; EXR's colors hold theirs already. Linear
-    /// values are exposed, resized, and only then clipped, as a camera does; a not-a-number is an error. A PNG or JPEG
-    /// that needs neither undistortion nor scaling keeps its values exactly.
+    /// PNG's straight alpha is composited on the background, in encoded values as viewers do; EXR's colors hold theirs
+    /// already and stay on black. Linear values are exposed, resized, and only then clipped, as a camera does; a
+    /// not-a-number is an error, except where the mask excludes it. A PNG or JPEG that needs neither undistortion nor
+    /// scaling keeps its values exactly.
     pub fn load_image(&self, options: &LoadOptions) -> Result<Image> {
-        let (raster, encoding) = self.read()?;
+        let (raster, encoding) = self.read(options.background)?;
         if encoding == Encoding::Srgb && self.distortion.is_none() && self.is_stored_size() {
             return Ok(raster);
         }
@@ -77,13 +83,13 @@ impl View {
     /// The photograph as linear light, exposed, without distortion, at the size of [`View::camera`]. Values above 1 stay
     /// what they are, as far as the file has any.
     pub fn load_linear(&self, options: &LoadOptions) -> Result<Image> {
-        let (raster, encoding) = self.read()?;
+        let (raster, encoding) = self.read(options.background)?;
         Ok(self.bring(self.linear(raster, encoding, options)?))
     }
 
-    /// The photograph as stored, for whoever makes priors. Alpha is composited on black.
+    /// The photograph as stored, for whoever makes priors. Alpha is composited on the background.
     pub fn load_stored(&self, options: &LoadOptions) -> Result<Photograph> {
-        let (raster, encoding) = self.read()?;
+        let (raster, encoding) = self.read(options.background)?;
         Ok(match encoding {
             Encoding::Srgb => Photograph { image: raster, linear: false },
             Encoding::Linear => Photograph { image: self.linear(raster, encoding, options)?, linear: true },
@@ -102,17 +108,67 @@ impl View {
         Some(scaled)
     }
 
+    /// The data set's mask of valid pixels: one channel at the size of [`View::camera`], 1 where all of the pixel is valid,
+    /// else 0. `None` where it has none.
+    pub fn load_mask(&self) -> Result<Option<Image>> {
+        let Some(stored) = self.stored_mask()? else {
+            return Ok(None);
+        };
+        let mut mask = self.bring(stored);
+        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
+        Ok(Some(mask))
+    }
+
+    /// The data set's mask as large as the photograph: 1 where it is valid, else 0.
+    pub(crate) fn stored_mask(&self) -> Result<Option<Image>> {
+        let Some(path) = &self.beside.mask else {
+            return Ok(None);
+        };
+        let (mut mask, _) = maps::stored(path, Meaning::Scalar)?;
+        let size = (self.stored_camera.width, self.stored_camera.height);
+        check_size(path, (mask.width, mask.height), &self.image_path, size)?;
+        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.5)));
+        Ok(Some(mask))
+    }
+
+    /// Whether the photograph holds linear light.
+    pub(crate) fn is_linear(&self) -> bool {
+        self.image_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr"))
+    }
+
+    /// Luminances (Rec. 709) of at most `count` valid pixels of a linear photograph, spread over it.
+    pub(crate) fn luminances(&self, count: usize) -> Result<Vec<f32>> {
+        let (image, _) = self.read([0.0; 3])?;
+        let mask = self.stored_mask()?;
+        let step = image.pixels().div_ceil(count.max(1)).max(1);
+        let counts = |i: &usize| mask.as_ref().is_none_or(|m| m.data[*i] > 0.5);
+        let luminance = |i: usize| {
+            let p = &image.data[3 * i..3 * i + 3];
+            (0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]).clamp(0.0, BRIGHTEST)
+        };
+        Ok((0..image.pixels()).step_by(step).filter(counts).map(luminance).collect())
+    }
+
     fn is_stored_size(&self) -> bool {
         (self.camera.width, self.camera.height) == (self.stored_camera.width, self.stored_camera.height)
     }
 
-    /// The file's values as RGB on black.
-    fn read(&self) -> Result<(Image, Encoding)> {
-        let (raster, encoding) = read_raster(&self.image_path)?;
+    /// The file's values as RGB on the background.
+    fn read(&self, background: [f32; 3]) -> Result<(Image, Encoding)> {
+        let (mut raster, encoding) = read_raster(&self.image_path)?;
         let (image, camera) = ((raster.width, raster.height), (self.stored_camera.width, self.stored_camera.height));
         if image != camera {
             let declared_in = self.declared_in.clone();
             return Err(SceneError::ImageSize { path: self.image_path.clone(), image, camera, declared_in });
+        }
+        if raster.data.iter().any(|v| v.is_nan())
+            && let Some(mask) = self.stored_mask()?
+        {
+            for (pixel, m) in raster.data.chunks_exact_mut(raster.channels as usize).zip(&mask.data) {
+                if *m == 0.0 {
+                    pixel.fill(0.0);
+                }
+            }
         }
         if let Some(at) = raster.data.iter().position(|v| v.is_nan()) {
             let pixel = at / raster.channels as usize;
@@ -133,6 +189,9 @@ impl View {
                 [r, g, b, ..] => new.copy_from_slice(&[r * alpha, g * alpha, b * alpha]),
                 [v, ..] => new.fill(v * alpha),
                 [] => {}
+            }
+            if alpha < 1.0 {
+                new.iter_mut().zip(background).for_each(|(v, behind)| *v += (1.0 - alpha) * behind);
             }
         });
         Ok((rgb, encoding))
@@ -180,7 +239,7 @@ mod tests {
             write_png(&path, image).unwrap();
         }
         let camera = camera().scaled(image.width, image.height);
-        let frame = Frame { camera, lens: Distortion::default(), image: path, declared_in: "cameras.json".into() };
+        let frame = Frame::new(camera, Distortion::default(), path, "cameras.json".into());
         (directory, View::new(frame, scale))
     }
 
@@ -218,12 +277,14 @@ mod tests {
         let one = view.load_image(&LoadOptions::default()).unwrap();
         let expected = [0.461_356, 1.0, 0.0, 1.0, 0.0, linear_to_srgb(0.05)];
         assert!(one.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", one.data);
-        let half = view.load_image(&LoadOptions { exposure: 0.125 }).unwrap();
+        let half = view.load_image(&LoadOptions { exposure: 0.125, ..Default::default() }).unwrap();
         assert!((half.data[1] - linear_to_srgb(0.5)).abs() < 1e-6);
-        assert_eq!(view.load_linear(&LoadOptions { exposure: 0.5 }).unwrap().data[..3], [0.09, 2.0, -0.25]);
-        let stored = view.load_stored(&LoadOptions { exposure: 0.5 }).unwrap();
+        let half = LoadOptions { exposure: 0.5, ..Default::default() };
+        assert_eq!(view.load_linear(&half).unwrap().data[..3], [0.09, 2.0, -0.25]);
+        let stored = view.load_stored(&half).unwrap();
         assert!(stored.linear && stored.image.data[..3] == [0.09, 2.0, -0.25]);
-        let error = view.load_image(&LoadOptions { exposure: f32::NAN }).unwrap_err().to_string();
+        let nan = LoadOptions { exposure: f32::NAN, ..Default::default() };
+        let error = view.load_image(&nan).unwrap_err().to_string();
         assert_eq!(error, "exposure is NaN, but the exposure must be a positive number");
     }
 

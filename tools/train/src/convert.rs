@@ -68,11 +68,12 @@ pub fn splats(d: &GaussianData, model: Model) -> Splats {
     s
 }
 
-/// A photograph, RGBA8, red in the low byte.
-pub fn pack_image(image: &sgs_scene::Image) -> Vec<u32> {
+/// A photograph, RGBA8, red in the low byte. Alpha is 0 where the mask says that a pixel does not count, else 255.
+pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> Vec<u32> {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32;
-    let pack = |p: &[f32]| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 0xff00_0000;
-    image.data.chunks_exact(image.channels as usize).map(pack).collect()
+    let alpha = |i: usize| if mask.is_none_or(|m| m.data[i] > 0.5) { 0xff00_0000 } else { 0 };
+    let pack = |(i, p): (usize, &[f32])| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | alpha(i);
+    image.data.chunks_exact(image.channels as usize).enumerate().map(pack).collect()
 }
 
 /// Normals (world space), octahedral in two 16-bit numbers; 0 where there is none.

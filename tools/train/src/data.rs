@@ -9,7 +9,7 @@ use sgs_scene::Scene;
 
 /// Training views in device memory.
 pub struct TrainingData {
-    /// Photographs, RGBA8.
+    /// Photographs, RGBA8; alpha is 0 where a pixel does not count.
     pub targets: DeviceBuffer,
     /// Normal priors, if every training view has one.
     pub normals: Option<DeviceBuffer>,
@@ -32,8 +32,8 @@ impl Packed {
     /// Reads the training views of a scene. Priors are used only if `normals` says so and they are there.
     pub fn read(scene: &Scene, normals: bool) -> Result<Packed> {
         let train = &scene.split.train;
-        let images: Vec<Vec<u32>> =
-            train.par_iter().map(|&i| Ok(pack_image(&scene.load_image(i)?))).collect::<Result<_>>()?;
+        let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
+        let images: Vec<Vec<u32>> = train.par_iter().map(pack).collect::<Result<_>>()?;
         let mut views = Vec::new();
         let mut offset = 0_u64;
         let mut largest = [1, 1];
@@ -54,8 +54,13 @@ impl Packed {
                 .collect::<Result<_>>()?;
             // A view without a prior among views with one is trained without: all zeros mean nothing is known.
             if maps.iter().any(Option::is_some) {
-                let filled = maps.into_iter().zip(&packed.images);
-                packed.normals = Some(filled.map(|(map, image)| map.unwrap_or_else(|| vec![0; image.len()])).collect());
+                let filled = maps.into_iter().zip(&packed.images).map(|(map, image)| {
+                    let mut map = map.unwrap_or_else(|| vec![0; image.len()]);
+                    // What does not count has no surface either.
+                    map.iter_mut().zip(image).filter(|(_, i)| *i >> 24 == 0).for_each(|(n, _)| *n = 0);
+                    map
+                });
+                packed.normals = Some(filled.collect());
             }
         }
         Ok(packed)

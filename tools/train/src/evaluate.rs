@@ -123,10 +123,15 @@ pub fn evaluate_classes(
         let picture = render_view(&mut renderer, gaussians, &view.camera, background)?;
         let rendered = Rendered::from_picture(&picture, channels);
         let photo = scene.load_image(i)?;
+        // What was not trained on is not measured. Ground truth has a mask of its own, which also leaves out lamps and
+        // windows where only materials mean nothing.
+        let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
-        let nvs =
-            Nvs { psnr: metrics::psnr(&rendered.rgb, &photo, None)?, ssim: metrics::ssim(&rendered.rgb, &photo)? };
+        let nvs = Nvs {
+            psnr: metrics::psnr(&rendered.rgb, &photo, counts.as_ref())?,
+            ssim: metrics::ssim(&rendered.rgb, &photo, counts.as_ref())?,
+        };
         // Without normals of their own the Gaussians still have a surface: its normals come from depth.
         let surface;
         let shown = match &rendered.normal {

@@ -16,8 +16,10 @@ pub struct Settings {
     pub views: usize,
     /// Factor on the images' size.
     pub scale: f64,
-    /// Exposure of linear images.
+    /// Exposure of linear images; 0 chooses it from the training views.
     pub exposure: f32,
+    /// Whether pixels that the data set marks as invalid are left out of training and of measures of color.
+    pub masks: bool,
     /// Random points where the scene has none.
     pub random_points: usize,
     /// Memory of the device.
@@ -33,7 +35,8 @@ impl Default for Settings {
             seed: 0,
             views: 0,
             scale: 1.0,
-            exposure: 1.0,
+            exposure: 0.0,
+            masks: true,
             random_points: 20_000,
             memory: MemorySettings::default(),
             geometry: GeometrySettings::default(),

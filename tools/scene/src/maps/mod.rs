@@ -9,11 +9,11 @@ mod numbers;
 use std::path::{Path, PathBuf};
 
 pub use normal::NormalFrame;
-pub(crate) use normal::load as load_normals;
+pub(crate) use normal::{finish as finish_normals, load as load_normals, stored as stored_normals};
 pub use numbers::RegionMap;
 pub(crate) use numbers::{cells, load as load_numbers};
 
-use crate::error::Result;
+use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image, NpyArray, read_raster, resize_valid, srgb_to_linear, undistort};
 use crate::view::View;
 
@@ -31,8 +31,14 @@ pub struct MaskedMap {
 pub(crate) enum Meaning {
     /// Three channels of color: linear in EXR, sRGB-encoded in PNG; linear when loaded.
     Color,
-    /// One channel, taken as it is.
+    /// Three channels of color, linear in files of any kind.
+    LinearColor,
+    /// One channel, taken as it is: the first.
     Scalar,
+    /// One channel, taken as it is: the one with this number.
+    Channel(u32),
+    /// The alpha channel of gray or colors; 1 where there is none.
+    Alpha,
     /// One channel, of which only positive values mean something.
     Depth,
 }
@@ -44,18 +50,32 @@ pub(crate) fn find(folder: &Path, stem: &str, extensions: &[&str]) -> Option<Pat
 
 /// Loads a map for a view.
 pub(crate) fn load(path: &Path, view: &View, meaning: Meaning) -> Result<MaskedMap> {
+    let (image, valid) = stored(path, meaning)?;
+    Ok(bring(image, valid, view))
+}
+
+/// A map as stored, and where it says anything.
+pub(crate) fn stored(path: &Path, meaning: Meaning) -> Result<(Image, Image)> {
     let (raster, encoding) = read(path)?;
-    let channels = if meaning == Meaning::Color { 3 } else { 1 };
+    let channels = if matches!(meaning, Meaning::Color | Meaning::LinearColor) { 3 } else { 1 };
+    if let Meaning::Channel(number) = meaning
+        && number >= raster.channels
+    {
+        let problem = format!("the map has {} channels; it must have {} or more", raster.channels, number + 1);
+        return Err(SceneError::image(path, problem));
+    }
     let mut valid = Image::new(raster.width, raster.height, 1);
     let mut marks = valid.data.iter_mut();
     let image = raster.map_pixels(channels, |old, new| {
-        match (old, new.len()) {
-            (&[r, g, b, ..], 3) => new.copy_from_slice(&[r, g, b]),
-            (&[v, ..], _) => new.fill(v),
-            (&[], _) => {}
+        match (meaning, old, new.len()) {
+            (Meaning::Channel(number), old, _) => new.fill(old[number as usize]),
+            (Meaning::Alpha, &[_, a] | &[_, _, _, a], _) => new.fill(a),
+            (Meaning::Alpha, _, _) => new.fill(1.0),
+            (_, &[r, g, b, ..], 3) => new.copy_from_slice(&[r, g, b]),
+            (_, &[v, ..], _) => new.fill(v),
+            (_, &[], _) => {}
         }
-        // A straight alpha channel says where the map was computed.
-        let opaque = !matches!(*old, [_, a] | [_, _, _, a] if encoding == Encoding::Srgb && a < 0.5);
+        let opaque = meaning == Meaning::Alpha || is_opaque(old, encoding);
         let meant = opaque && new.iter().all(|v| v.is_finite()) && (meaning != Meaning::Depth || new[0] > 0.0);
         if meaning == Meaning::Color && encoding == Encoding::Srgb {
             new.iter_mut().for_each(|v| *v = srgb_to_linear(*v));
@@ -64,7 +84,21 @@ pub(crate) fn load(path: &Path, view: &View, meaning: Meaning) -> Result<MaskedM
             *mark = f32::from(u8::from(meant));
         }
     });
-    Ok(bring(image, valid, view))
+    Ok((image, valid))
+}
+
+/// A straight alpha channel says where a map was computed.
+fn is_opaque(pixel: &[f32], encoding: Encoding) -> bool {
+    !matches!(*pixel, [_, a] | [_, _, _, a] if encoding == Encoding::Srgb && a < 0.5)
+}
+
+/// Marks as invalid what a mask of the same size excludes.
+pub(crate) fn exclude(valid: &mut Image, mask: &Image) {
+    for (v, &m) in valid.data.iter_mut().zip(&mask.data) {
+        if m <= 0.5 {
+            *v = 0.0;
+        }
+    }
 }
 
 /// Reads EXR, PNG, JPEG, or an array of height×width×channels.

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{bring, read};
+use super::{bring, is_opaque, read};
 use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image};
 use crate::view::View;
@@ -51,6 +51,12 @@ fn plausible(length: f64, encoding: Encoding) -> bool {
 
 /// Loads a normal map for a view: three channels, unit vectors in the world, zero where the file has none.
 pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image> {
+    let (world, valid) = stored(path, view, frame)?;
+    Ok(finish(world, valid, view))
+}
+
+/// Unit vectors in the world as large as the file, and where it has any.
+pub(crate) fn stored(path: &Path, view: &View, frame: NormalFrame) -> Result<(Image, Image)> {
     let (raster, encoding) = read(path)?;
     if raster.channels < 3 {
         let problem = format!("a normal map has 3 channels, but the file has {}", raster.channels);
@@ -65,7 +71,7 @@ pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image
             n = 2.0 * n - 1.0;
         }
         let length = n.length();
-        if plausible(length, encoding) {
+        if plausible(length, encoding) && is_opaque(old, encoding) {
             let n = to_world * n / length;
             new.copy_from_slice(&[n.x as f32, n.y as f32, n.z as f32]);
             if let Some(mark) = marks.next() {
@@ -75,6 +81,11 @@ pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image
             marks.next();
         }
     });
+    Ok((world, valid))
+}
+
+/// Brings vectors to the size of the view and makes them unit again.
+pub(crate) fn finish(world: Image, valid: Image, view: &View) -> Image {
     let mut map = bring(world, valid, view).image;
     for pixel in map.data.chunks_exact_mut(3) {
         let n = DVec3::new(f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]));
@@ -82,5 +93,5 @@ pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image
         let n = if n.length() > 1e-3 { n.normalize() } else { DVec3::ZERO };
         pixel.copy_from_slice(&[n.x as f32, n.y as f32, n.z as f32]);
     }
-    Ok(map)
+    map
 }

@@ -20,7 +20,7 @@ fn view(width: u32, height: u32, rotation: DMat3, lens: Distortion) -> View {
         rotation,
         translation: DVec3::ZERO,
     };
-    View::new(Frame { camera, lens, image: "a.png".into(), declared_in: "a.json".into() }, 1.0)
+    View::new(Frame::new(camera, lens, "a.png".into(), "a.json".into()), 1.0)
 }
 
 fn plain(width: u32, height: u32) -> View {

@@ -1,6 +1,6 @@
 //! Points out of nothing, for scenes that come without any.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::PointCloud;
 use crate::camera::Camera;
@@ -67,6 +67,38 @@ impl RandomBox {
         found
     }
 
+    /// The box of what cameras around an object look at: its center is the point that their axes pass nearest to, and its
+    /// half side what the narrowest view shows of it. `None` unless that point lies before every camera and the axes meet
+    /// there, within a tenth of the cameras' mean distance.
+    pub fn looked_at<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Option<Self> {
+        let cameras: Vec<&Camera> = cameras.into_iter().collect();
+        // The sum of squared distances from the axes is least where its gradient vanishes.
+        let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
+        for camera in &cameras {
+            let axis = camera.forward();
+            let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+            matrix += across;
+            right += across * camera.position();
+        }
+        if matrix.determinant().abs() < 1e-6 * (cameras.len() as f64).powi(3) {
+            return None;
+        }
+        let center = matrix.inverse() * right;
+        let n = cameras.len() as f64;
+        let distance = cameras.iter().map(|c| c.position().distance(center)).sum::<f64>() / n;
+        let miss = |c: &&Camera| c.forward().cross(center - c.position()).length();
+        let ahead = cameras.iter().all(|c| c.forward().dot(center - c.position()) > 0.0);
+        if !ahead || cameras.iter().map(miss).sum::<f64>() / n > 0.1 * distance {
+            return None;
+        }
+        let shown = |c: &&Camera| {
+            let (w, h) = (f64::from(c.width) / c.fx, f64::from(c.height) / c.fy);
+            0.5 * w.min(h) * c.position().distance(center)
+        };
+        let half = cameras.iter().map(shown).fold(f64::INFINITY, f64::min);
+        Some(Self { min: center - half, max: center + half })
+    }
+
     /// `count` points uniformly in the box, the same ones for the same seed, without colors.
     pub fn sample(&self, count: usize, seed: u64) -> PointCloud {
         let mut random = Pcg::new(seed);
@@ -81,8 +113,6 @@ impl RandomBox {
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
-
     use super::*;
     use crate::camera::tests::camera;
 
@@ -107,6 +137,24 @@ mod tests {
         assert!((seen.min.x + 3.0 * 79.0 / 110.0).abs() < 1e-12);
         assert!((seen.max.y - 3.0 * (120.0 - 62.5) / 115.0).abs() < 1e-12);
         assert_eq!(RandomBox::around([], 1.0), None);
+    }
+
+    #[test]
+    fn cameras_around_an_object_give_the_box_of_the_object() {
+        let center = DVec3::new(0.2, -0.1, 0.3);
+        let around = |i: u32| {
+            let rotation = DMat3::from_rotation_x(0.3 * f64::from(i % 3)) * DMat3::from_rotation_y(0.8 * f64::from(i));
+            let translation = DVec3::new(0.0, 0.0, 4.0) - rotation * center;
+            Camera { fx: 220.0, fy: 220.0, cx: 80.0, cy: 60.0, rotation, translation, ..camera() }
+        };
+        let cameras: Vec<Camera> = (0..9).map(around).collect();
+        let seen = RandomBox::looked_at(&cameras).unwrap();
+        let half = 4.0 * 60.0 / 220.0;
+        assert!((seen.min - (center - half)).length() < 1e-9 && (seen.max - (center + half)).length() < 1e-9, "{seen:?}");
+        assert_eq!(RandomBox::looked_at(&cameras[..1]), None);
+        // Cameras in a room look outwards.
+        let inside = |c: &Camera| Camera { translation: c.translation - DVec3::new(0.0, 0.0, 6.0), ..c.clone() };
+        assert_eq!(RandomBox::looked_at(&cameras.iter().map(inside).collect::<Vec<_>>()), None);
     }
 
     #[test]

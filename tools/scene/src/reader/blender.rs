@@ -1,10 +1,19 @@
-//! The layout of Blender's synthetic scenes and TensoIR: `transforms_train.json`, `transforms_test.json`, and a folder
-//! for each frame. It is recognized but not read yet.
+//! The layout of Blender's synthetic scenes and TensoIR: `transforms_train.json` and `transforms_test.json`, whose frames
+//! name images without extension (`./train/r_0`) or in folders of their own (`./train_000/rgba`).
+//!
+//! Poses have OpenGL axes. Images are RGBA. TensoIR keeps beside `rgba.png`: `albedo.png` (linear values, as its own
+//! loader takes them), `normal.png` (world space), and `rgba_NAME.png` under other lightings; they are for measuring only.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::Found;
+use super::frame::{find_image, stem_of};
+use super::pose::Axes;
+use super::transforms::{Source, collect, open, usual_points};
+use super::{Found, Frame};
+use crate::beside::Form;
 use crate::error::{Result, SceneError};
+use crate::ground_truth::GroundTruthKind;
+use crate::maps::NormalFrame;
 
 /// The file that the layout is recognized by.
 pub(super) fn sign(root: &Path) -> Option<String> {
@@ -12,8 +21,67 @@ pub(super) fn sign(root: &Path) -> Option<String> {
     root.join(name).is_file().then(|| name.into())
 }
 
-/// Says that there is no reader yet.
+/// Reads a scene directory.
 pub(super) fn read(root: &Path) -> Result<Found> {
-    let sign = sign(root).unwrap_or_default();
-    Err(SceneError::LayoutNotRead { path: root.to_path_buf(), layout: "Blender", sign })
+    let mut found = Found { own_split: true, ..Default::default() };
+    let test = ["transforms_test.json", "transforms_val.json"].into_iter().find(|name| root.join(name).is_file());
+    for (name, is_test) in [("transforms_train.json", false)].into_iter().chain(test.map(|name| (name, true))) {
+        let path = root.join(name);
+        let file = open(&path)?;
+        let image = |_, name: &str| find(root, name);
+        let source =
+            Source { path: &path, axes: Axes::OpenGl, by_index: false, test: Some(is_test), image: Box::new(image) };
+        collect(&source, &file, &mut found, |_| true)?;
+    }
+    if found.frames.is_empty() {
+        let problem = format!(
+            "none of the frames has its image (the first should be {}); put the images there or correct file_path",
+            root.join(found.missing.first().map_or("", String::as_str)).display()
+        );
+        return Err(SceneError::cameras(&root.join("transforms_train.json"), "", problem));
+    }
+    found.frames.iter_mut().for_each(add_beside);
+    found.points = usual_points(root)?;
+    Ok(found)
+}
+
+/// The image of a frame and the name of its view: the path without extension, so that `train/r_0` and `test/r_0` differ,
+/// and without the image's own name in a folder for one view.
+fn find(root: &Path, file_path: &str) -> (Option<PathBuf>, String) {
+    let clean = file_path.replace('\\', "/");
+    let clean = clean.trim().trim_start_matches("./").trim_end_matches('/');
+    let image = find_image(root, clean).or_else(|| find_image(root, &format!("{clean}/rgba")));
+    let own_folder = |stem: &str| stem == "rgba" || stem.starts_with("rgba_");
+    let name = match clean.rsplit_once('/') {
+        Some((folder, file)) if own_folder(&stem_of(Path::new(file))) => folder.to_string(),
+        Some((folder, file)) => format!("{folder}/{}", stem_of(Path::new(file))),
+        None => stem_of(Path::new(clean)),
+    };
+    (image, name.replace('/', "_"))
+}
+
+/// Lists what lies beside an image in a folder of its own.
+fn add_beside(frame: &mut Frame) {
+    let image = frame.image.clone();
+    let (Some(folder), stem) = (image.parent(), stem_of(&image)) else {
+        return;
+    };
+    frame.beside.add(GroundTruthKind::Mask, image.clone(), Form::Alpha);
+    if stem != "rgba" && !stem.starts_with("rgba_") {
+        return;
+    }
+    frame.beside.add(GroundTruthKind::Albedo, folder.join("albedo.png"), Form::LinearColor);
+    frame.beside.add(GroundTruthKind::Normal, folder.join("normal.png"), Form::Normal(NormalFrame::World));
+    frame.beside.add(GroundTruthKind::Roughness, folder.join("roughness.png"), Form::Channel(0));
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let other = stem_of(&path);
+        if let Some(light) = other.strip_prefix("rgba_")
+            && path.extension().is_some_and(|e| e == "png")
+            && other != stem
+        {
+            frame.beside.relit.push((light.to_string(), path));
+        }
+    }
+    frame.beside.relit.sort();
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::beside::Beside;
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{EXTENSIONS, read_size};
@@ -17,9 +18,16 @@ pub(crate) struct Frame {
     pub(crate) image: PathBuf,
     /// The file that describes the camera.
     pub(crate) declared_in: PathBuf,
+    /// What the layout keeps beside the image.
+    pub(crate) beside: Beside,
 }
 
 impl Frame {
+    /// A photograph with nothing beside it.
+    pub(crate) fn new(camera: Camera, lens: Distortion, image: PathBuf, declared_in: PathBuf) -> Self {
+        Self { camera, lens, image, declared_in, beside: Beside::default() }
+    }
+
     /// Refuses an image whose header gives another size than the camera.
     pub(crate) fn check_size(&self) -> Result<()> {
         let image = read_size(&self.image)?;

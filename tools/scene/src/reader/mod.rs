@@ -6,9 +6,11 @@
 
 mod blender;
 pub(crate) mod colmap;
+mod downscaled;
 mod fipt;
 mod frame;
 mod interiorverse;
+mod numbers;
 mod pose;
 pub(crate) mod transforms;
 
@@ -30,7 +32,7 @@ pub enum Layout {
     InteriorVerse,
     /// `transforms_train.json` and folders of images, as for TensoIR.
     Blender,
-    /// `cam.txt` and `K_list.txt`.
+    /// `cam.txt` and `K_list.txt`, or `transforms.json` with the folder `Image`.
     Fipt,
 }
 
@@ -45,6 +47,8 @@ pub(crate) struct Found {
     pub(crate) points: Option<PointCloud>,
     /// What the user should know.
     pub(crate) warnings: Vec<String>,
+    /// Whether the layout says which views are held out; `split.json` comes before it.
+    pub(crate) own_split: bool,
 }
 
 /// Recognizes the layout of a scene directory.
@@ -53,18 +57,19 @@ pub(crate) fn recognize(root: &Path) -> Result<Layout> {
         "does not exist; give the directory of a scene"
     } else if !root.is_dir() {
         "is not a directory; give the directory of a scene"
-    } else if root.join("transforms.json").is_file() {
+    } else if interiorverse::sign(root).is_some() {
+        return Ok(Layout::InteriorVerse);
+    } else if fipt::sign(root).is_some() {
+        return Ok(Layout::Fipt);
+    } else if transforms::find(root).is_some() {
         return Ok(Layout::Transforms);
     } else if colmap::find(root).is_some() {
         return Ok(Layout::Colmap);
-    } else if interiorverse::sign(root).is_some() {
-        return Ok(Layout::InteriorVerse);
     } else if blender::sign(root).is_some() {
         return Ok(Layout::Blender);
-    } else if fipt::sign(root).is_some() {
-        return Ok(Layout::Fipt);
     } else {
-        "holds no scene: there is neither transforms.json nor sparse/0 with cameras.bin or cameras.txt"
+        "holds no scene: there is neither transforms.json, nor sparse/0 with cameras.bin or cameras.txt, nor \
+         transforms_train.json, nor images NNN_im.exr, nor cam.txt with K_list.txt"
     };
     Err(SceneError::NotAScene { path: root.to_path_buf(), problem: problem.into() })
 }
@@ -88,49 +93,39 @@ mod tests {
     fn layouts_are_recognized_by_what_they_hold() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
-        let put = |name: &str| {
+        let put = |name: &str, content: &str| {
             let path = root.join(name);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            std::fs::write(path, "").unwrap();
+            std::fs::write(path, content).unwrap();
         };
-        assert!(recognize(root).unwrap_err().to_string().contains("neither transforms.json nor sparse/0"));
-        put("cam.txt");
+        assert!(recognize(root).unwrap_err().to_string().contains("neither transforms.json, nor sparse/0"));
+        put("cam.txt", "");
         assert!(recognize(root).is_err());
-        put("K_list.txt");
-        assert_eq!(recognize(root).unwrap(), Layout::Fipt);
-        put("transforms_train.json");
+        put("transforms_train.json", "");
         assert_eq!(recognize(root).unwrap(), Layout::Blender);
-        put("im.exr");
-        put("x_im.exr");
-        assert_eq!(recognize(root).unwrap(), Layout::Blender);
-        put("007_im.exr");
-        assert_eq!(recognize(root).unwrap(), Layout::InteriorVerse);
-        put("sparse/cameras.txt");
+        put("im.exr", "");
+        put("x_im.exr", "");
+        put("7_imx.exr", "");
+        put("sparse/cameras.txt", "");
         assert_eq!(recognize(root).unwrap(), Layout::Colmap);
-        put("transforms.json");
+        put("gaussian_splat/transforms.json", "");
         assert_eq!(recognize(root).unwrap(), Layout::Transforms);
+        put("transforms.json", "{\"frames\": [{\"file_path\": \"Image/000_0001.exr\"}]}");
+        assert_eq!(recognize(root).unwrap(), Layout::Transforms);
+        // Frames that name their images are nerfstudio's, frames that do not are FIPT's.
+        put("Image/000_0001.exr", "");
+        assert_eq!(recognize(root).unwrap(), Layout::Transforms);
+        put("transforms.json", "{\"frames\": [{\"file_path\": \"./train/r_0\"}]}");
+        assert_eq!(recognize(root).unwrap(), Layout::Fipt);
+        put("transforms.json", "");
+        put("K_list.txt", "");
+        assert_eq!(recognize(root).unwrap(), Layout::Fipt);
+        put("007_im.exr", "");
+        assert_eq!(recognize(root).unwrap(), Layout::InteriorVerse);
 
         let error = recognize(&root.join("none")).unwrap_err().to_string();
         assert!(error.ends_with("none does not exist; give the directory of a scene"), "{error}");
         let error = recognize(&root.join("cam.txt")).unwrap_err().to_string();
         assert!(error.ends_with("cam.txt is not a directory; give the directory of a scene"), "{error}");
-    }
-
-    #[test]
-    fn layouts_without_a_reader_say_so() {
-        let directory = tempfile::tempdir().unwrap();
-        let root = directory.path();
-        for (name, layout, words) in [
-            ("K_list.txt", Layout::Fipt, "FIPT layout (it holds cam.txt and K_list.txt)"),
-            ("transforms_train.json", Layout::Blender, "Blender layout (it holds transforms_train.json)"),
-            ("012_im.exr", Layout::InteriorVerse, "InteriorVerse layout (it holds 012_im.exr)"),
-        ] {
-            std::fs::write(root.join("cam.txt"), "").unwrap();
-            std::fs::write(root.join(name), "").unwrap();
-            assert_eq!(recognize(root).unwrap(), layout);
-            let error = read(root, layout).unwrap_err().to_string();
-            assert!(error.contains(words), "{error}");
-            assert!(error.contains("convert it to transforms.json or to COLMAP's sparse/0"), "{error}");
-        }
     }
 }

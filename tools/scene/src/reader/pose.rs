@@ -5,10 +5,19 @@ use glam::{DMat3, DQuat, DVec3};
 /// How far a rotation may be from orthonormal and still be meant as one; files round to few digits.
 const TOLERANCE: f64 = 1e-2;
 
-/// The world-to-camera pose (OpenCV axes) of a camera-to-world matrix with OpenGL axes, given row by row.
+/// The axes of cameras in a file, seen from behind the camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Axes {
+    /// x right, y up, z backward.
+    OpenGl,
+    /// x left, y up, z forward.
+    Mitsuba,
+}
+
+/// The world-to-camera pose (OpenCV axes) of a camera-to-world matrix with these axes, given row by row.
 ///
 /// The error is the end of a sentence about the matrix.
-pub(super) fn from_opengl(rows: &[Vec<f64>]) -> Result<(DMat3, DVec3), String> {
+pub(super) fn from_matrix(rows: &[Vec<f64>], axes: Axes) -> Result<(DMat3, DVec3), String> {
     let lengths: Vec<String> = rows.iter().map(|r| r.len().to_string()).collect();
     if !(rows.len() == 3 || rows.len() == 4) || rows.iter().any(|r| r.len() != 4) {
         let found = lengths.join(", ");
@@ -25,10 +34,28 @@ pub(super) fn from_opengl(rows: &[Vec<f64>]) -> Result<(DMat3, DVec3), String> {
     let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
     let rotation = orthonormal(DMat3::from_cols(column(0), column(1), column(2)))
         .map_err(|problem| format!("transform_matrix {problem}"))?;
-    // OpenGL's y points up and its z backward.
-    let to_world = DMat3::from_cols(rotation.x_axis, -rotation.y_axis, -rotation.z_axis);
+    let to_world = match axes {
+        Axes::OpenGl => DMat3::from_cols(rotation.x_axis, -rotation.y_axis, -rotation.z_axis),
+        Axes::Mitsuba => DMat3::from_cols(-rotation.x_axis, -rotation.y_axis, rotation.z_axis),
+    };
     let to_camera = to_world.transpose();
     Ok((to_camera, -(to_camera * column(3))))
+}
+
+/// The world-to-camera pose of a camera that stands at `origin`, looks at `target`, and whose upper edge points to `up`.
+pub(super) fn from_look_at(origin: DVec3, target: DVec3, up: DVec3) -> Result<(DMat3, DVec3), String> {
+    if !(origin.is_finite() && target.is_finite() && up.is_finite()) {
+        return Err("the pose holds values that are not finite; correct or remove the camera".into());
+    }
+    let forward = (target - origin).try_normalize();
+    let forward = forward.ok_or("the camera looks at where it stands; its second row must be another point")?;
+    let right = forward.cross(up);
+    if right.length() < TOLERANCE * up.length() || up.length() < 1e-9 {
+        return Err("the camera looks along its own up vector; its third row must point to the upper edge".into());
+    }
+    let right = right.normalize();
+    let to_camera = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+    Ok((to_camera, -(to_camera * origin)))
 }
 
 /// The world-to-camera pose of a quaternion `(w, x, y, z)` and a translation, as COLMAP gives it.
@@ -79,6 +106,34 @@ mod tests {
             vec![r[6], r[7], r[8], t.z],
             vec![0.0, 0.0, 0.0, 1.0],
         ]
+    }
+
+    fn from_opengl(rows: &[Vec<f64>]) -> Result<(DMat3, DVec3), String> {
+        from_matrix(rows, Axes::OpenGl)
+    }
+
+    #[test]
+    fn mitsuba_looks_along_z_with_y_up_and_x_to_the_left() {
+        let (rotation, translation) =
+            from_matrix(&rows(DMat3::IDENTITY, DVec3::new(1.0, 2.0, 3.0)), Axes::Mitsuba).unwrap();
+        let p = rotation * DVec3::new(0.5, 2.25, 5.0) + translation;
+        assert!((p - DVec3::new(0.5, -0.25, 2.0)).length() < 1e-12, "{p}");
+        assert!((rotation.determinant() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_camera_that_looks_at_a_point_sees_it_in_the_middle() {
+        let (origin, target) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 2.0, 7.0));
+        // The up vector need be neither unit nor perpendicular.
+        let (rotation, translation) = from_look_at(origin, target, DVec3::new(0.3, 2.0, 0.1)).unwrap();
+        assert!((rotation * target + translation - DVec3::new(0.0, 0.0, 5.0)).length() < 1e-12);
+        assert!((rotation.determinant() - 1.0).abs() < 1e-12);
+        assert!((rotation * DVec3::new(0.3, 2.0, 0.1)).y < 0.0, "up is up");
+        let fail = |a: DVec3, b: DVec3, up: DVec3| from_look_at(a, b, up).unwrap_err();
+        assert!(fail(origin, origin, DVec3::Y).contains("looks at where it stands"));
+        assert!(fail(origin, origin + DVec3::Y, DVec3::Y).contains("along its own up vector"));
+        assert!(fail(origin, target, DVec3::ZERO).contains("along its own up vector"));
+        assert!(fail(origin, target, DVec3::NAN).contains("not finite"));
     }
 
     #[test]

@@ -112,7 +112,7 @@ fn each_fault_has_its_sentence() {
     assert_eq!(fail(|o| o.views = Some(0)), "--views is 0, but there must be at least one training view");
     assert_eq!(fail(|o| o.scale = 1.5), "--scale is 1.5, but the factor must be above 0 and at most 1");
     assert!(fail(|o| o.scale = f64::NAN).starts_with("--scale is NaN"));
-    assert!(fail(|o| o.exposure = 0.0).starts_with("exposure is 0"));
+    assert!(fail(|o| o.exposure = Some(0.0)).starts_with("exposure is 0"));
 
     write_png(&root.join("v1.png"), &Image::new(9, 6, 3)).unwrap();
     write_scene_json_size(root);

@@ -1,9 +1,11 @@
-//! What the tests against rooms share.
+//! What the tests share: rooms that are written ([`written`]), and rooms that are found.
 //!
-//! The rooms were made outside of this project and lie beside the repository; they are not a part of it. Where they are
+//! The latter were made outside of this project and lie beside the repository; they are not a part of it. Where they are
 //! absent, the tests say so and pass.
 
 #![allow(dead_code, reason = "each test program uses its own part")]
+
+pub mod written;
 
 use std::path::{Path, PathBuf};
 

@@ -138,7 +138,9 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
     let options = SceneOptions {
         views: (s.views > 0).then_some(s.views),
         scale: s.scale,
-        exposure: s.exposure,
+        exposure: (s.exposure != 0.0).then_some(s.exposure),
+        background: s.geometry.background,
+        masks: s.masks,
         random_points: s.random_points,
         seed: s.seed,
     };
@@ -160,6 +162,9 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
     // What was left to measurement has been measured.
     if asked.geometry.backward == Backward::Auto {
         asked.geometry.backward = began.geometry.backward;
+    }
+    if asked.exposure == 0.0 {
+        asked.exposure = began.exposure;
     }
     // The scene may have moved, and there may be more memory than before.
     let began = Settings { scene: asked.scene.clone(), memory: asked.memory, ..began };
@@ -184,8 +189,10 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let Stage::Geometry = a.stage;
     let resuming = a.resume && a.output.join("config.toml").is_file();
-    let settings = if resuming { resumed(a)? } else { settings(&a.scene, &a.options)? };
+    let mut settings = if resuming { resumed(a)? } else { settings(&a.scene, &a.options)? };
     let scene = open_scene(&settings)?;
+    // What was chosen for the scene belongs to the run: it is measured and resumed alike.
+    settings.exposure = scene.exposure();
     let device = common.open_device()?;
     let run = RunDirectory::create(&a.output)?;
     let mut training = Geometry::new(&device, &scene, &settings, None)?;

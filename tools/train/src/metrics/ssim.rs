@@ -11,30 +11,38 @@ const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
 /// Structural similarity of images in `[0, 1]`: Gaussian window of 11×11 pixels with σ 1.5, zeros outside of the image,
-/// the mean over all channels and pixels.
-pub fn ssim(a: &Image, b: &Image) -> Result<f64, MetricError> {
-    check("ssim", a, b, None)?;
+/// the mean over all channels and over the pixels that count. Pixels that do not count agree as far as windows see them.
+pub fn ssim(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
+    check("ssim", a, b, mask)?;
     let (width, height) = (a.width as usize, a.height as usize);
     let channels = a.channels as usize;
     let window = window();
+    let counts = |i: usize| mask.is_none_or(|mask| mask.data[i] > 0.5);
+    let counted = (0..width * height).filter(|&i| counts(i)).count();
+    if counted == 0 {
+        return Err(MetricError::Empty { measure: "ssim" });
+    }
     let mut sum = 0.0;
     for c in 0..channels {
         let plane = |image: &Image| -> Vec<f64> {
             image.data.iter().skip(c).step_by(channels).map(|&v| f64::from(v)).collect()
         };
-        let (a, b) = (plane(a), plane(b));
+        let (mut a, b) = (plane(a), plane(b));
+        for i in (0..width * height).filter(|&i| !counts(i)) {
+            a[i] = b[i];
+        }
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<f64>>();
         let blurred = |values: &[f64]| blur(values, width, height, &window);
         let (mean_a, mean_b) = (blurred(&a), blurred(&b));
         let (aa, bb, ab) = (blurred(&product(&a, &a)), blurred(&product(&b, &b)), blurred(&product(&a, &b)));
-        for i in 0..width * height {
+        for i in (0..width * height).filter(|&i| counts(i)) {
             let (ma, mb) = (mean_a[i], mean_b[i]);
             let (var_a, var_b, cov) = (aa[i] - ma * ma, bb[i] - mb * mb, ab[i] - ma * mb);
             let luminance = (2.0 * ma * mb + C1) / (ma * ma + mb * mb + C1);
             sum += luminance * (2.0 * cov + C2) / (var_a + var_b + C2);
         }
     }
-    Ok(sum / (width * height * channels) as f64)
+    Ok(sum / (counted * channels) as f64)
 }
 
 /// The window along one axis; the two-dimensional one is its product with itself.
@@ -125,7 +133,7 @@ mod tests {
     fn agrees_with_the_definition() {
         for (w, h, c) in [(17, 13, 3), (4, 3, 1), (1, 1, 3), (12, 1, 2)] {
             let (a, b) = (pattern(w, h, c, 1), pattern(w, h, c, 2));
-            let (fast, slow) = (ssim(&a, &b).unwrap(), definition(&a, &b));
+            let (fast, slow) = (ssim(&a, &b, None).unwrap(), definition(&a, &b));
             assert!((fast - slow).abs() < 1e-12, "{w}×{h}×{c}: {fast} {slow}");
         }
     }
@@ -133,17 +141,31 @@ mod tests {
     #[test]
     fn equal_images_are_one_and_noise_is_not() {
         let a = pattern(20, 20, 3, 1);
-        assert!((ssim(&a, &a).unwrap() - 1.0).abs() < 1e-12);
-        assert!(ssim(&a, &pattern(20, 20, 3, 2)).unwrap() < 0.2);
-        assert!(ssim(&a, &Image::new(20, 19, 3)).is_err());
+        assert!((ssim(&a, &a, None).unwrap() - 1.0).abs() < 1e-12);
+        assert!(ssim(&a, &pattern(20, 20, 3, 2), None).unwrap() < 0.2);
+        assert!(ssim(&a, &Image::new(20, 19, 3), None).is_err());
     }
 
     /// Zeros outside of the image let the same difference weigh less at the border than in the middle.
     #[test]
     fn the_border_is_padded_with_zeros() {
         let flat = |v: f32| Image { data: vec![v; 400], ..Image::new(20, 20, 1) };
-        let value = ssim(&flat(0.2), &flat(0.8)).unwrap();
+        let value = ssim(&flat(0.2), &flat(0.8), None).unwrap();
         let center = (2.0 * 0.16 + 1e-4) / (0.04 + 0.64 + 1e-4);
         assert!((value - center).abs() > 1e-3 && (value - definition(&flat(0.2), &flat(0.8))).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_does_not_count_is_not_seen() {
+        let (mut a, b) = (pattern(20, 16, 3, 1), pattern(20, 16, 3, 2));
+        let counts = |p: usize| p % 20 < 12;
+        let mask = Image::from_data(20, 16, 1, (0..320).map(|p| f32::from(u8::from(counts(p)))).collect()).unwrap();
+        let masked = ssim(&a, &b, Some(&mask)).unwrap();
+        assert!((masked - ssim(&a, &b, None).unwrap()).abs() > 1e-3);
+        for p in (0..320).filter(|&p| !counts(p)) {
+            a.data[3 * p..3 * p + 3].fill(f32::NAN);
+        }
+        assert_eq!(ssim(&a, &b, Some(&mask)).unwrap(), masked);
+        assert!(matches!(ssim(&a, &b, Some(&Image::new(20, 16, 1))), Err(MetricError::Empty { .. })));
     }
 }

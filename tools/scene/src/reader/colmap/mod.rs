@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::frame::{find_image, missing_warning};
-use super::transforms::read_points;
+use super::downscaled;
 use super::{Found, Frame, pose, stem_of};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
@@ -87,7 +87,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     for row in &images {
         let place = format!("{} ({})", row.place, row.name);
         let fail = |problem: String| SceneError::cameras(&images_path, place.clone(), problem);
-        let Some(image) = find_image(&folder, &row.name) else {
+        let Some(image) = image_of(root, &row.name) else {
             found.missing.push(stem_of(Path::new(&row.name)));
             continue;
         };
@@ -113,7 +113,8 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         if let Some(problem) = problem {
             return Err(SceneError::cameras(&cameras_path, format!("camera {}", shared.id), problem));
         }
-        found.frames.push(Frame { camera, lens, image, declared_in: cameras_path.clone() });
+        let camera = downscaled::fitted(camera, &image)?;
+        found.frames.push(Frame::new(camera, lens, image, cameras_path.clone()));
     }
     if found.frames.is_empty() {
         let problem = format!(
@@ -129,10 +130,21 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     Ok(found)
 }
 
-/// The model's points: `points3D` in the model's form, else in any other.
+/// The photograph of a registered image: in `images`, else a smaller copy, else beside the model's folder.
+fn image_of(root: &Path, name: &str) -> Option<PathBuf> {
+    let in_images = format!("images/{name}");
+    let exact = find_image(root, &in_images).or_else(|| downscaled::find(root, &in_images));
+    // Smaller copies may be of another kind than the originals.
+    let stem = || format!("images/{}", Path::new(name).with_extension("").display());
+    let other_kind = || find_image(root, &stem()).or_else(|| downscaled::find(root, &stem()));
+    exact.or_else(other_kind).or_else(|| find_image(root, name))
+}
+
+/// The model's points: `points3D` in the model's form, else in any other. An empty file counts only if all are.
 fn points_of(location: &Location) -> Result<Option<PointCloud>> {
     let path = |name: &str| location.folder.join(name);
     let own = if location.binary { ["points3D.bin", "points3D.txt"] } else { ["points3D.txt", "points3D.bin"] };
+    let mut empty = None;
     for name in own.into_iter().chain(["points3D.ply", "points.ply"]) {
         let path = path(name);
         if !path.is_file() {
@@ -141,15 +153,20 @@ fn points_of(location: &Location) -> Result<Option<PointCloud>> {
         let points = match path.extension().and_then(|e| e.to_str()) {
             Some("bin") => binary::read_points(&path)?,
             Some("txt") => text::read_points(&path)?,
-            _ => read_points(&path)?,
+            _ => PointCloud::read_ply(&path)?,
         };
-        if points.is_empty() {
-            let problem = "the file holds no points; replace it, or remove it to start from random points";
-            return Err(SceneError::points(&path, "", problem));
+        if !points.is_empty() {
+            return Ok(Some(points));
         }
-        return Ok(Some(points));
+        empty.get_or_insert(path);
     }
-    Ok(None)
+    match empty {
+        None => Ok(None),
+        Some(path) => {
+            let problem = "the file holds no points; replace it, or remove it to start from random points";
+            Err(SceneError::points(&path, "", problem))
+        }
+    }
 }
 
 #[cfg(test)]

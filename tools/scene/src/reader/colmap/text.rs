@@ -9,7 +9,8 @@ use crate::points::PointCloud;
 fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
     // Names of images may be in any encoding; numbers are the same in all.
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    Ok(String::from_utf8_lossy(bytes).into_owned())
 }
 
 /// The words of one line, with errors that name it.

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
 use crate::camera::{Camera, Distortion};
-use crate::reader::pose;
+use crate::reader::pose::{self, Axes};
 
 /// The top of the file or one of its frames. Everything is optional: what a frame does not say, the top may.
 ///
@@ -13,6 +13,7 @@ use crate::reader::pose;
 pub(super) struct Entry {
     pub(super) file_path: Option<String>,
     pub(super) transform_matrix: Option<Vec<Vec<f64>>>,
+    pub(super) split: Option<String>,
     camera_model: Option<String>,
     is_fisheye: Option<bool>,
     fl_x: Option<f64>,
@@ -42,6 +43,7 @@ impl Entry {
         Self {
             file_path: None,
             transform_matrix: None,
+            split: None,
             camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
             is_fisheye: self.is_fisheye.or(all.is_fisheye),
             fl_x: focal.fl_x,
@@ -72,6 +74,15 @@ impl Entry {
         match (side(w), side(h)) {
             (Some(w), Some(h)) => Ok(Some((w, h))),
             _ => Err(format!("the image size is {w}×{h}; w and h must be whole positive numbers of pixels")),
+        }
+    }
+
+    /// Whether the frame is said to be held out.
+    pub(super) fn test(&self) -> Option<bool> {
+        match self.split.as_deref()? {
+            "train" => Some(false),
+            "test" | "val" => Some(true),
+            _ => None,
         }
     }
 
@@ -132,9 +143,9 @@ impl Entry {
     }
 
     /// The world-to-camera pose.
-    pub(super) fn pose(&self) -> Result<(DMat3, DVec3), String> {
+    pub(super) fn pose(&self, axes: Axes) -> Result<(DMat3, DVec3), String> {
         let rows = self.transform_matrix.as_ref().ok_or("there is no transform_matrix; every frame needs one")?;
-        pose::from_opengl(rows)
+        pose::from_matrix(rows, axes)
     }
 
     fn check_model(&self) -> Result<(), String> {

@@ -4,6 +4,7 @@
 //! OpenGL axes. The same file without images describes cameras to render from ([`Camera::read_transforms`]).
 
 mod intrinsics;
+mod listing;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -11,8 +12,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use self::intrinsics::Entry;
-use super::frame::{find_image, missing_warning};
-use super::{Found, Frame, stem_of};
+pub(super) use self::listing::{Source, collect};
+use super::frame::find_image;
+use super::pose::Axes;
+use super::{Found, stem_of};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
 use crate::image::read_size;
@@ -26,28 +29,47 @@ const POINT_FILES: [&str; 4] = ["points.ply", "init.ply", "points3d.ply", "point
 /// Where held-out frames are listed when `transforms.json` holds the training frames only.
 const COMPANIONS: [&str; 2] = ["transforms_val.json", "transforms_test.json"];
 
+/// A file of frames.
 #[derive(Deserialize)]
-struct Listing {
+pub(super) struct Listing {
     ply_file_path: Option<String>,
     frames: Vec<Entry>,
+    /// What stands at the top for all frames.
+    #[serde(skip)]
+    all: Entry,
 }
 
-/// The frames, the point file, and what stands at the top for all frames.
-fn open(path: &Path) -> Result<(Listing, Entry)> {
+/// Reads a file that must have frames.
+pub(super) fn open(path: &Path) -> Result<Listing> {
     let all: Entry = read_json(path)?;
     let listing: Listing = read_json(path)?;
+    let listing = Listing { all, ..listing };
     if listing.frames.is_empty() {
         return Err(SceneError::cameras(path, "", "the list of frames is empty; there must be at least one"));
     }
-    Ok((listing, all))
+    Ok(listing)
+}
+
+/// The `transforms.json` of a scene directory; DL3DV keeps it one folder down.
+pub(super) fn find(root: &Path) -> Option<PathBuf> {
+    let folders = ["", "nerfstudio", "gaussian_splat"];
+    folders.iter().map(|folder| root.join(folder).join("transforms.json")).find(|path| path.is_file())
+}
+
+/// The image that the first frame of a file names, if it exists.
+pub(super) fn first_image(path: &Path) -> Result<Option<PathBuf>> {
+    let file = open(path)?;
+    let root = path.parent().unwrap_or(Path::new(""));
+    Ok(file.frames[0].file_path.as_deref().and_then(|name| find_image(root, name)))
 }
 
 /// Reads a scene directory.
 pub(super) fn read(root: &Path) -> Result<Found> {
-    let path = root.join("transforms.json");
-    let (file, all) = open(&path)?;
+    let path = find(root).unwrap_or_else(|| root.join("transforms.json"));
+    let root = path.parent().unwrap_or(root);
+    let file = open(&path)?;
     let mut found = Found::default();
-    collect(root, &path, (&file, &all), &mut found, |_| true)?;
+    collect(&Source::plain(&path), &file, &mut found, |_| true)?;
     if found.frames.is_empty() {
         let looked = file.frames[0].file_path.clone().unwrap_or_default();
         let problem = format!(
@@ -79,47 +101,9 @@ fn held_out(root: &Path, found: &mut Found) -> Result<()> {
         if wanted.is_empty() || !path.is_file() {
             continue;
         }
-        let (file, all) = open(&path)?;
-        collect(root, &path, (&file, &all), found, |stem| wanted.remove(stem))?;
+        let file = open(&path)?;
+        collect(&Source::plain(&path), &file, found, |stem| wanted.remove(stem))?;
     }
-    Ok(())
-}
-
-/// Adds the frames of a file whose stem is `wanted`, or notes that their image is missing.
-fn collect(
-    root: &Path,
-    path: &Path,
-    (file, all): (&Listing, &Entry),
-    found: &mut Found,
-    mut wanted: impl FnMut(&str) -> bool,
-) -> Result<()> {
-    let (mut missing, mut total) = (Vec::new(), 0);
-    for (index, entry) in file.frames.iter().enumerate() {
-        let fail = |problem: String| SceneError::cameras(path, entry.place(index), problem);
-        let name = entry.file_path.as_deref().filter(|name| !name.is_empty());
-        let name = name.ok_or_else(|| fail("there is no file_path; every frame needs one".into()))?;
-        let image = find_image(root, name);
-        let stem = stem_of(image.as_deref().unwrap_or(Path::new(name)));
-        if !wanted(&stem) {
-            continue;
-        }
-        total += 1;
-        let Some(image) = image else {
-            missing.push(stem);
-            continue;
-        };
-        let (rotation, translation) = entry.pose().map_err(fail)?;
-        let intrinsics = entry.or(all);
-        let size = match intrinsics.size().map_err(fail)? {
-            Some(size) => size,
-            None => read_size(&image)?,
-        };
-        let camera = intrinsics.camera(stem, size, rotation, translation).map_err(fail)?;
-        let lens = intrinsics.lens().map_err(fail)?;
-        found.frames.push(Frame { camera, lens, image, declared_in: path.to_path_buf() });
-    }
-    found.warnings.extend(missing_warning(path, &missing, total));
-    found.missing.extend(missing);
     Ok(())
 }
 
@@ -133,11 +117,16 @@ fn points_of(root: &Path, declared_in: &Path, named: Option<&str>) -> Result<Opt
             format!("ply_file_path is {}, which does not exist; put it there or remove the key", path.display());
         return Err(SceneError::cameras(declared_in, "", problem));
     }
-    let usual = || POINT_FILES.iter().map(|name| root.join(name)).find(|path| path.is_file());
-    match named.or_else(usual) {
+    match named {
         Some(path) => read_points(&path).map(Some),
-        None => Ok(None),
+        None => usual_points(root),
     }
+}
+
+/// The point cloud of a folder under a usual name.
+pub(super) fn usual_points(root: &Path) -> Result<Option<PointCloud>> {
+    let usual = POINT_FILES.iter().map(|name| root.join(name)).find(|path| path.is_file());
+    usual.map(|path| read_points(&path)).transpose()
 }
 
 /// Reads a point cloud that must not be empty.
@@ -156,14 +145,14 @@ impl Camera {
     /// The size comes from `w` and `h`, else from the image where there is one. A frame without `file_path` gets its
     /// index as a name. Lens distortion is left out: what is rendered is the ideal image.
     pub fn read_transforms(path: &Path) -> Result<Vec<Self>> {
-        let (file, all) = open(path)?;
+        let file = open(path)?;
         let folder: PathBuf = path.parent().unwrap_or(Path::new("")).into();
         let mut names = HashSet::new();
         let mut cameras = Vec::with_capacity(file.frames.len());
         for (index, entry) in file.frames.iter().enumerate() {
             let fail = |problem: String| SceneError::cameras(path, entry.place(index), problem);
-            let (rotation, translation) = entry.pose().map_err(fail)?;
-            let intrinsics = entry.or(&all);
+            let (rotation, translation) = entry.pose(Axes::OpenGl).map_err(fail)?;
+            let intrinsics = entry.or(&file.all);
             let file_path = entry.file_path.as_deref().unwrap_or("");
             let size = match intrinsics.size().map_err(fail)? {
                 Some(size) => size,

@@ -5,6 +5,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::image::{Image, write_png};
+use crate::reader::Frame;
 
 const POSE: &str = "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
 

@@ -1,0 +1,81 @@
+//! Frames from the entries of a file, for every layout that lists them so.
+
+use std::path::{Path, PathBuf};
+
+use super::Listing;
+use crate::beside::Beside;
+use crate::error::{Result, SceneError};
+use crate::image::read_size;
+use crate::reader::frame::{find_image, missing_warning};
+use crate::reader::pose::Axes;
+use crate::reader::{Found, Frame, downscaled, stem_of};
+
+/// Finds a frame's image from its index and `file_path`: where it lies, if it exists, and the name of the view.
+type FindImage<'a> = dyn Fn(usize, &str) -> (Option<PathBuf>, String) + 'a;
+
+/// How the frames of a file are to be understood.
+pub(in crate::reader) struct Source<'a> {
+    /// The file.
+    pub(in crate::reader) path: &'a Path,
+    /// The axes of its poses.
+    pub(in crate::reader) axes: Axes,
+    /// Whether a frame without `file_path` has an image all the same.
+    pub(in crate::reader) by_index: bool,
+    /// Whether all of its frames are test views, or none; as they say themselves where this is absent.
+    pub(in crate::reader) test: Option<bool>,
+    /// Finds images.
+    pub(in crate::reader) image: Box<FindImage<'a>>,
+}
+
+impl<'a> Source<'a> {
+    /// As nerfstudio and instant-ngp write it.
+    pub(super) fn plain(path: &'a Path) -> Self {
+        let root = path.parent().unwrap_or(Path::new(""));
+        let image = |_, name: &str| {
+            let image = find_image(root, name).or_else(|| downscaled::find(root, name));
+            let stem = stem_of(image.as_deref().unwrap_or(Path::new(name)));
+            (image, stem)
+        };
+        Self { path, axes: Axes::OpenGl, by_index: false, test: None, image: Box::new(image) }
+    }
+}
+
+/// Adds the frames of a file whose name is `wanted`, or notes that their image is missing.
+pub(in crate::reader) fn collect(
+    source: &Source,
+    file: &Listing,
+    found: &mut Found,
+    mut wanted: impl FnMut(&str) -> bool,
+) -> Result<()> {
+    let (mut missing, mut total) = (Vec::new(), 0);
+    for (index, entry) in file.frames.iter().enumerate() {
+        let fail = |problem: String| SceneError::cameras(source.path, entry.place(index), problem);
+        let named = entry.file_path.as_deref().filter(|name| !name.is_empty());
+        if named.is_none() && !source.by_index {
+            return Err(fail("there is no file_path; every frame needs one".into()));
+        }
+        let (image, name) = (source.image)(index, named.unwrap_or(""));
+        if !wanted(&name) {
+            continue;
+        }
+        total += 1;
+        let Some(image) = image else {
+            missing.push(name);
+            continue;
+        };
+        let (rotation, translation) = entry.pose(source.axes).map_err(fail)?;
+        let intrinsics = entry.or(&file.all);
+        let size = match intrinsics.size().map_err(fail)? {
+            Some(size) => size,
+            None => read_size(&image)?,
+        };
+        let camera = intrinsics.camera(name, size, rotation, translation).map_err(fail)?;
+        let camera = downscaled::fitted(camera, &image)?;
+        let lens = intrinsics.lens().map_err(fail)?;
+        let beside = Beside { test: source.test.or(entry.test()), ..Default::default() };
+        found.frames.push(Frame { beside, ..Frame::new(camera, lens, image, source.path.to_path_buf()) });
+    }
+    found.warnings.extend(missing_warning(source.path, &missing, total));
+    found.missing.extend(missing);
+    Ok(())
+}
