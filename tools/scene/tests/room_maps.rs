@@ -4,7 +4,7 @@ mod common;
 
 use common::{mse, open, room};
 use glam::DVec3;
-use sgs_scene::{GroundTruth, GroundTruthKind, Image, NormalFrame, Scene, SceneOptions, linear_to_srgb};
+use sgs_scene::{DepthDefinition, GroundTruth, GroundTruthKind, Image, NormalFrame, Scene, SceneOptions, linear_to_srgb};
 
 fn pixel_angle(a: &[f32], b: &[f32]) -> f64 {
     let [a, b] = [a, b].map(|v| DVec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2])));
@@ -224,4 +224,48 @@ fn relit_truth_is_complete() {
     assert!(truth.relit_edit("armchair_right").is_some() && truth.relit_edit("none").is_none());
     assert!(truth.lights().is_some());
     assert!(truth.load(GroundTruthKind::Depth, 24).is_err());
+}
+
+/// The same renders in InteriorVerse's layout: normals in camera axes, depth in millimeters, half floats.
+#[test]
+fn interiorverse_s_ground_truth_is_that_of_the_room() {
+    let (Some(release), Some(room)) = (room("whiteroom_interiorverse"), room("whiteroom")) else {
+        return;
+    };
+    let (release, room) = (open(&release), open(&room));
+    let (ours, theirs) = (GroundTruth::of(&release), GroundTruth::of(&room));
+    assert_eq!(ours.depth_definition().unwrap(), Some(DepthDefinition { unit: 1e-3, along_ray: false }));
+    for i in 0..release.views.len() {
+        let (a, b) = (&release.views[i].camera, &room.views[i].camera);
+        assert!((a.position() - b.position()).length() < 1e-9 && (a.fx, a.cy) == (b.fx, b.cy));
+        assert!((a.rotation - b.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-9));
+        let both = |kind| [&ours, &theirs].map(|truth| truth.load(kind, i).unwrap().unwrap());
+        let [mask, expected] = both(GroundTruthKind::Mask);
+        assert_eq!(mask, expected);
+        assert_eq!(release.load_mask(i).unwrap(), Some(mask.clone()));
+        let counts = |p: &usize| mask.data[*p] > 0.5;
+        let [a, b] = both(GroundTruthKind::Normal);
+        let angles: Vec<f64> = (0..mask.data.len())
+            .filter(counts)
+            .filter(|p| !is_zero(&b.data[3 * p..3 * p + 3]))
+            .map(|p| pixel_angle(&a.data[3 * p..3 * p + 3], &b.data[3 * p..3 * p + 3]))
+            .collect();
+        let mean = angles.iter().sum::<f64>() / angles.len() as f64;
+        let worst = angles.iter().copied().fold(0.0, f64::max);
+        assert!(mean < 0.1 && worst < 1.0, "view {i}: {mean}° on average, {worst}° at worst");
+        for (kind, tolerance) in [
+            (GroundTruthKind::Depth, 5e-3),
+            (GroundTruthKind::Albedo, 1e-3),
+            (GroundTruthKind::Roughness, 1e-3),
+            (GroundTruthKind::Metallic, 1e-3),
+        ] {
+            let [a, b] = both(kind);
+            let channels = a.channels as usize;
+            let pixels = (0..mask.data.len()).filter(counts);
+            let values = pixels.flat_map(|p| p * channels..(p + 1) * channels).map(|k| (a.data[k] - b.data[k]).abs());
+            let worst = values.fold(0.0, f32::max);
+            assert!(worst < tolerance, "view {i}: {kind:?} differs by {worst}");
+        }
+        assert!(release.normal_prior(i).unwrap().is_none() && release.albedo_prior(i).unwrap().is_none());
+    }
 }

@@ -24,10 +24,14 @@ pub(super) fn sign(root: &Path) -> Option<String> {
 /// Reads a scene directory.
 pub(super) fn read(root: &Path) -> Result<Found> {
     let mut found = Found { own_split: true, ..Default::default() };
+    let mut first = String::new();
     let test = ["transforms_test.json", "transforms_val.json"].into_iter().find(|name| root.join(name).is_file());
     for (name, is_test) in [("transforms_train.json", false)].into_iter().chain(test.map(|name| (name, true))) {
         let path = root.join(name);
         let file = open(&path)?;
+        if first.is_empty() {
+            first = file.first().unwrap_or_default().into();
+        }
         let image = |_, name: &str| find(root, name);
         let source =
             Source { path: &path, axes: Axes::OpenGl, by_index: false, test: Some(is_test), image: Box::new(image) };
@@ -36,7 +40,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     if found.frames.is_empty() {
         let problem = format!(
             "none of the frames has its image (the first should be {}); put the images there or correct file_path",
-            root.join(found.missing.first().map_or("", String::as_str)).display()
+            root.join(first).display()
         );
         return Err(SceneError::cameras(&root.join("transforms_train.json"), "", problem));
     }

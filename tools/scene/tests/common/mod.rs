@@ -1,7 +1,7 @@
 //! What the tests share: rooms that are written ([`written`]), and rooms that are found.
 //!
 //! The latter were made outside of this project and lie beside the repository; they are not a part of it. Where they are
-//! absent, the tests say so and pass.
+//! absent, the tests say so and pass. `SGS_TEST_DATA` names another place.
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
@@ -13,7 +13,8 @@ use sgs_scene::{Image, Scene, SceneOptions};
 
 /// The directory of a room.
 pub fn room(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let path = std::env::var_os("SGS_TEST_DATA").map_or_else(beside, PathBuf::from).join(name);
     if path.is_dir() {
         return Some(path);
     }

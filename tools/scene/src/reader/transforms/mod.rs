@@ -39,6 +39,13 @@ pub(super) struct Listing {
     all: Entry,
 }
 
+impl Listing {
+    /// The name of the first frame's image.
+    pub(super) fn first(&self) -> Option<&str> {
+        self.frames.first()?.file_path.as_deref()
+    }
+}
+
 /// Reads a file that must have frames.
 pub(super) fn open(path: &Path) -> Result<Listing> {
     let all: Entry = read_json(path)?;
@@ -60,7 +67,7 @@ pub(super) fn find(root: &Path) -> Option<PathBuf> {
 pub(super) fn first_image(path: &Path) -> Result<Option<PathBuf>> {
     let file = open(path)?;
     let root = path.parent().unwrap_or(Path::new(""));
-    Ok(file.frames[0].file_path.as_deref().and_then(|name| find_image(root, name)))
+    Ok(file.first().and_then(|name| find_image(root, name)))
 }
 
 /// Reads a scene directory.
