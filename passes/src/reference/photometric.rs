@@ -182,7 +182,8 @@ mod tests {
         for (p, t) in targets.iter_mut().enumerate() {
             *t = (*t & 0x00ff_ffff) | if p % 14 < 5 { 0 } else { 0xff00_0000 };
         }
-        let (loss, gradient) = (photometric(&image, &targets, shape), photometric_bwd(&image, &targets, shape, 0.8, 0.2));
+        let (loss, gradient) =
+            (photometric(&image, &targets, shape), photometric_bwd(&image, &targets, shape, 0.8, 0.2));
         for p in (0..shape.pixels()).filter(|p| p % 14 < 5) {
             assert_eq!(gradient[3 * p..3 * p + 3], [0.0; 3]);
             image[3 * p..3 * p + 3].fill(f64::NAN);

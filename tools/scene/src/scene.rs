@@ -179,8 +179,12 @@ impl Scene {
 
     /// The image of a view, as [`View::load_image`] gives it with the scene's exposure.
     pub fn load_image(&self, view: usize) -> Result<Image> {
-        let options = LoadOptions { exposure: self.exposure(), background: self.options.background };
-        self.view(view)?.load_image(&options)
+        self.view(view)?.load_image(&self.load_options())
+    }
+
+    /// How the scene's images are loaded.
+    pub fn load_options(&self) -> LoadOptions {
+        LoadOptions { exposure: self.exposure(), background: self.options.background }
     }
 
     /// Where pixels of a view's image count, as [`View::load_mask`] gives it; `None` where all do, or masks are not asked

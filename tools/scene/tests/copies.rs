@@ -4,8 +4,8 @@ mod common;
 
 use std::path::Path;
 
-use common::written::{Seat, assert_sees, encoded, rgba, seats};
 use common::open;
+use common::written::{Seat, assert_sees, encoded, rgba, seats};
 use glam::{DMat3, DQuat, DVec2};
 use sgs_scene::{Layout, PointCloud};
 

@@ -8,12 +8,15 @@ use common::open;
 use common::written::{Hit, Seat, assert_sees, encoded, exr, gray, seats, worst, worst_angle};
 use sgs_scene::{DepthDefinition, GroundTruth, GroundTruthKind, Layout, Scene, SceneOptions};
 
+/// Depth of a hit, in a file's unit.
+type DepthOf = fn(&Hit) -> f64;
+
 /// What may differ between scenes of this layout.
 struct Written {
     /// The numbers of the images.
     numbers: Vec<String>,
-    /// Depth of a hit, in the file's unit.
-    depth: fn(&Hit) -> f64,
+    /// Depth.
+    depth: DepthOf,
     /// Factor on the light of a view.
     brightness: fn(usize) -> f32,
     /// Pixels that are invalid.
@@ -124,9 +127,12 @@ fn ground_truth_is_in_the_world_s_terms() {
 /// Whatever a file's numbers are, the depth that comes out is the camera's z in the scene's unit.
 #[test]
 fn depth_of_every_definition_becomes_camera_z() {
-    let cases: [(fn(&Hit) -> f64, f64, bool); 3] =
-        [(|hit| 1000.0 * hit.distance, 1e-3, true), (|hit| hit.z, 1.0, false), (|hit| 100.0 * hit.distance, 1e-2, true)];
-    for (depth, unit, along_ray) in cases {
+    let millimeters_of_ray: DepthOf = |hit| 1000.0 * hit.distance;
+    let meters: DepthOf = |hit| hit.z;
+    let centimeters_of_ray: DepthOf = |hit| 100.0 * hit.distance;
+    for (depth, unit, along_ray) in
+        [(millimeters_of_ray, 1e-3, true), (meters, 1.0, false), (centimeters_of_ray, 1e-2, true)]
+    {
         let (_keep, seats, scene) = Written { depth, ..Default::default() }.scene(|_| ());
         let truth = GroundTruth::of(&scene);
         assert_eq!(truth.depth_definition().unwrap(), Some(DepthDefinition { unit, along_ray }));
@@ -173,7 +179,10 @@ fn invalid_pixels_do_not_count_and_do_not_spread() {
     let half = Scene::open(keep.path(), &SceneOptions { scale: 0.5, ..Default::default() }).unwrap();
     let mask = half.load_mask(4).unwrap().unwrap();
     assert_eq!((mask.width, mask.height), (24, 20));
-    assert_eq!([mask.pixel(0, 3)[0], mask.pixel(0, 4)[0], mask.pixel(0, 5)[0], mask.pixel(3, 4)[0]], [0.0, 0.0, 1.0, 1.0]);
+    assert_eq!(
+        [mask.pixel(0, 3)[0], mask.pixel(0, 4)[0], mask.pixel(0, 5)[0], mask.pixel(3, 4)[0]],
+        [0.0, 0.0, 1.0, 1.0]
+    );
     let hits = seats[4].hits();
     let truth = GroundTruth::of(&half);
     let albedo = truth.load(GroundTruthKind::Albedo, 4).unwrap().unwrap();
@@ -268,7 +277,10 @@ fn each_fault_has_its_sentence() {
         move |root: &Path| exr(&root.join(&name), (47, 40), &[[0.5; 3]; 47 * 40])
     };
     let error = fail(&|root| std::fs::remove_file(root.join("transforms.json")).unwrap());
-    assert!(error.contains("holds InteriorVerse images (000_im.exr) without cameras; put a transforms.json"), "{error}");
+    assert!(
+        error.contains("holds InteriorVerse images (000_im.exr) without cameras; put a transforms.json"),
+        "{error}"
+    );
     let error = fail(&small("003_im.exr"));
     assert!(error.contains("003_im.exr is 47×40 pixels, but transforms.json gives 48×40"), "{error}");
     let error = fail(&small("002_normal.exr"));

@@ -4,7 +4,9 @@ mod common;
 
 use common::{mse, open, room};
 use glam::DVec3;
-use sgs_scene::{DepthDefinition, GroundTruth, GroundTruthKind, Image, NormalFrame, Scene, SceneOptions, linear_to_srgb};
+use sgs_scene::{
+    DepthDefinition, GroundTruth, GroundTruthKind, Image, NormalFrame, Scene, SceneOptions, linear_to_srgb,
+};
 
 fn pixel_angle(a: &[f32], b: &[f32]) -> f64 {
     let [a, b] = [a, b].map(|v| DVec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2])));

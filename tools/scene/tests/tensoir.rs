@@ -32,11 +32,7 @@ fn around(count: usize) -> Vec<Seat> {
         let angle = 2.5 * i as f64;
         MIDDLE + DVec3::new(1.2 * angle.cos(), 0.3 + 0.05 * i as f64, 1.2 * angle.sin())
     };
-    let seat = |i| Seat {
-        center: DVec2::new(24.0, 20.0),
-        focal: DVec2::splat(30.0),
-        ..Seat::new(place(i), MIDDLE)
-    };
+    let seat = |i| Seat { center: DVec2::new(24.0, 20.0), focal: DVec2::splat(30.0), ..Seat::new(place(i), MIDDLE) };
     (0..count).map(seat).collect()
 }
 
@@ -142,7 +138,11 @@ fn ground_truth_is_linear_and_in_the_world() {
         assert!(worst(&get(GroundTruthKind::Roughness), |p| vec![hits[p].roughness()], inside(seat)) < 0.003);
         assert!(worst(&get(GroundTruthKind::Mask), |p| vec![alpha(seat, p)], |_| true) < 0.003);
         for kind in [GroundTruthKind::Normal, GroundTruthKind::Albedo] {
-            assert_eq!(worst(&get(kind), |_| vec![0.0; 3], |p| alpha(seat, p) == 0.0), 0.0, "{kind:?} behind the object");
+            assert_eq!(
+                worst(&get(kind), |_| vec![0.0; 3], |p| alpha(seat, p) == 0.0),
+                0.0,
+                "{kind:?} behind the object"
+            );
         }
         assert!(truth.load(GroundTruthKind::Depth, i).unwrap().is_none());
         assert!(scene.albedo_prior(i).unwrap().is_none() && scene.normal_prior(i).unwrap().is_none());
@@ -205,7 +205,11 @@ fn plain_blender_scenes_are_read() {
     assert_eq!((names[10], scene.split.test.as_slice()), ("val_r_0", &[10, 11, 12][..]));
     let skipped: Vec<_> = scene.warnings.iter().filter(|w| w.contains("skipped")).collect();
     assert_eq!(skipped.len(), 1);
-    assert!(skipped[0].starts_with("2 of 12 frames in ") && skipped[0].contains("transforms_train.json"), "{}", skipped[0]);
+    assert!(
+        skipped[0].starts_with("2 of 12 frames in ") && skipped[0].contains("transforms_train.json"),
+        "{}",
+        skipped[0]
+    );
     let mask = GroundTruth::of(&scene).load(GroundTruthKind::Mask, 0).unwrap().unwrap();
     assert!(worst(&mask, |p| vec![alpha(&seats[0], p)], |_| true) < 0.003);
     assert!(GroundTruth::of(&scene).load(GroundTruthKind::Albedo, 0).unwrap().is_none());
@@ -234,7 +238,9 @@ fn each_fault_has_its_sentence() {
     let error = fail(&|root| edit(root, "transforms_train.json", "camera_angle_x", "angle"));
     assert!(error.contains("transforms_train.json, frame 0 (./train_000/rgba): there is no focal length"), "{error}");
     let error = fail(&|root| edit(root, "transforms_test.json", "[[", "[[2, 2, "));
-    assert!(error.contains("transforms_test.json, frame 0 (./test_000/rgba): transform_matrix has rows of [6, 4, 4, 4]"));
+    assert!(
+        error.contains("transforms_test.json, frame 0 (./test_000/rgba): transform_matrix has rows of [6, 4, 4, 4]")
+    );
     let error = fail(&|root| std::fs::write(root.join("transforms_test.json"), "{\"frames\": []}").unwrap());
     assert!(error.contains("transforms_test.json: the list of frames is empty"), "{error}");
     let error = fail(&|root| std::fs::write(root.join("train_004/rgba.png"), "broken").unwrap());

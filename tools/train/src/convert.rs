@@ -80,3 +80,17 @@ pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> 
 pub fn pack_normals(image: &sgs_scene::Image) -> Vec<u32> {
     image.data.chunks_exact(3).map(|n| octahedral_encode([n[0], n[1], n[2]])).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_scene::Image;
+
+    #[test]
+    fn alpha_says_what_counts() {
+        let image = Image::from_data(2, 1, 3, vec![0.0, 0.5, 1.0, 1.0, 2.0, -1.0]).unwrap();
+        assert_eq!(pack_image(&image, None), [0xffff_8000, 0xff00_ffff]);
+        let mask = Image::from_data(2, 1, 1, vec![0.0, 1.0]).unwrap();
+        assert_eq!(pack_image(&image, Some(&mask)), [0x00ff_8000, 0xff00_ffff]);
+    }
+}

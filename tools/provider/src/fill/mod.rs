@@ -11,7 +11,7 @@ use crate::error::ProviderError;
 use crate::offer::Encoding;
 use crate::provider::Provider;
 use crate::question::Picture;
-use sgs_scene::{Image, LoadOptions, NormalFrame, Scene, SceneError, linear_to_srgb};
+use sgs_scene::{Image, NormalFrame, Scene, SceneError, linear_to_srgb};
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -228,8 +228,7 @@ fn classes(
 
 /// A photograph as anybody would look at it: sRGB-encoded.
 fn plain(scene: &Scene, index: usize) -> Result<Image, SceneError> {
-    let exposure = scene.options.exposure;
-    let mut stored = scene.view(index)?.load_stored(&LoadOptions { exposure })?;
+    let mut stored = scene.view(index)?.load_stored(&scene.load_options())?;
     if stored.linear {
         stored.image.data.iter_mut().for_each(|v| *v = linear_to_srgb(v.clamp(0.0, 1.0)));
     }

@@ -1,7 +1,7 @@
 //! The questions about one view.
 
 use super::write::Writer;
-use super::{Encoding, FillError, LoadOptions, NormalFrame, Picture, Prior, Provider, Scene};
+use super::{Encoding, FillError, NormalFrame, Picture, Prior, Provider, Scene};
 use glam::{DMat3, DVec3};
 use sgs_scene::{Image, View};
 
@@ -26,7 +26,7 @@ pub(super) fn fill(
     if lacks.is_empty() {
         return Ok(());
     }
-    let stored = view.load_stored(&LoadOptions { exposure: scene.options.exposure })?;
+    let stored = view.load_stored(&scene.load_options())?;
     let picture = Picture {
         image: &stored.image,
         encoding: if stored.linear { Encoding::Linear } else { Encoding::Srgb },

@@ -150,7 +150,10 @@ mod tests {
         let cameras: Vec<Camera> = (0..9).map(around).collect();
         let seen = RandomBox::looked_at(&cameras).unwrap();
         let half = 4.0 * 60.0 / 220.0;
-        assert!((seen.min - (center - half)).length() < 1e-9 && (seen.max - (center + half)).length() < 1e-9, "{seen:?}");
+        assert!(
+            (seen.min - (center - half)).length() < 1e-9 && (seen.max - (center + half)).length() < 1e-9,
+            "{seen:?}"
+        );
         assert_eq!(RandomBox::looked_at(&cameras[..1]), None);
         // Cameras in a room look outwards.
         let inside = |c: &Camera| Camera { translation: c.translation - DVec3::new(0.0, 0.0, 6.0), ..c.clone() };

@@ -151,11 +151,7 @@ pub(super) fn read_real(
 
 /// The images by camera. They are in the order of their numbers where there are as many as cameras; otherwise the number
 /// is the camera's.
-fn images_of(
-    folder: &Path,
-    count: usize,
-    number: &dyn Fn(&str) -> Option<usize>,
-) -> Result<Vec<Option<PathBuf>>> {
+fn images_of(folder: &Path, count: usize, number: &dyn Fn(&str) -> Option<usize>) -> Result<Vec<Option<PathBuf>>> {
     let entries = std::fs::read_dir(folder).map_err(io_error("read", folder))?;
     let mut numbered: Vec<(usize, PathBuf)> = Vec::new();
     for path in entries.flatten().map(|entry| entry.path()) {

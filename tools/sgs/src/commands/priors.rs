@@ -36,9 +36,9 @@ pub struct Args {
     /// Seed of everything random in the answers.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().seed)]
     seed: u64,
-    /// Factor that linear (EXR) photographs are multiplied with.
-    #[arg(long, value_name = "F", default_value_t = 1.0)]
-    exposure: f32,
+    /// Factor that linear (EXR) photographs are multiplied with; chosen from the training views by default, as for training.
+    #[arg(long, value_name = "F")]
+    exposure: Option<f32>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -10,8 +10,8 @@ mod text;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::frame::{find_image, missing_warning};
 use super::downscaled;
+use super::frame::{find_image, missing_warning};
 use super::{Found, Frame, pose, stem_of};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
