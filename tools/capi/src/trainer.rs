@@ -4,7 +4,7 @@ use crate::border::{Outcome, fail, optional_string, read, string, write};
 use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
 use crate::scene::SceneObject;
 use crate::types::*;
-use sgs_scene::{Scene, SceneOptions};
+use sgs_scene::Scene;
 use sgs_train::{Geometry, Progress, RunDirectory, Settings};
 use std::ffi::c_char;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn settings(text: Option<&str>, dataset: &str) -> Outcome<Settings> {
 }
 
 fn open(inner: &Inner, dataset: &str, text: Option<&str>, run: Option<&str>) -> Outcome<TrainerObject> {
-    let settings = match (run, text) {
+    let mut settings = match (run, text) {
         (Some(run), None) => {
             let mut settings = RunDirectory::open(Path::new(run))?.settings()?;
             settings.scene = std::path::absolute(dataset).unwrap_or_else(|_| dataset.into());
@@ -46,14 +46,9 @@ fn open(inner: &Inner, dataset: &str, text: Option<&str>, run: Option<&str>) -> 
         }
         _ => settings(text, dataset)?,
     };
-    let options = SceneOptions {
-        views: (settings.views > 0).then_some(settings.views),
-        scale: settings.scale,
-        exposure: settings.exposure,
-        random_points: settings.random_points,
-        seed: settings.seed,
-    };
-    let scene = Scene::open(&settings.scene, &options)?;
+    let scene = Scene::open(&settings.scene, &settings.scene_options())?;
+    // What was chosen for the scene belongs to the run.
+    settings.exposure = scene.exposure();
     let mut training = Geometry::new(&inner.device, &scene, &settings, None)?;
     if let Some(run) = run {
         training.restore(&RunDirectory::open(Path::new(run))?.checkpoint())?;

@@ -242,6 +242,19 @@ impl GeometrySettings {
 }
 
 impl Settings {
+    /// How these settings open the scene.
+    pub fn scene_options(&self) -> sgs_scene::SceneOptions {
+        sgs_scene::SceneOptions {
+            views: (self.views > 0).then_some(self.views),
+            scale: self.scale,
+            exposure: (self.exposure != 0.0).then_some(self.exposure),
+            background: self.geometry.background,
+            masks: self.masks,
+            random_points: self.random_points,
+            seed: self.seed,
+        }
+    }
+
     /// Settings from a table in which any of them may be absent.
     ///
     /// # Errors

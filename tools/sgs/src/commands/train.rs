@@ -5,7 +5,7 @@ use crate::ui::{Bar, interrupted};
 use anyhow::bail;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
-use sgs_scene::{Scene, SceneOptions};
+use sgs_scene::Scene;
 use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -135,16 +135,7 @@ fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
 
 /// Opens the scene that the settings name, and says what the user should know.
 pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
-    let options = SceneOptions {
-        views: (s.views > 0).then_some(s.views),
-        scale: s.scale,
-        exposure: (s.exposure != 0.0).then_some(s.exposure),
-        background: s.geometry.background,
-        masks: s.masks,
-        random_points: s.random_points,
-        seed: s.seed,
-    };
-    let scene = Scene::open(&s.scene, &options)?;
+    let scene = Scene::open(&s.scene, &s.scene_options())?;
     for warning in &scene.warnings {
         tracing::warn!("{warning}");
     }
