@@ -33,6 +33,8 @@ pub struct Graph {
     pub(super) conditional: Vec<(Condition, Slice)>,
     /// The kernel that turns a condition into group counts.
     pub(super) gate: Option<Arc<Shader>>,
+    /// Nanoseconds of passes, by name.
+    pub(super) costs: Vec<(String, u64)>,
 }
 
 impl Graph {
@@ -48,6 +50,7 @@ impl Graph {
             versions: Vec::new(),
             conditional: Vec::new(),
             gate: None,
+            costs: Vec::new(),
         }
     }
 
@@ -120,6 +123,11 @@ impl Graph {
                 self.errors.push(error);
             }
         }
+    }
+
+    /// States how many nanoseconds passes take, by name, as measured or expected: what plans for two queues go by.
+    pub fn set_costs(&mut self, costs: impl IntoIterator<Item = (String, u64)>) {
+        self.costs = costs.into_iter().collect();
     }
 
     /// Wants the contents of a transient after the replay, until the next replay of a plan in the same arena begins.

@@ -42,6 +42,7 @@ impl PlanCache {
     pub fn compile(&mut self, graph: Graph, options: &CompileOptions) -> Result<Arc<Plan>, GraphError> {
         self.clock += 1;
         let key = graph.key(options);
+        // Costs are part of the key alone: if two sets of them had the same, either plan would do.
         if let Some(entry) = self.plans.get_mut(&key)
             && graph.errors.is_empty()
             && graph.open.is_none()
@@ -91,6 +92,6 @@ pub(super) fn same(graph: &Graph, plan: &Plan) -> bool {
 impl Graph {
     /// The key that a plan of this graph has.
     pub fn key(&self, options: &CompileOptions) -> u64 {
-        plan::key(&self.name, &self.buffers, &self.passes, options)
+        plan::key(&self.name, &self.buffers, &self.passes, &self.costs, options)
     }
 }

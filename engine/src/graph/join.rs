@@ -51,6 +51,7 @@ impl Graph {
             self.errors.push(GraphError::Unfinished { graph: name.clone(), pass });
         }
         self.gate = self.gate.take().or(other.gate);
+        self.costs.extend(other.costs);
         for mut pass in other.passes {
             let move_to = |slice: &mut Slice| *slice = joined.slice(*slice);
             pass.accesses.iter_mut().for_each(|(slice, ..)| move_to(slice));

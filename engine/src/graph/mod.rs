@@ -64,7 +64,9 @@ pub use join::Joined;
 pub use pass::{Dispatch, Pass, PassKind, Use};
 pub use pass_builder::PassBuilder;
 pub use plan::verify::{VerifyError, verify};
-pub use plan::{Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Plan, Stages, Transition};
+pub use plan::{
+    Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Lane, Plan, Queues, Segment, Stages, Transition,
+};
 pub use resource::{
     Buffer, BufferInfo, BufferKind, BufferState, History, Image, ImageInfo, ImageState, Pair, Slice, Switch,
 };

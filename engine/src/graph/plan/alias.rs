@@ -13,16 +13,22 @@ use crate::graph::pass::Pass;
 use crate::graph::resource::{BufferInfo, BufferKind, ImageState};
 
 /// First and last group of each transient that is used; a kept one lives past the last group.
-pub(super) fn lifetimes(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group]) -> Vec<Option<(usize, usize)>> {
+pub(super) fn lifetimes(
+    buffers: &[BufferInfo],
+    passes: &[Pass],
+    groups: &[Group],
+    spans: &[(usize, usize)],
+) -> Vec<Option<(usize, usize)>> {
     let mut lives = vec![None; buffers.len()];
-    for (at, group) in groups.iter().enumerate() {
+    for (group, &(begin, end)) in groups.iter().zip(spans) {
         for &pass in &group.passes {
             for (slice, ..) in &passes[pass].accesses {
                 let buffer = slice.buffer.index();
                 let info = &buffers[buffer];
                 if info.kind == BufferKind::Transient {
-                    let end = if info.keep { groups.len() } else { at };
-                    lives[buffer] = Some((lives[buffer].map_or(at, |(first, _)| first), end));
+                    let end = if info.keep { groups.len() } else { end };
+                    let (first, last) = lives[buffer].unwrap_or((begin, end));
+                    lives[buffer] = Some((first.min(begin), last.max(end)));
                 }
             }
         }

@@ -4,12 +4,12 @@
 //! Between groups only hazards within a replay count. What the end of one replay, or whoever comes between two, leaves
 //! open is the first barrier's: it gets what the barriers of the next replay, as they stand, do not cover in time.
 
-use super::Group;
 use super::alias::Layout;
 use super::clock::{Clock, Transitions};
 use super::hazard::{Memory, Need, Time};
 use super::image::{Transition, enters, leaves};
 use super::scope::{Accesses, Barrier, Stages};
+use super::{Group, Lane, Segment};
 use crate::graph::pass::Pass;
 use crate::graph::resource::{Buffer, BufferInfo, Slice};
 
@@ -22,8 +22,30 @@ pub(super) struct Scene<'p> {
     pub(super) exit: &'p [Transition],
 }
 
-/// Puts barriers into the groups; returns the one after the last group.
-pub(super) fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> {
+/// Puts barriers into the groups of both lanes, each by what its own lane does; returns the one after the last group of
+/// the main lane. What happens between lanes is ordered by waiting: also everything that the second lane did in the
+/// replay before, so that it needs no first barrier.
+pub(super) fn place_lanes(scene: &Scene<'_>, groups: &mut [Group], segments: &[Segment]) -> Option<Barrier> {
+    let mut last = None;
+    for lane in [Lane::Main, Lane::Side] {
+        let own = segments.iter().filter(|segment| segment.lane == lane);
+        let places: Vec<usize> = own.flat_map(|segment| segment.groups.clone()).collect();
+        let mut lane_groups: Vec<Group> = places.iter().map(|&at| std::mem::take(&mut groups[at])).collect();
+        if lane == Lane::Main {
+            last = place(scene, &mut lane_groups);
+        } else {
+            place(&Scene { entry: &[], exit: &[], ..*scene }, &mut lane_groups);
+            if let Some(first) = lane_groups.first_mut() {
+                first.barrier = None;
+            }
+        }
+        places.iter().zip(lane_groups).for_each(|(&at, group)| groups[at] = group);
+    }
+    last
+}
+
+/// Puts barriers into the groups of one lane; returns the one after the last group.
+fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> {
     if groups.is_empty() {
         return None;
     }

@@ -4,8 +4,8 @@
 //! nothing but copies in one direction touches it. Layouts change in two places only, in the barrier before the first
 //! group and in the one after the last, so that nothing in between waits for a transition (docs/adr/0010).
 
-use super::Group;
 use super::alias::Layout;
+use super::{Group, Segment};
 use crate::format::ImageFormat;
 use crate::graph::pass::{Pass, Use};
 use crate::graph::resource::Buffer;
@@ -99,9 +99,10 @@ pub(super) fn transitions(
 }
 
 /// Gives a plan that runs nothing a group if something has to happen at its beginning all the same.
-pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>) {
+pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>, segments: &mut [Segment]) {
     if groups.is_empty() && !entry.is_empty() {
         groups.push(Group::default());
+        segments.iter_mut().for_each(|segment| segment.groups = 0..1);
     }
 }
 

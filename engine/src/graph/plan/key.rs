@@ -6,19 +6,36 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::CompileOptions;
+use super::{CompileOptions, Queues};
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
 use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Pair, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// The key of a graph compiled in some way.
-pub(in crate::graph) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: &CompileOptions) -> u64 {
+pub(in crate::graph) fn key(
+    name: &str,
+    buffers: &[BufferInfo],
+    passes: &[Pass],
+    costs: &[(String, u64)],
+    options: &CompileOptions,
+) -> u64 {
     // Whether the result is verified does not change it.
-    let CompileOptions { alignment, alias, reorder, verify: _ } = *options;
+    let CompileOptions { alignment, alias, reorder, verify: _, queues } = *options;
     let mut hash = Hash::default();
     hash.text(name);
     hash.word(alignment);
     hash.word(u64::from(alias) | u64::from(reorder) << 1);
+    match queues {
+        Queues::One => {}
+        Queues::Two { gain_percent, wait_nanoseconds } => {
+            hash.word(u64::from(gain_percent) << 32 | u64::from(wait_nanoseconds));
+        }
+        Queues::Forced => hash.word(u64::MAX),
+    }
+    for (pass, cost) in costs.iter().filter(|_| queues != Queues::One) {
+        hash.text(pass);
+        hash.word(*cost);
+    }
     hash.word(buffers.len() as u64);
     for BufferInfo { name, bytes, kind, keep, entry, exit, image, pair, switch } in buffers {
         hash.text(name);

@@ -18,6 +18,7 @@ mod hazard;
 mod image;
 mod key;
 mod order;
+mod queue;
 pub mod scope;
 pub mod verify;
 
@@ -40,14 +41,66 @@ pub struct CompileOptions {
     pub reorder: bool,
     /// Whether the plan is verified before it is returned.
     pub verify: bool,
+    /// Whether passes may go to a second queue.
+    pub queues: Queues,
 }
 
 impl Default for CompileOptions {
     /// An alignment that suits every device, everything on.
     fn default() -> Self {
-        CompileOptions { alignment: 256, alias: true, reorder: true, verify: true }
+        CompileOptions { alignment: 256, alias: true, reorder: true, verify: true, queues: Queues::One }
     }
 }
+
+/// How many queues a plan is for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Queues {
+    /// One.
+    #[default]
+    One,
+    /// A second one where that shortens a replay, by the costs of [`Graph::set_costs`] or a guess from bytes.
+    Two {
+        /// Percent of a replay's time below which it is not worth it.
+        gain_percent: u32,
+        /// What one queue's waiting for the other costs.
+        wait_nanoseconds: u32,
+    },
+    /// A second one wherever that is possible: for tests.
+    Forced,
+}
+
+/// One of the two sequences of commands of a plan.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Lane {
+    /// The device's queue, which sees every replay from beginning to end.
+    Main,
+    /// The second queue.
+    Side,
+}
+
+/// Groups that one lane runs without waiting in between. A segment begins when the segments that it waits for, and those
+/// before it on its lane, have begun: on its own lane only barriers order memory. Waiting for a segment waits for all
+/// that its lane did up to its end, and sees all of it.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Segment {
+    /// Where it runs.
+    pub lane: Lane,
+    /// Positions in [`Plan::groups`].
+    pub groups: std::ops::Range<usize>,
+    /// Positions of earlier segments in [`Plan::segments`].
+    pub waits: Vec<usize>,
+    /// After its last group: on the second lane, makes results visible to the host.
+    pub last: Option<Barrier>,
+}
+
+/// What a segment of the second lane ends with.
+const RESULTS: Barrier = Barrier {
+    src_stage: Stages::COMPUTE.and(Stages::TRANSFER),
+    src_access: Accesses::STORAGE_WRITE.and(Accesses::TRANSFER_WRITE),
+    dst_stage: Stages::HOST,
+    dst_access: Accesses::HOST_READ,
+};
 
 /// A compiled graph.
 #[derive(Clone, Debug)]
@@ -58,8 +111,11 @@ pub struct Plan {
     pub buffers: Vec<BufferInfo>,
     /// Every declared pass in declared order, those that do not run included.
     pub passes: Vec<Pass>,
-    /// What runs.
+    /// What runs, in the order in which it is submitted.
     pub groups: Vec<Group>,
+    /// Which groups run on which lane, and who waits for whom. The first and the last are the main lane's; the last one
+    /// ends when everything has.
+    pub segments: Vec<Segment>,
     /// Size of the arena.
     pub arena_bytes: u64,
     /// Size that the arena would have if no memory were shared.
@@ -100,7 +156,8 @@ impl Plan {
 
     /// By buffer: the first and the last group in which a transient is alive; a kept one lives past the last group.
     pub fn lifetimes(&self) -> Vec<Option<(usize, usize)>> {
-        alias::lifetimes(&self.buffers, &self.passes, &self.groups)
+        let spans = queue::spans(self.groups.len(), &self.segments);
+        alias::lifetimes(&self.buffers, &self.passes, &self.groups, &spans)
     }
 
     /// By pass: which passes it must stay behind, ascending, without those that others imply where that is free. Empty
@@ -119,22 +176,24 @@ impl Plan {
 
 /// Compiles a declaration that the builder has found meaningful.
 pub(super) fn compile(graph: Graph, options: &CompileOptions) -> Plan {
-    let Graph { name, buffers, passes, .. } = graph;
-    let key = key(&name, &buffers, &passes, options);
+    let Graph { name, buffers, passes, costs, .. } = graph;
+    let key = key(&name, &buffers, &passes, &costs, options);
     let lives = cull::cull(&buffers, &passes);
     let follows = depend::depend(&buffers, &passes, &lives);
     let order = order::order(&buffers, &passes, &lives, &follows, options.reorder);
-    let mut groups: Vec<Group> = order.into_iter().map(|passes| Group { barrier: None, passes }).collect();
-    let lifetimes = alias::lifetimes(&buffers, &passes, &groups);
+    let (mut groups, mut segments) = queue::lanes(&buffers, &passes, &follows, order, &costs, options);
+    let spans = queue::spans(groups.len(), &segments);
+    let lifetimes = alias::lifetimes(&buffers, &passes, &groups, &spans);
     let homes = image::homes(&buffers, &passes, &lives);
     let layout = alias::alias(&buffers, &lifetimes, &homes, options.alignment.max(16), options.alias);
     let (entry, exit) = image::transitions(&buffers, &homes, &layout);
-    image::at_least_one_group(&entry, &mut groups);
+    image::at_least_one_group(&entry, &mut groups, &mut segments);
     let scene = barrier::Scene { buffers: &buffers, passes: &passes, layout: &layout, entry: &entry, exit: &exit };
-    let final_barrier = barrier::place(&scene, &mut groups);
+    let final_barrier = barrier::place_lanes(&scene, &mut groups, &segments);
     Plan {
         name,
         groups,
+        segments,
         arena_bytes: layout.bytes,
         arena_unaliased_bytes: layout.unaliased_bytes,
         placements: layout.placements,

@@ -88,9 +88,10 @@ impl<'p> Scene<'p> {
         let mut on = vec![false; self.passes.len()];
         while let Some(pass) = last {
             on[pass] = true;
-            last = self.follows[pass].iter().map(|&before| before as usize).max_by_key(|&before| {
-                (end[before], std::cmp::Reverse(before))
-            });
+            last = self.follows[pass]
+                .iter()
+                .map(|&before| before as usize)
+                .max_by_key(|&before| (end[before], std::cmp::Reverse(before)));
         }
         on
     }

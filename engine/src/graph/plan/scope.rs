@@ -116,6 +116,11 @@ macro_rules! set {
                 self.0
             }
 
+            /// What is in either, in constants.
+            pub(super) const fn and(self, other: Self) -> Self {
+                $set(self.0 | other.0)
+            }
+
             /// Whether nothing is in the set.
             pub fn is_empty(self) -> bool {
                 self.0 == 0

@@ -36,7 +36,7 @@ pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
     (buffers, passes, any::<(bool, bool)>()).prop_map(|(buffers, passes, (alias, reorder))| Recipe {
         buffers,
         passes,
-        options: CompileOptions { alignment: CELL, alias, reorder, verify: false },
+        options: CompileOptions { alignment: CELL, alias, reorder, verify: false, queues: Queues::One },
     })
 }
 

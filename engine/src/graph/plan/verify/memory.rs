@@ -1,5 +1,6 @@
 //! Whether every transient that runs has memory of its own for as long as it is alive.
 
+use super::lanes::Lanes;
 use super::{VerifyError, buffer_name};
 use crate::graph::plan::Plan;
 use crate::graph::resource::BufferKind;
@@ -13,12 +14,15 @@ struct Stay {
 
 /// Checks.
 pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
+    // What may run together on two queues counts as one.
+    let together = Lanes::new(plan, 1).together(plan);
     let mut lives: Vec<Option<(usize, usize)>> = vec![None; plan.buffers.len()];
     for (pass, group) in plan.passes.iter().zip(group_of) {
         let Some(group) = *group else { continue };
         for (slice, ..) in &pass.accesses {
-            let (first, last) = lives[slice.buffer.index()].unwrap_or((group, group));
-            lives[slice.buffer.index()] = Some((first.min(group), last.max(group)));
+            let (begin, end) = together[group];
+            let (first, last) = lives[slice.buffer.index()].unwrap_or((begin, end));
+            lives[slice.buffer.index()] = Some((first.min(begin), last.max(end)));
         }
     }
     let mut stays = Vec::new();

@@ -9,10 +9,12 @@
 //! declared order; no two transients that are alive in one group share a byte; every conflict between memory
 //! operations, within a replay, between two, and with the readers of the outputs, has a chain of barriers with the
 //! stages and accesses that Vulkan asks for; every image is in a layout that its users can use, keeps its contents
-//! where somebody wants them, and is left as declared. It does not judge whether the plan is a good one.
+//! where somebody wants them, and is left as declared; what meets on two queues has a wait in between, and no queue waits
+//! for what is submitted after it. It does not judge whether the plan is a good one.
 
 mod cells;
 mod flow;
+mod lanes;
 mod layout;
 mod memory;
 mod shape;
@@ -51,6 +53,8 @@ impl fmt::Display for Hazard {
 pub enum Missing {
     /// Make an earlier write visible to accesses, or available to a change of layout.
     Visibility(Accesses),
+    /// Make a queue wait for what another one does.
+    Wait,
     /// Make stages wait for an earlier read, or a change of layout for operations of them.
     Order(Stages),
 }
@@ -58,6 +62,7 @@ pub enum Missing {
 impl fmt::Display for Missing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Missing::Wait => write!(f, "between the queues comes before it"),
             Missing::Visibility(accesses) => write!(f, "makes the write visible to {accesses}"),
             Missing::Order(stages) => write!(f, "makes {stages} wait for the read"),
         }
@@ -87,6 +92,9 @@ pub enum VerifyError {
     /// A conditional pass that runs in any case, or counts on running.
     #[error("Pass [{pass}] runs on a condition, but its group counts are fixed or it promises to overwrite something.")]
     Conditional { pass: String },
+    /// Segments that do not make up the plan, or wait for each other in a circle.
+    #[error("Segment {segment} of the plan {what}.")]
+    Segment { segment: usize, what: &'static str },
     /// An image touched in part.
     #[error("Pass [{pass}] touches a part of image [{image}], which only goes as a whole.")]
     PartOfImage { pass: String, image: String },
@@ -162,6 +170,7 @@ pub enum VerifyError {
 
 /// Checks a plan.
 pub fn verify(plan: &Plan) -> Result<(), VerifyError> {
+    lanes::check(plan)?;
     let group_of = shape::check(plan)?;
     flow::check_needed(plan, &group_of)?;
     flow::check_order(plan, &group_of)?;

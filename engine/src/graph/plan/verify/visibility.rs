@@ -4,12 +4,13 @@
 //! buffers of a history change places each time, so a plan with histories is taken through four.
 
 use super::cells::Cells;
+use super::lanes::{self, Lanes};
 use super::shape::performs;
 use super::story::{Operation, Stories};
 use super::{Hazard, Missing, VerifyError, buffer_name, pass_name};
 use crate::graph::pass::Use;
 use crate::graph::plan::scope::{Accesses, Barrier, Stages};
-use crate::graph::plan::{ImageMemory, ImageSlot, Plan, Transition};
+use crate::graph::plan::{ImageMemory, ImageSlot, Lane, Plan, Transition};
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
@@ -21,6 +22,9 @@ struct Event {
     buffer: usize,
     replay: usize,
     access: Access,
+    lane: Lane,
+    /// Counted through all replays.
+    segment: usize,
 }
 
 /// What touched a cell, beginning with its last write that commutes with nothing, in the order of the groups.
@@ -32,11 +36,13 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     let points = plan.groups.len() + 1;
     for replay in 0..replays(plan) {
         walk.replay = replay;
-        walk.enter(replay);
+        walk.time.segment = walk.time.lanes.first(replay);
+        walk.enter();
         for (at, group) in plan.groups.iter().enumerate() {
-            walk.now = walk.before[replay * points + at];
+            let segment = walk.time.lanes.segment(replay, at);
+            walk.go(plan.segments[segment % plan.segments.len()].lane, segment, replay * points + at);
             if at == 0 {
-                walk.transitions(replay, &plan.entry, group.barrier)?;
+                walk.transitions(&plan.entry, group.barrier)?;
             }
             for &pass in &group.passes {
                 for (slice, access, used) in &plan.passes[pass].accesses {
@@ -44,8 +50,8 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
                 }
             }
         }
-        walk.now = walk.before[replay * points + plan.groups.len()];
-        walk.transitions(replay, &plan.exit, plan.final_barrier)?;
+        walk.go(Lane::Main, walk.time.lanes.last(replay), replay * points + plan.groups.len());
+        walk.transitions(&plan.exit, plan.final_barrier)?;
         walk.read_outputs(replay)?;
         walk.leave()?;
     }
@@ -72,13 +78,77 @@ fn performed(access: Access, used: Use) -> Accesses {
     }
 }
 
+/// Where in the two streams of barriers something happens, and what is known of the past there.
+struct Time {
+    /// By lane.
+    stories: [Stories; 2],
+    lanes: Lanes,
+    lane: Lane,
+    segment: usize,
+    /// How many barriers of the lane came so far.
+    now: usize,
+}
+
+impl Time {
+    /// An operation that happens now.
+    fn operation(&mut self, accesses: Accesses) -> Operation {
+        self.stories[lanes::index(self.lane)].operation(self.now, accesses)
+    }
+
+    /// Whether something ended before this segment began, or else what orders it on this lane.
+    fn past(&mut self, event: &Event) -> Result<Option<&mut Stories>, Missing> {
+        if self.lanes.knows(self.segment, event.lane, event.segment) {
+            return Ok(None);
+        }
+        if event.lane != self.lane {
+            return Err(Missing::Wait);
+        }
+        Ok(Some(&mut self.stories[lanes::index(self.lane)]))
+    }
+
+    /// Why stages do not wait for something, if they do not.
+    fn unordered(&mut self, event: &Event, stages: Stages) -> Option<Missing> {
+        let now = self.now;
+        match self.past(event) {
+            Ok(None) => None,
+            Ok(Some(stories)) => {
+                let unordered = stories.unordered(event.operation, now, stages);
+                (!unordered.is_empty()).then_some(Missing::Order(unordered))
+            }
+            Err(missing) => Some(missing),
+        }
+    }
+
+    /// Why accesses do not see a write, if they do not.
+    fn hidden(&mut self, event: &Event, accesses: Accesses) -> Option<Missing> {
+        let now = self.now;
+        match self.past(event) {
+            Ok(None) => None,
+            Ok(Some(stories)) => {
+                let hidden = stories.hidden(event.operation, now, accesses);
+                (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
+            }
+            Err(missing) => Some(missing),
+        }
+    }
+
+    /// Why a change of layout inside a barrier does not come after something, if it does not.
+    fn outside(&mut self, event: &Event, before: usize, barrier: &Barrier) -> Option<Missing> {
+        match self.past(event) {
+            Ok(None) => None,
+            Ok(Some(stories)) => stories.outside(event.operation, before, barrier),
+            Err(missing) => Some(missing),
+        }
+    }
+}
+
 struct Walk<'p> {
     plan: &'p Plan,
-    stories: Stories,
-    /// How many barriers come before each group, and before the end, of each of the two replays.
+    time: Time,
+    /// How many barriers of its lane come before each group, and of the main lane before the end, of each replay.
     before: Vec<usize>,
-    /// How many barriers came so far.
-    now: usize,
+    /// By replay: how many barriers of the second lane come before its end.
+    side_ends: Vec<usize>,
     replay: usize,
     /// Memory spaces: one an external buffer, the arena, and one a slot of the transient images.
     cells: Cells,
@@ -89,13 +159,20 @@ struct Walk<'p> {
 
 impl<'p> Walk<'p> {
     fn new(plan: &'p Plan) -> Self {
-        let mut barriers: Vec<Barrier> = Vec::new();
-        let mut before = Vec::new();
+        let mut barriers: [Vec<Barrier>; 2] = Default::default();
+        let (mut before, mut side_ends) = (Vec::new(), Vec::new());
         for _ in 0..replays(plan) {
-            for barrier in plan.groups.iter().map(|group| group.barrier).chain([plan.final_barrier]) {
-                barriers.extend(barrier);
-                before.push(barriers.len());
+            for segment in &plan.segments {
+                let lane = &mut barriers[lanes::index(segment.lane)];
+                for group in &plan.groups[segment.groups.clone()] {
+                    lane.extend(group.barrier);
+                    before.push(lane.len());
+                }
+                lane.extend(segment.last);
             }
+            barriers[0].extend(plan.final_barrier);
+            before.push(barriers[0].len());
+            side_ends.push(barriers[1].len());
         }
         let mut written = vec![false; plan.buffers.len()];
         let running =
@@ -112,7 +189,20 @@ impl<'p> Walk<'p> {
         let ranges = slices.flat_map(both).flatten().chain(plan.image_slots.iter().enumerate().map(whole));
         let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
         let since = cells.table();
-        Walk { plan, stories: Stories::new(barriers), before, now: 0, replay: 0, cells, since, written }
+        let lanes = Lanes::new(plan, replays(plan));
+        let time = Time { stories: barriers.map(Stories::new), lanes, lane: Lane::Main, segment: 0, now: 0 };
+        Walk { plan, time, before, side_ends, replay: 0, cells, since, written }
+    }
+
+    /// Goes on to a point of some lane.
+    fn go(&mut self, lane: Lane, segment: usize, point: usize) {
+        (self.time.lane, self.time.segment, self.time.now) = (lane, segment, self.before[point]);
+    }
+
+    /// Something that happens now.
+    fn event(&self, operation: Operation, pass: usize, buffer: usize, access: Access) -> Event {
+        let (lane, segment) = (self.time.lane, self.time.segment);
+        Event { operation, pass, buffer, replay: self.replay, access, lane, segment }
     }
 
     fn touch(
@@ -132,8 +222,8 @@ impl<'p> Walk<'p> {
         }
         let Some((space, range)) = place(self.plan, slice, self.replay) else { return Ok(()) };
         let accesses = performed(access, used);
-        let operation = self.stories.operation(self.now, accesses);
-        let event = Event { operation, pass, buffer, replay, access };
+        let operation = self.time.operation(accesses);
+        let event = self.event(operation, pass, buffer, access);
         let stores = accesses.intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE);
         let stage = Accesses::EACH.into_iter().find(|&one| accesses.contains(one)).map(performs).unwrap_or_default();
         for cell in self.cells.of(space, &range) {
@@ -143,9 +233,9 @@ impl<'p> Walk<'p> {
             for earlier in since.iter().rev() {
                 if earlier.access == Access::Read {
                     read_since = true;
-                    let unordered = self.stories.unordered(earlier.operation, self.now, stage);
-                    if access != Access::Read && !unordered.is_empty() {
-                        let missing = Missing::Order(unordered);
+                    if access != Access::Read
+                        && let Some(missing) = self.time.unordered(earlier, stage)
+                    {
                         return Err(hazard_error(self.plan, Hazard::WriteAfterRead, earlier, &event, byte, missing));
                     }
                 } else if !(access == Access::Accumulate
@@ -155,11 +245,9 @@ impl<'p> Walk<'p> {
                     // Whoever read in between has the write behind it, and the write before us waits for the reader:
                     // only to load what was written we have to see it.
                     let needed = if read_since { accesses.without(stores) } else { accesses };
-                    let hidden = self.stories.hidden(earlier.operation, self.now, needed);
-                    if !hidden.is_empty() {
+                    if let Some(missing) = self.time.hidden(earlier, needed) {
                         let reads = access == Access::Read;
                         let hazard = if reads { Hazard::ReadAfterWrite } else { Hazard::WriteAfterWrite };
-                        let missing = Missing::Visibility(hidden);
                         return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
                     }
                 }
@@ -169,7 +257,8 @@ impl<'p> Walk<'p> {
                 since.clear();
             }
             let alike = |last: &Event| {
-                last.operation == operation && last.buffer == buffer && last.access == access && last.replay == replay
+                let when = (last.operation, last.replay, last.segment, last.lane);
+                when == (operation, replay, event.segment, event.lane) && last.buffer == buffer && last.access == access
             };
             if !since.last().is_some_and(alike) {
                 since.push(event);
@@ -180,14 +269,14 @@ impl<'p> Walk<'p> {
 
     /// Commands of others, before a replay, on whatever is shared with them. They come after the last replay's end, as
     /// far as that is declared, and leave something to wait for.
-    fn enter(&mut self, replay: usize) {
-        let operation = self.stories.operation(self.now, Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
+    fn enter(&mut self) {
+        let operation = self.time.operation(Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
             let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
             if self.plan.buffers[buffer].entry == BufferState::Queue {
                 for cell in self.cells.of(space, &range) {
-                    let event = Event { operation, pass: OTHERS, buffer, replay, access: Access::ReadWrite };
+                    let event = self.event(operation, OTHERS, buffer, Access::ReadWrite);
                     self.since[space][cell] = vec![event];
                 }
             }
@@ -195,13 +284,8 @@ impl<'p> Walk<'p> {
     }
 
     /// Changes of layout inside a barrier that has just been counted, if it exists.
-    fn transitions(
-        &mut self,
-        replay: usize,
-        transitions: &[Transition],
-        barrier: Option<Barrier>,
-    ) -> Result<(), VerifyError> {
-        let before = self.now - usize::from(barrier.is_some());
+    fn transitions(&mut self, transitions: &[Transition], barrier: Option<Barrier>) -> Result<(), VerifyError> {
+        let before = self.time.now - usize::from(barrier.is_some());
         let barrier = barrier.unwrap_or_default();
         for transition in transitions {
             let (space, bytes, buffer) = match transition.image {
@@ -215,8 +299,9 @@ impl<'p> Walk<'p> {
                     (self.plan.buffers.len() + 1 + slot as usize, bytes, user.unwrap_or_default())
                 }
             };
-            let operation = self.stories.transition(self.now, &barrier);
-            let event = Event { operation, pass: TRANSITION, buffer, replay, access: Access::Write };
+            let now = self.time.now;
+            let operation = self.time.stories[0].transition(now, &barrier);
+            let event = self.event(operation, TRANSITION, buffer, Access::Write);
             for cell in self.cells.of(space, &(0..bytes)) {
                 let byte = self.cells.byte(space, cell);
                 let since = std::mem::replace(&mut self.since[space][cell], vec![event]);
@@ -224,7 +309,7 @@ impl<'p> Walk<'p> {
                 for earlier in since.iter().rev() {
                     let reads = earlier.access == Access::Read;
                     if (reads || !read_since)
-                        && let Some(missing) = self.stories.outside(earlier.operation, before, &barrier)
+                        && let Some(missing) = self.time.outside(earlier, before, &barrier)
                     {
                         let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
                         return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
@@ -249,13 +334,11 @@ impl<'p> Walk<'p> {
                 for event in self.since[space][cell].iter().rev() {
                     let missing = if event.access == Access::Read {
                         accesses = Accesses::OUTSIDE_READ;
-                        let unordered = self.stories.unordered(event.operation, self.now, Stages::OUTSIDE);
-                        (!unordered.is_empty()).then_some(Missing::Order(unordered))
+                        self.time.unordered(event, Stages::OUTSIDE)
                     } else if event.pass == OTHERS {
                         None
                     } else {
-                        let hidden = self.stories.hidden(event.operation, self.now, accesses);
-                        (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
+                        self.time.hidden(event, accesses)
                     };
                     if let Some(missing) = missing {
                         let (pass, buffer) = (who(self.plan, event.pass), buffer_name(self.plan, buffer));
@@ -270,22 +353,28 @@ impl<'p> Walk<'p> {
     /// The host and copies, after a replay.
     fn read_outputs(&mut self, replay: usize) -> Result<(), VerifyError> {
         let wanted = Accesses::TRANSFER_READ | Accesses::HOST_READ;
-        let operation = self.stories.operation(self.now, Accesses::TRANSFER_READ);
+        let operation = self.time.operation(Accesses::TRANSFER_READ);
         for slice in outputs(self.plan) {
             let buffer = slice.buffer.index();
             let Some((space, range)) = place(self.plan, &slice, self.replay).filter(|_| self.written[buffer]) else {
                 continue;
             };
+            let event = self.event(operation, OUTSIDE, buffer, Access::Read);
             for cell in self.cells.of(space, &range) {
                 let since = &mut self.since[space][cell];
                 for write in since.iter().filter(|event| event.access != Access::Read) {
-                    let access = self.stories.hidden(write.operation, self.now, wanted);
+                    let [main, side] = &mut self.time.stories;
+                    let access = match write.lane {
+                        Lane::Main => main.hidden(write.operation, self.time.now, wanted),
+                        // That the main lane has waited is enough for copies, but not for the host.
+                        Lane::Side => side.hidden(write.operation, self.side_ends[replay], Accesses::HOST_READ),
+                    };
                     if !access.is_empty() {
                         let (pass, buffer) = (pass_name(self.plan, write.pass), buffer_name(self.plan, buffer));
                         return Err(VerifyError::OutputHidden { pass, buffer, access });
                     }
                 }
-                since.push(Event { operation, pass: OUTSIDE, buffer, replay, access: Access::Read });
+                since.push(event);
             }
         }
         Ok(())
