@@ -1,4 +1,4 @@
-//! A Vulkan device with one compute queue, its memory, its pipelines and its clock.
+//! A Vulkan device with a compute queue, and perhaps a second one, its memory, its pipelines and its clock.
 //!
 //! Promises: everything made from it keeps it alive; work is ordered by one timeline semaphore; nothing waits for the
 //! whole device. Leaves the order of passes to the graph.
@@ -10,6 +10,7 @@ mod objects;
 mod parking;
 mod pipeline;
 mod requirements;
+mod second;
 mod select;
 
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
@@ -20,12 +21,12 @@ pub use objects::{ObjectKind, Objects};
 pub(crate) use parking::{Busy, Parked};
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
+pub(crate) use second::semaphore;
 pub use select::{DeviceInfo, Optional};
 
 use crate::error::{Error, Result};
 use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
-use external::Locked;
 use fault::Gate;
 use parking::Parking;
 
@@ -86,6 +87,7 @@ pub(crate) struct Shared {
     pub info: DeviceInfo,
     pub queue_family: u32,
     queue: Mutex<Queue>,
+    pub second: Option<second::Second>,
     timeline: vk::Semaphore,
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
@@ -116,6 +118,8 @@ struct Bare {
     queue_family: u32,
     queue: vk::Queue,
     lock: Option<Box<dyn QueueLock>>,
+    /// Family and index of a second queue that the device was made with.
+    second: Option<(u32, u32)>,
     gate: Gate,
 }
 
@@ -143,9 +147,10 @@ impl Device {
             device: info.name.clone(),
             missing: vec!["a compute queue".into()],
         })?;
-        let priorities = [1.0];
-        let queues =
-            [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&priorities)];
+        // SAFETY: the physical device comes from this instance.
+        let families = unsafe { instance.raw.get_physical_device_queue_family_properties(chosen.physical) };
+        let second = second::place(&families, queue_family);
+        let queues = second::queues(queue_family, second);
         let needs = Requirements::new(info.clone(), Some(queue_family));
         let extensions: Vec<_> = needs.extensions().iter().map(|name| name.as_ptr()).collect();
         let mut features = needs.feature_structs();
@@ -158,13 +163,13 @@ impl Device {
         // SAFETY: the queue was created with the device.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let physical = chosen.physical;
-        let bare = Bare { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate };
+        let bare = Bare { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, second, gate };
         Device::assemble(bare, options)
     }
 
     /// Gives a device its timeline, memory and pipelines; a device of our own is destroyed if that fails.
     fn assemble(bare: Bare, options: &DeviceOptions) -> Result<Device> {
-        let Bare { instance, physical, raw, owned, info, queue_family, queue, lock, gate } = bare;
+        let Bare { instance, physical, raw, owned, info, queue_family, queue, lock, second, gate } = bare;
         let parts = parts(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match parts {
             Ok(parts) => parts,
@@ -178,6 +183,7 @@ impl Device {
             }
         };
         memory.set_budget(options.memory_budget);
+        let second = second.map(|second| second::Second::new(&raw, second));
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, owned, "device opened");
         let device = Device(Arc::new(Shared {
@@ -187,6 +193,7 @@ impl Device {
             info,
             queue_family,
             queue: Mutex::new(Queue { raw: queue, lock, submitted: 0 }),
+            second,
             timeline,
             memory,
             pipelines,
@@ -203,6 +210,11 @@ impl Device {
         }
         device.0.name(timeline, "timeline");
         Ok(device)
+    }
+
+    /// Whether plans for two queues have two here.
+    pub fn has_second_queue(&self) -> bool {
+        self.0.second.is_some()
     }
 
     /// What is known of the device.
@@ -330,32 +342,11 @@ impl Shared {
         what: &str,
     ) -> Result<Ticket> {
         let mut queue = self.queue();
-        if queue.raw == vk::Queue::null() {
-            return Err(Error::NoQueue(what.to_owned()));
-        }
         let value = queue.submitted + 1;
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let mut all = Vec::with_capacity(signals.len() + 1);
-        all.push(
-            vk::SemaphoreSubmitInfo::default()
-                .semaphore(self.timeline)
-                .value(value)
-                .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS),
-        );
+        all.push(semaphore(self.timeline, value));
         all.extend_from_slice(signals);
-        let submit = [vk::SubmitInfo2::default()
-            .wait_semaphore_infos(waits)
-            .command_buffer_infos(&buffers)
-            .signal_semaphore_infos(&all)];
-        let locked = queue.lock.as_deref().map(Locked::new);
-        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first); the queue is
-        // locked, a host's by the host's own lock; the timeline only grows. The semaphores are in order by the word of
-        // whoever gave them.
-        let submitted = self
-            .gate
-            .call("vkQueueSubmit2", what, || unsafe { self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null()) });
-        drop(locked);
-        submitted?;
+        self.submit_to(queue.raw, queue.lock.as_deref(), commands, waits, &all, what)?;
         queue.submitted = value;
         Ok(Ticket(value))
     }

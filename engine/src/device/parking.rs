@@ -18,6 +18,7 @@ pub(crate) enum Parked {
     CommandPool(vk::CommandPool),
     DescriptorPool(vk::DescriptorPool),
     QueryPool(vk::QueryPool),
+    Semaphore(vk::Semaphore),
 }
 
 /// Objects that wait for a point on the timeline.
@@ -133,6 +134,10 @@ impl Shared {
                 Parked::DescriptorPool(raw) => {
                     self.raw.destroy_descriptor_pool(raw, None);
                     gone(ObjectKind::DescriptorPool);
+                }
+                Parked::Semaphore(raw) => {
+                    self.raw.destroy_semaphore(raw, None);
+                    gone(ObjectKind::Semaphore);
                 }
                 Parked::QueryPool(raw) => {
                     self.raw.destroy_query_pool(raw, None);

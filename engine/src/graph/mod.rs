@@ -29,6 +29,9 @@
 //! * A **hazard** is two accesses to one byte, at least one a write, that do not commute. A transient that takes over
 //!   another's memory makes hazards like anything else.
 //!
+//! * A **lane** is one of two sequences of commands. Plans for two queues send passes that the main lane can do without
+//!   for a while to a second one, in *segments* that wait for segments of the other ([`Queues`]).
+//!
 //! Promises, and their limits:
 //!
 //! * Replays of one plan may follow each other on one queue without waiting, several in flight, with one arena and the

@@ -184,7 +184,8 @@ impl Device {
         let shared: &Shared = &self.0;
         shared.collect();
         let bytes = bytes.max(4).next_multiple_of(4);
-        let info = buffer_info(bytes);
+        let families = shared.families();
+        let info = buffer_info(bytes, &families);
         // SAFETY: the device is alive.
         let raw = shared
             .gate
@@ -245,9 +246,13 @@ impl Device {
     }
 }
 
-/// How our buffers are made.
-fn buffer_info(bytes: u64) -> vk::BufferCreateInfo<'static> {
-    vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
+/// How our buffers are made, shared between families where there is more than one.
+fn buffer_info(bytes: u64, families: &[u32]) -> vk::BufferCreateInfo<'_> {
+    // Buffers know no compression that sharing could cost, and a transfer of ownership would be one more barrier on
+    // either side of every wait between queues.
+    let sharing = if families.len() > 1 { vk::SharingMode::CONCURRENT } else { vk::SharingMode::EXCLUSIVE };
+    let families = if families.len() > 1 { families } else { &[] };
+    vk::BufferCreateInfo::default().size(bytes).sharing_mode(sharing).queue_family_indices(families).usage(
         vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::UNIFORM_BUFFER
             | vk::BufferUsageFlags::INDIRECT_BUFFER

@@ -58,7 +58,8 @@ impl Device {
         self.memory_fd(name)?;
         let bytes = bytes.max(4).next_multiple_of(4);
         let mut external = vk::ExternalMemoryBufferCreateInfo::default().handle_types(MEMORY);
-        let info = super::buffer_info(bytes).push_next(&mut external);
+        let families = shared.families();
+        let info = super::buffer_info(bytes, &families).push_next(&mut external);
         // SAFETY: the device is alive and has external memory.
         let raw = shared
             .gate

@@ -1,7 +1,7 @@
 //! Drawing a recipe: passes one after the other, with a record of which words hold something.
 
 use super::{Groups, Kind, Op, Recipe, Span};
-use sgs_engine::graph::CompileOptions;
+use sgs_engine::graph::{CompileOptions, Queues};
 use sgs_passes::reference::rng::Pcg;
 
 /// A recipe from a seed. `alignment`: bytes that the device wants offsets of bindings to be multiples of.
@@ -28,6 +28,8 @@ pub fn draw(seed: u32, alignment: u64) -> Recipe {
             alias: odds(&mut d, 6),
             reorder: odds(&mut d, 6),
             verify: true,
+            // Both lanes, on whatever queues there are.
+            queues: if seed % 4 == 3 { Queues::Forced } else { Queues::One },
         },
         replays: 1 + d.below(4) as u32,
         frames: 1 + d.below(3),

@@ -4,7 +4,7 @@ use std::fmt::{self, Write};
 
 use super::{describe, transition};
 use crate::graph::pass::writes;
-use crate::graph::plan::Plan;
+use crate::graph::plan::{Lane, Plan};
 
 /// The plan in the language of Graphviz.
 pub fn dot(plan: &Plan) -> String {
@@ -22,7 +22,11 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         for change in plan.entry.iter().filter(|_| at == 0) {
             barrier += &format!("\n{}", transition(plan, change));
         }
-        writeln!(out, "  subgraph cluster_{at} {{ label={};", quote(&format!("group {at}{barrier}")))?;
+        writeln!(
+            out,
+            "  subgraph cluster_{at} {{ label={};",
+            quote(&format!("{}group {at}{barrier}", lane(plan, at)))
+        )?;
         for &pass in &group.passes {
             let label = format!("{}\n{}", plan.passes[pass].name, describe(&plan.passes[pass]));
             writeln!(out, "    p{pass} [label={}];", quote(&label))?;
@@ -39,6 +43,12 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         writeln!(out, "  p{pass} [label={}, style=dashed];", quote(&plan.passes[pass].name))?;
     }
     writeln!(out, "}}")
+}
+
+/// What stands before the name of a group of the second lane.
+fn lane(plan: &Plan, group: usize) -> &'static str {
+    let side = plan.segments.iter().any(|segment| segment.lane == Lane::Side && segment.groups.contains(&group));
+    if side { "side: " } else { "" }
 }
 
 /// The buffers that two passes cannot touch in either order.

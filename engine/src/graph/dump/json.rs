@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::{describe, labels};
 use crate::format::ImageFormat;
 use crate::graph::pass::{Pass, Use};
-use crate::graph::plan::{Barrier, ImageSlot, Plan, Transition};
+use crate::graph::plan::{Barrier, ImageSlot, Lane, Plan, Transition};
 use crate::graph::resource::{Buffer, BufferKind, BufferState, ImageState};
 use crate::shader::Access;
 
@@ -24,6 +24,7 @@ struct View<'p> {
     buffers: Vec<BufferView<'p>>,
     passes: Vec<PassView<'p>>,
     groups: Vec<GroupView<'p>>,
+    segments: Vec<SegmentView<'p>>,
     final_barrier: Option<Barrier>,
     image_slots: &'p [ImageSlot],
     entry: &'p [Transition],
@@ -78,6 +79,16 @@ struct AccessView<'p> {
     discards: bool,
 }
 
+/// Groups `first..end` on one lane, begun after the segments that it waits for.
+#[derive(Serialize)]
+struct SegmentView<'p> {
+    lane: Lane,
+    first: usize,
+    end: usize,
+    waits: &'p [usize],
+    last: Option<Barrier>,
+}
+
 #[derive(Serialize)]
 struct GroupView<'p> {
     barrier: Option<Barrier>,
@@ -114,6 +125,17 @@ fn view(plan: &Plan) -> View<'_> {
             .collect(),
         passes: plan.passes.iter().zip(plan.dependencies()).map(|(pass, follows)| pass_view(pass, follows)).collect(),
         groups: plan.groups.iter().map(|g| GroupView { barrier: g.barrier, passes: &g.passes }).collect(),
+        segments: plan
+            .segments
+            .iter()
+            .map(|segment| SegmentView {
+                lane: segment.lane,
+                first: segment.groups.start,
+                end: segment.groups.end,
+                waits: &segment.waits,
+                last: segment.last,
+            })
+            .collect(),
         final_barrier: plan.final_barrier,
         image_slots: &plan.image_slots,
         entry: &plan.entry,

@@ -3,7 +3,7 @@
 use std::fmt::{self, Write};
 
 use super::{describe, labels, state, transition, verb};
-use crate::graph::plan::Plan;
+use crate::graph::plan::{Lane, Plan};
 use crate::graph::resource::{BufferKind, BufferState};
 
 /// The plan as text.
@@ -69,6 +69,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
     }
 
     for (at, group) in plan.groups.iter().enumerate() {
+        segments_at(plan, at, out)?;
         writeln!(out, "\ngroup {at}")?;
         if let Some(barrier) = group.barrier {
             writeln!(out, "  barrier {barrier}")?;
@@ -93,6 +94,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             }
         }
     }
+    segments_at(plan, plan.groups.len(), out)?;
     if let Some(barrier) = plan.final_barrier {
         writeln!(out, "\nend\n  barrier {barrier}")?;
     }
@@ -103,6 +105,19 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         writeln!(out, "\ndropped")?;
         for &pass in &plan.culled {
             writeln!(out, "  {}: {}", plan.passes[pass].name, describe(&plan.passes[pass]))?;
+        }
+    }
+    Ok(())
+}
+
+/// The segments that begin with a group, if there is more than one in the plan.
+fn segments_at(plan: &Plan, group: usize, out: &mut String) -> fmt::Result {
+    for (number, segment) in plan.segments.iter().enumerate().filter(|(_, segment)| segment.groups.start == group) {
+        if plan.segments.len() > 1 {
+            let lane = if segment.lane == Lane::Main { "main" } else { "side" };
+            write!(out, "\nsegment {number}, {lane}")?;
+            let waits: Vec<_> = segment.waits.iter().map(usize::to_string).collect();
+            writeln!(out, "{}{}", if waits.is_empty() { "" } else { ", waits for " }, waits.join(", "))?;
         }
     }
     Ok(())

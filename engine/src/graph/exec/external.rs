@@ -135,7 +135,8 @@ impl Lent {
 
 impl Executor {
     /// Records one replay of the plan, with these uniforms, into a host's command buffer, between whatever the host
-    /// records before and after. Everything before is ordered before it and everything after behind it.
+    /// records before and after. Everything before is ordered before it and everything after behind it. A plan for two
+    /// queues has full barriers where one would wait for the other.
     ///
     /// The bound compute pipeline, its descriptor set 0 and push constants are not what they were afterwards. After an
     /// error the command buffer may hold part of the plan and is to be recorded anew.
@@ -235,6 +236,7 @@ impl Executor {
             uniforms,
             recorded: false,
             swapped: false,
+            segments: None,
             ticket: None,
         };
         self.lent.push(Lent { slot, hold: Arc::new(Mutex::new(Hold::Done)), _keeps: Keeps::default() });

@@ -7,6 +7,7 @@
 mod bind;
 mod external;
 mod history;
+mod lanes;
 mod record;
 mod time;
 
@@ -57,6 +58,7 @@ pub struct Executor {
     /// The switches and what they are set to.
     switches: Vec<(Buffer, u32)>,
     slots: Vec<Slot>,
+    side: Option<lanes::Side>,
     next: usize,
     uniform_bytes: u64,
     /// What is recorded into command buffers of a host.
@@ -103,6 +105,8 @@ struct Slot {
     /// Whether the halves of histories have changed places in its replays: in every other slot, and there is an even
     /// number of them, so that nothing is recorded again.
     swapped: bool,
+    /// For plans of more than one segment.
+    segments: Option<lanes::Segments>,
     ticket: Option<Ticket>,
 }
 
@@ -152,6 +156,7 @@ impl Executor {
             uniform_offsets,
             switches: plan.buffers().filter(|(_, info)| info.switch).map(|(buffer, _)| (buffer, 1)).collect(),
             slots: Vec::new(),
+            side: None,
             next: 0,
             uniform_bytes,
             lent: Vec::new(),
@@ -166,6 +171,7 @@ impl Executor {
             executor.slot_images.push(device.image(&name, slot.size, slot.format)?);
         }
         executor.make_histories()?;
+        executor.make_side()?;
         let frames = executor.frames();
         let slots = if executor.has_histories() { frames.next_multiple_of(2) } else { frames };
         for _ in 0..slots {
@@ -283,11 +289,10 @@ impl Executor {
             self.record(index)?;
             self.host.recorded += 1;
         }
-        let slot = &mut self.slots[index];
         let handed = Instant::now();
-        let ticket = self.device.0.submit_between(slot.commands, waits, signals, &self.plan.name)?;
+        let ticket = self.submit_segments(index, waits, signals)?;
         self.host.submitting += handed.elapsed();
-        slot.ticket = Some(ticket);
+        self.slots[index].ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
         self.host.replays += 1;
         self.host.working += begin.elapsed().saturating_sub(waited);
@@ -377,6 +382,7 @@ impl Executor {
             uniforms,
             recorded: false,
             swapped: !self.slots.len().is_multiple_of(2),
+            segments: None,
             ticket: None,
         };
         if let Err(error) = self.fill_slot(&mut slot) {
@@ -398,6 +404,7 @@ impl Executor {
             .gate
             .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
         shared.name(slot.commands, name);
+        self.make_segments(slot)?;
         slot.descriptors = self.descriptor_pool()?;
         if self.times.enabled() {
             let info = vk::QueryPoolCreateInfo::default()
@@ -423,6 +430,7 @@ impl Executor {
         if slot.descriptors != vk::DescriptorPool::null() {
             shared.dispose(until, Parked::DescriptorPool(slot.descriptors));
         }
+        self.destroy_segments(slot, until);
         if slot.pool != vk::CommandPool::null() {
             shared.dispose(until, Parked::CommandPool(slot.pool));
         }
@@ -439,6 +447,7 @@ impl Drop for Executor {
         self.drop_lent();
         let Some(last) = self.slots.iter().filter_map(|s| s.ticket).max() else {
             self.slots.iter().for_each(|s| self.destroy_slot(s, Ticket(0)));
+            self.destroy_side(Ticket(0));
             return;
         };
         let uniforms = self.slots.iter().filter_map(|s| s.uniforms.as_ref());
@@ -449,5 +458,6 @@ impl Drop for Executor {
             image.0.busy.until(last);
         }
         self.slots.iter().for_each(|s| self.destroy_slot(s, last));
+        self.destroy_side(last);
     }
 }

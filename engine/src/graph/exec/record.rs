@@ -24,11 +24,17 @@ impl Executor {
             shared.gate.call("vkResetDescriptorPool", &plan.name, || {
                 raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
             })?;
-            shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
-            if self.times.enabled() {
-                raw.cmd_reset_query_pool(commands, slot.queries, 0, 2 * plan.passes.len() as u32);
-            }
         }
+        if let Some(segments) = &slot.segments {
+            self.record_segments(slot, segments)?;
+            self.slots[index].recorded = true;
+            return Ok(());
+        }
+        // SAFETY: the command buffer was reset with its pool.
+        shared
+            .gate
+            .call("vkBeginCommandBuffer", &plan.name, || unsafe { raw.begin_command_buffer(commands, &begin) })?;
+        self.reset_stamps(commands, slot);
         self.open(commands)?;
         self.body(commands, slot)?;
         self.close(commands)?;
@@ -59,10 +65,31 @@ impl Executor {
 
     /// Records the passes, from behind the entry's barrier up to the exit's.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
+        self.prelude(commands);
+        for segment in &self.plan.segments {
+            // In one command buffer a full barrier stands for waiting.
+            if !segment.waits.is_empty() {
+                self.barrier(commands, &everything());
+            }
+            self.groups(commands, slot, segment.groups.clone())?;
+        }
+        Ok(())
+    }
+
+    /// Makes the queries of a slot ready to be written.
+    pub(super) fn reset_stamps(&self, commands: vk::CommandBuffer, slot: &Slot) {
+        if slot.queries != vk::QueryPool::null() {
+            let count = 2 * self.plan.passes.len() as u32;
+            // SAFETY: the pool has two queries for every pass.
+            unsafe { self.device.0.raw.cmd_reset_query_pool(commands, slot.queries, 0, count) };
+        }
+    }
+
+    /// Records what comes before the passes: poison, if wanted.
+    pub(super) fn prelude(&self, commands: vk::CommandBuffer) {
         let plan = &self.plan;
-        // A recording that failed before may have left some open.
+        // A recording that failed before may have left some labels open.
         self.device.0.instance.messages.close_all();
-        self.open_label(commands, &plan.name);
         if self.options.poison && (self.arena.is_some() || !self.slot_images.is_empty()) {
             let raw = &self.device.0.raw;
             if let Some(arena) = &self.arena {
@@ -81,7 +108,19 @@ impl Executor {
             }
             self.barrier(commands, &everything());
         }
-        for (g, group) in plan.groups.iter().enumerate() {
+    }
+
+    /// Records some of the groups.
+    pub(super) fn groups(
+        &self,
+        commands: vk::CommandBuffer,
+        slot: &Slot,
+        groups: std::ops::Range<usize>,
+    ) -> Result<()> {
+        let plan = &self.plan;
+        self.open_label(commands, &plan.name);
+        for g in groups {
+            let group = &plan.groups[g];
             if let (Some(barrier), true) = (&group.barrier, g > 0) {
                 self.barrier(commands, &translate(barrier));
             }
@@ -271,7 +310,7 @@ fn layout(state: ImageState) -> vk::ImageLayout {
     }
 }
 
-fn translate(barrier: &Barrier) -> vk::MemoryBarrier2<'static> {
+pub(super) fn translate(barrier: &Barrier) -> vk::MemoryBarrier2<'static> {
     vk::MemoryBarrier2::default()
         .src_stage_mask(stages(barrier.src_stage))
         .src_access_mask(accesses(barrier.src_access))

@@ -248,7 +248,7 @@ fn emit(follows: &[Vec<u32>], levels: &[Vec<usize>], excursions: &[Excursion]) -
     let mut segments: Vec<Segment> = Vec::new();
     let mut number = vec![0; excursions.len()];
     // Where the open segment of the main lane begins, and what it waits for.
-    let (mut open, mut waits) = (0, Vec::new());
+    let (mut open, mut waits, mut waited) = (0, Vec::new(), None);
     for at in 0..=levels.len() {
         let ends: Vec<usize> = (0..excursions.len()).filter(|&e| excursions[e].to == at).collect();
         let starts: Vec<usize> = (0..excursions.len()).filter(|&e| excursions[e].from == at).collect();
@@ -268,7 +268,10 @@ fn emit(follows: &[Vec<u32>], levels: &[Vec<usize>], excursions: &[Excursion]) -
         if segments.last().is_some_and(|segment| segment.groups.end == groups.len()) {
             open = groups.len();
         }
-        waits.extend(ends.into_iter().map(|end| number[end]));
+        // The latest stands for all before it on its lane.
+        let end = ends.into_iter().map(|end| number[end]).max().filter(|&end| waited.is_none_or(|waited| end > waited));
+        waited = waited.max(end);
+        waits.extend(end);
         let stay: Vec<usize> = levels.get(at).into_iter().flatten().copied().filter(|p| !away.contains(p)).collect();
         if !stay.is_empty() {
             groups.push(Group { barrier: None, passes: stay });

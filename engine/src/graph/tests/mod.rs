@@ -10,6 +10,7 @@ mod kernels;
 mod mutate;
 mod page;
 mod phases;
+mod queue;
 mod random;
 mod scale;
 mod snapshot;

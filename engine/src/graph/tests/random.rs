@@ -202,6 +202,25 @@ fn is_image(graph: &Graph, slice: &Slice) -> bool {
     graph.buffers[slice.buffer.index()].image.is_some()
 }
 
+/// The groups of a plan in an order in which two queues may run them: the second one as late as the waits allow.
+fn late(plan: &Plan) -> Vec<usize> {
+    let (mut order, mut pending) = (Vec::new(), std::collections::VecDeque::new());
+    for (at, segment) in plan.segments.iter().enumerate() {
+        if segment.lane == Lane::Side {
+            pending.push_back(at);
+            continue;
+        }
+        for &wait in &segment.waits {
+            while let Some(side) = pending.pop_front_if(|side| *side <= wait) {
+                order.extend(plan.segments[side].groups.clone());
+            }
+        }
+        order.extend(segment.groups.clone());
+    }
+    assert!(pending.is_empty(), "nobody waits for the last of {plan}");
+    order
+}
+
 /// The owner of a cell that nobody wrote.
 const NOBODY: usize = usize::MAX;
 
@@ -337,6 +356,30 @@ proptest! {
         }
     }
 }
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 700, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn two_queues_compute_what_one_does(mut recipe in recipes(40)) {
+        recipe.options.queues = Queues::Forced;
+        let plan = recipe.build().compile(&recipe.options).unwrap();
+        if let Err(error) = verify(&plan) {
+            return Err(TestCaseError::fail(format!("{error}\n{plan}")));
+        }
+        let mut declared = Machine::new(&plan, false);
+        let mut early = Machine::new(&plan, true);
+        let mut delayed = Machine::new(&plan, true);
+        for _ in 0..3 {
+            [&mut declared, &mut early, &mut delayed].into_iter().for_each(Machine::begin);
+            (0..plan.passes.len()).for_each(|pass| declared.run(pass));
+            plan.groups.iter().for_each(|group| group.passes.iter().for_each(|&pass| early.run(pass)));
+            late(&plan).into_iter().for_each(|at| plan.groups[at].passes.iter().for_each(|&pass| delayed.run(pass)));
+            prop_assert_eq!(declared.outputs(), early.outputs(), "{}", plan);
+            prop_assert_eq!(declared.outputs(), delayed.outputs(), "{}", plan);
+        }
+    }
+}
+
 /// The comparison above is worth something: an order that breaks the data flow gives other outputs.
 #[test]
 fn the_machine_notices_a_wrong_order() {

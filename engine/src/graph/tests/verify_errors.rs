@@ -69,6 +69,7 @@ fn availability_and_visibility_must_be_one_chain() {
         ready,
     ];
     plan.groups = (0..4).map(|at| Group { barrier: Some(barriers[at]), passes: vec![at] }).collect();
+    plan.segments[0].groups = 0..4;
     plan.final_barrier = Some(plan.final_barrier.unwrap().merge(&Barrier::FULL));
     // It waits for kernels, and so for what waited until the counts were available.
     assert_eq!(verify(&plan), Ok(()));

@@ -103,7 +103,8 @@ impl Lanes {
         self.known[segment][index(lane)] >= Some(other)
     }
 
-    /// By group of one replay: the first and the last group that may run together with it, itself included.
+    /// By group of one replay: from which group to which its memory is in use. For groups of the second lane, from the
+    /// first to the last group of the main lane that may run together with them.
     pub(super) fn together(&self, plan: &Plan) -> Vec<(usize, usize)> {
         let mut spans: Vec<(usize, usize)> = (0..plan.groups.len()).map(|at| (at, at)).collect();
         for (first, a) in plan.segments.iter().enumerate().filter(|(_, a)| !a.groups.is_empty()) {
@@ -111,11 +112,11 @@ impl Lanes {
                 if a.lane == b.lane || b.groups.is_empty() || self.knows(second, a.lane, first) {
                     continue;
                 }
-                for at in a.groups.clone() {
-                    spans[at].1 = spans[at].1.max(b.groups.end - 1);
-                }
-                for at in b.groups.clone() {
-                    spans[at].0 = spans[at].0.min(a.groups.start);
+                // One of the two is enough: then the stretches of both meet.
+                if a.lane == Lane::Side {
+                    spans[a.groups.clone()].iter_mut().for_each(|span| span.1 = span.1.max(b.groups.end - 1));
+                } else {
+                    spans[b.groups.clone()].iter_mut().for_each(|span| span.0 = span.0.min(a.groups.start));
                 }
             }
         }
