@@ -31,9 +31,8 @@ impl Executor {
             return Ok(());
         }
         // SAFETY: the command buffer was reset with its pool.
-        shared
-            .gate
-            .call("vkBeginCommandBuffer", &plan.name, || unsafe { raw.begin_command_buffer(commands, &begin) })?;
+        let begin = || unsafe { raw.begin_command_buffer(commands, &begin) };
+        shared.gate.call("vkBeginCommandBuffer", &plan.name, begin)?;
         self.reset_stamps(commands, slot);
         self.open(commands)?;
         self.body(commands, slot)?;
