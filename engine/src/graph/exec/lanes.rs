@@ -84,8 +84,9 @@ impl Executor {
         for (at, (segment, &commands)) in plan.segments.iter().zip(&segments.commands).enumerate() {
             let begin = vk::CommandBufferBeginInfo::default();
             // SAFETY: the command buffer is not in flight and was reset with its pool.
-            let begin = || unsafe { raw.begin_command_buffer(commands, &begin) };
-            shared.gate.call("vkBeginCommandBuffer", &plan.name, begin)?;
+            unsafe {
+                shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
+            }
             if at == 0 {
                 // Everything else begins after this segment, on either lane.
                 self.reset_stamps(commands, slot);

@@ -31,8 +31,9 @@ impl Executor {
             return Ok(());
         }
         // SAFETY: the command buffer was reset with its pool.
-        let begin = || unsafe { raw.begin_command_buffer(commands, &begin) };
-        shared.gate.call("vkBeginCommandBuffer", &plan.name, begin)?;
+        unsafe {
+            shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
+        }
         self.reset_stamps(commands, slot);
         self.open(commands)?;
         self.body(commands, slot)?;
