@@ -88,6 +88,7 @@ pub(crate) struct Shared {
     pub queue_family: u32,
     queue: Mutex<Queue>,
     pub second: Option<second::Second>,
+    second_timeline: second::SecondTimeline,
     timeline: vk::Semaphore,
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
@@ -194,6 +195,7 @@ impl Device {
             queue_family,
             queue: Mutex::new(Queue { raw: queue, lock, submitted: 0 }),
             second,
+            second_timeline: second::SecondTimeline::default(),
             timeline,
             memory,
             pipelines,
@@ -372,6 +374,7 @@ impl Drop for Shared {
             return;
         }
         self.clear_parking();
+        self.destroy_second_timeline();
         self.pipelines.destroy(&self.raw, &self.gate);
         self.memory.shut_down();
         // SAFETY: all work is done and everything made from the device is destroyed.

@@ -18,7 +18,6 @@ pub(crate) enum Parked {
     CommandPool(vk::CommandPool),
     DescriptorPool(vk::DescriptorPool),
     QueryPool(vk::QueryPool),
-    Semaphore(vk::Semaphore),
 }
 
 /// Objects that wait for a point on the timeline.
@@ -134,10 +133,6 @@ impl Shared {
                 Parked::DescriptorPool(raw) => {
                     self.raw.destroy_descriptor_pool(raw, None);
                     gone(ObjectKind::DescriptorPool);
-                }
-                Parked::Semaphore(raw) => {
-                    self.raw.destroy_semaphore(raw, None);
-                    gone(ObjectKind::Semaphore);
                 }
                 Parked::QueryPool(raw) => {
                     self.raw.destroy_query_pool(raw, None);

@@ -4,12 +4,20 @@
 //! for by something on the first queue, so that the device's timeline covers it.
 
 use super::external::{Locked, QueueLock};
-use super::{Shared, Ticket};
+use super::{ObjectKind, Shared, Ticket};
 use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::{Mutex, PoisonError};
 
-/// The second queue.
+/// What submissions of second lanes signal. It belongs to the device and not to executors: some drivers still touch a
+/// semaphore for a moment after the work that waited for it has been seen to end.
+#[derive(Default)]
+pub(crate) struct SecondTimeline {
+    made: Mutex<Option<vk::Semaphore>>,
+    submitted: Mutex<u64>,
+}
+
+/// The queue itself.
 pub(crate) struct Second {
     pub family: u32,
     queue: Mutex<vk::Queue>,
@@ -56,15 +64,45 @@ impl Shared {
         std::iter::once(self.queue_family).chain(second).collect()
     }
 
-    /// Submits to the second queue, or to the first in its place, and signals a semaphore at the end.
+    /// The timeline of second lanes, made when it is first asked for.
+    pub fn second_timeline(&self) -> Result<vk::Semaphore> {
+        let mut made = self.second_timeline.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(timeline) = *made {
+            return Ok(timeline);
+        }
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: the device is alive and has timeline semaphores.
+        let timeline = self.gate.make(ObjectKind::Semaphore, "vkCreateSemaphore", "second timeline", || unsafe {
+            self.raw.create_semaphore(&info, None)
+        })?;
+        self.name(timeline, "second timeline");
+        *made = Some(timeline);
+        Ok(timeline)
+    }
+
+    /// Gives it back; all work is done.
+    pub(super) fn destroy_second_timeline(&self) {
+        let made = self.second_timeline.made.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(timeline) = made {
+            // SAFETY: nothing uses it any more.
+            unsafe { self.raw.destroy_semaphore(timeline, None) };
+            self.gate.gone(ObjectKind::Semaphore);
+        }
+    }
+
+    /// Submits to the second queue, or to the first in its place; returns the value of the second timeline at its end.
     pub fn submit_second(
         &self,
         commands: vk::CommandBuffer,
         waits: &[vk::SemaphoreSubmitInfo<'_>],
-        signal: vk::SemaphoreSubmitInfo<'_>,
         what: &str,
-    ) -> Result<()> {
-        match &self.second {
+    ) -> Result<u64> {
+        let timeline = self.second_timeline()?;
+        let mut submitted = self.second_timeline.submitted.lock().unwrap_or_else(PoisonError::into_inner);
+        let value = *submitted + 1;
+        let signal = semaphore(timeline, value);
+        let result = match &self.second {
             Some(second) => {
                 let queue = second.queue.lock().unwrap_or_else(PoisonError::into_inner);
                 self.submit_to(*queue, None, commands, waits, &[signal], what)
@@ -73,7 +111,10 @@ impl Shared {
                 let queue = self.queue();
                 self.submit_to(queue.raw, queue.lock.as_deref(), commands, waits, &[signal], what)
             }
-        }
+        };
+        result?;
+        *submitted = value;
+        Ok(value)
     }
 
     /// Submits to a queue that the caller has locked; `lock` is its host's, if it is a host's.

@@ -1,7 +1,7 @@
 //! Plans for two queues: a command buffer for each segment, submitted in the order of the plan, joined by timelines.
 //!
 //! Segments of the main lane signal the device's timeline like everything else on it, those of the second lane one that the
-//! executor owns. Whoever waits was submitted after what it waits for, so that both lanes may even share one queue.
+//! device keeps for them. Whoever waits was submitted after what it waits for, so that both lanes may even share one queue.
 
 use super::{Executor, Slot};
 use crate::device::{ObjectKind, Parked, Ticket, semaphore};
@@ -12,6 +12,7 @@ use ash::vk;
 /// What an executor has for its second lane.
 pub(super) struct Side {
     timeline: vk::Semaphore,
+    /// What this executor reached on it.
     submitted: u64,
     /// By segment: the value that it signaled last.
     values: Vec<u64>,
@@ -31,14 +32,7 @@ impl Executor {
         if self.plan.segments.len() < 2 {
             return Ok(());
         }
-        let shared = &self.device.0;
-        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        // SAFETY: the device is alive and has timeline semaphores.
-        let timeline = shared.gate.make(ObjectKind::Semaphore, "vkCreateSemaphore", &self.plan.name, || unsafe {
-            shared.raw.create_semaphore(&info, None)
-        })?;
-        shared.name(timeline, &format!("second lane of {}", self.plan.name));
+        let timeline = self.device.0.second_timeline()?;
         self.side = Some(Side { timeline, submitted: 0, values: vec![0; self.plan.segments.len()] });
         Ok(())
     }
@@ -140,12 +134,7 @@ impl Executor {
                     main.0
                 })
             } else {
-                let value = side.submitted + 1;
-                let signal = semaphore(side.timeline, value);
-                shared.submit_second(commands, &waits, signal, &self.plan.name).map(|()| {
-                    side.submitted = value;
-                    value
-                })
+                shared.submit_second(commands, &waits, &self.plan.name).inspect(|value| side.submitted = *value)
             };
             match result {
                 Ok(value) => side.values[at] = value,
@@ -171,13 +160,6 @@ impl Executor {
     pub(super) fn destroy_segments(&self, slot: &Slot, until: Ticket) {
         if let Some(segments) = &slot.segments {
             self.device.0.dispose(until, Parked::CommandPool(segments.pool));
-        }
-    }
-
-    /// Gives the second lane's timeline back.
-    pub(super) fn destroy_side(&self, until: Ticket) {
-        if let Some(side) = &self.side {
-            self.device.0.dispose(until, Parked::Semaphore(side.timeline));
         }
     }
 }

@@ -447,7 +447,6 @@ impl Drop for Executor {
         self.drop_lent();
         let Some(last) = self.slots.iter().filter_map(|s| s.ticket).max() else {
             self.slots.iter().for_each(|s| self.destroy_slot(s, Ticket(0)));
-            self.destroy_side(Ticket(0));
             return;
         };
         let uniforms = self.slots.iter().filter_map(|s| s.uniforms.as_ref());
@@ -458,6 +457,5 @@ impl Drop for Executor {
             image.0.busy.until(last);
         }
         self.slots.iter().for_each(|s| self.destroy_slot(s, last));
-        self.destroy_side(last);
     }
 }
