@@ -87,6 +87,11 @@ impl Executor {
                 self.open(commands)?;
                 self.prelude(commands);
             }
+            if !segment.waits.is_empty() && shared.second.is_none() {
+                // On one queue a barrier reaches as far as the wait. Layer 1.3.239 knows no timeline semaphores and would
+                // miss the wait alone.
+                self.barrier(commands, &super::record::everything());
+            }
             self.groups(commands, slot, segment.groups.clone())?;
             if let Some(barrier) = &segment.last {
                 self.barrier(commands, &super::record::translate(barrier));

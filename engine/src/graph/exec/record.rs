@@ -277,7 +277,7 @@ impl Executor {
     }
 }
 
-fn everything() -> vk::MemoryBarrier2<'static> {
+pub(super) fn everything() -> vk::MemoryBarrier2<'static> {
     let stages = vk::PipelineStageFlags2::COMPUTE_SHADER
         | vk::PipelineStageFlags2::ALL_TRANSFER
         | vk::PipelineStageFlags2::DRAW_INDIRECT;
