@@ -27,14 +27,16 @@ pub(super) struct Scene<'p> {
 /// replay before, so that it needs no first barrier.
 pub(super) fn place_lanes(scene: &Scene<'_>, groups: &mut [Group], segments: &[Segment]) -> Option<Barrier> {
     let mut last = None;
+    // Whoever reads what the second lane leaves is somebody for whom the first barrier of the next replay waits too.
+    let outputs = scene.outputs(groups);
     for lane in [Lane::Main, Lane::Side] {
         let own = segments.iter().filter(|segment| segment.lane == lane);
         let places: Vec<usize> = own.flat_map(|segment| segment.groups.clone()).collect();
         let mut lane_groups: Vec<Group> = places.iter().map(|&at| std::mem::take(&mut groups[at])).collect();
         if lane == Lane::Main {
-            last = place(scene, &mut lane_groups);
+            last = place(scene, &mut lane_groups, &outputs);
         } else {
-            place(&Scene { entry: &[], exit: &[], ..*scene }, &mut lane_groups);
+            place(&Scene { entry: &[], exit: &[], ..*scene }, &mut lane_groups, &outputs);
             if let Some(first) = lane_groups.first_mut() {
                 first.barrier = None;
             }
@@ -45,16 +47,15 @@ pub(super) fn place_lanes(scene: &Scene<'_>, groups: &mut [Group], segments: &[S
 }
 
 /// Puts barriers into the groups of one lane; returns the one after the last group.
-fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> {
+fn place(scene: &Scene<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<Barrier> {
     if groups.is_empty() {
         return None;
     }
     let mut memory = Memory::new(scene.buffers, scene.layout);
-    let outputs = scene.outputs(groups);
     let last = groups.len();
     let mut clock = Clock::default();
 
-    let needs = scene.replay(&mut memory, groups, &outputs, 0, false);
+    let needs = scene.replay(&mut memory, groups, outputs, 0, false);
     let mut barriers = Vec::with_capacity(groups.len() + 1);
     for (at, need) in needs.iter().enumerate() {
         // The first barrier's transitions come later, with everything else that it has to do.
@@ -80,7 +81,7 @@ fn place(scene: &Scene<'_>, groups: &mut [Group]) -> Option<Barrier> {
         .map(|number| {
             let start = number * length(groups);
             memory.swapped = histories && number % 2 == 1;
-            (start, scene.replay(&mut memory, groups, &outputs, start, true))
+            (start, scene.replay(&mut memory, groups, outputs, start, true))
         })
         .collect();
     let mut first = Barrier::default();
