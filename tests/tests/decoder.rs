@@ -178,7 +178,8 @@ fn label_maps_are_those_of_the_reference() {
 /// classes, twice larger the second time.
 #[test]
 fn semantic_priors_of_a_scene_reach_the_device() {
-    use sgs_passes::pipeline::{Labeler, Picture, Query};
+    use sgs_engine::Location;
+    use sgs_passes::pipeline::{FeatureImage, Labeler, Query};
     use sgs_scene::{Scene, SceneOptions};
     use sgs_tests::{Place, rooms::Room};
     use sgs_train::{SemanticData, SemanticView};
@@ -216,20 +217,38 @@ fn semantic_priors_of_a_scene_reach_the_device() {
     assert_close("texts", &h.text, &unit, Tolerance::new(1e-8, 2e-7));
 
     let decoder = Decoder::new(device, 31, false).unwrap();
-    let query = Query { class: 1, meaning: Relevance::Probability, temperature: 0.25 };
-    let mut labeler = Labeler::new(device, gpu.tuning(), &unit, query).unwrap();
-    for size in [[5, 3], [4, 2], [10, 6]] {
-        let pixels = (size[0] * size[1]) as usize;
-        let mut rng = Pcg::new(size[0]);
-        let image: Vec<f32> = (0..pixels * CHANNELS).map(|_| rng.normal() as f32).collect();
-        let picture = Picture { size, channels: CHANNELS as u32, image, transmittance: vec![0.0; pixels] };
-        let map = labeler.label(&decoder, &picture, FIRST as u32).unwrap();
-        for (p, pixel) in picture.image.chunks(CHANNELS).enumerate() {
-            let f: Vec<f64> = pixel[FIRST..FIRST + FEATURES].iter().map(|&x| f64::from(x)).collect();
-            let (label, logits) = twin::classify(&h, &f, 0.25);
-            assert_eq!(map.labels[p] as usize, label);
-            let expected = 1.0 / logits.iter().map(|l| (l - logits[1]).exp()).sum::<f64>();
-            assert_close("relevance", &[expected], &[map.relevance[p]], Tolerance::new(2e-6, 1e-5));
+    let queries = [
+        Query { class: 1, meaning: Relevance::Probability },
+        Query { class: 2, meaning: Relevance::Cosine },
+        Query { class: 0, meaning: Relevance::Probability },
+    ];
+    for queries in [&queries[..], &[]] {
+        let mut labeler = Labeler::new(device, gpu.tuning(), &unit, 0.25, queries).unwrap();
+        for (size, spare) in [([5, 3], 0), ([4, 2], 7), ([10, 6], 0), ([1, 1], 59)] {
+            let pixels = (size[0] * size[1]) as usize;
+            let mut rng = Pcg::new(size[0]);
+            let mut image: Vec<f32> = (0..pixels * CHANNELS).map(|_| rng.normal() as f32).collect();
+            if pixels > 1 {
+                image[CHANNELS + FIRST + 5] = f32::NAN;
+            }
+            let buffer = device.buffer("image", ((pixels + spare) * CHANNELS * 4) as u64, Location::Device).unwrap();
+            device.upload(&buffer, 0, bytemuck::cast_slice(&image)).unwrap();
+            let features = FeatureImage { buffer: &buffer, size, channels: CHANNELS as u32, first: FIRST as u32 };
+            let map = labeler.label(&decoder, &features).unwrap();
+            assert_eq!((map.labels.len(), map.relevance.len()), (pixels, queries.len()));
+            for (p, pixel) in image.chunks(CHANNELS).enumerate() {
+                let relevance = map.relevance.iter().map(|r| r[p]).collect::<Vec<f32>>();
+                if p == 1 {
+                    assert!(map.labels[p] == NO_LABEL && relevance.iter().all(|r| *r == 0.0));
+                    continue;
+                }
+                let f: Vec<f64> = pixel[FIRST..FIRST + FEATURES].iter().map(|&x| f64::from(x)).collect();
+                let (label, logits) = twin::classify(&h, &f, 0.25);
+                assert_eq!(map.labels[p] as usize, label);
+                let probability = |q: usize| 1.0 / logits.iter().map(|l| (l - logits[q]).exp()).sum::<f64>();
+                let expected = [probability(1), 0.25 * logits[2], probability(0)];
+                assert_close("relevance", &expected[..queries.len()], &relevance, Tolerance::new(2e-6, 1e-5));
+            }
         }
     }
 

@@ -3,7 +3,7 @@
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::reference::blend::{Blended, render};
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::scene::{Gaussians as GpuGaussians, Model};
+use sgs_passes::scene::{FEATURES, Gaussians as GpuGaussians, Model};
 use sgs_passes::splat::Channels;
 use sgs_tests::{Gpu, scenes};
 
@@ -89,4 +89,51 @@ fn a_planted_error_is_caught() {
     let image: Vec<f32> = other.image.iter().map(|v| *v as f32).collect();
     let transmittance: Vec<f32> = other.transmittance.iter().map(|v| *v as f32).collect();
     assert!(difference(&image, &transmittance, &truth, 3).0 > 2e-3);
+}
+
+/// Largest difference of features where the twin is sure of itself; rows of the truth end in them.
+fn feature_difference(found: &[f32], truth: &Blended) -> f64 {
+    let channels = truth.image.len() / truth.doubtful.len();
+    let pixels = truth.image.chunks(channels).zip(found.chunks(FEATURES)).zip(&truth.doubtful);
+    let differences = pixels.filter(|(_, doubtful)| !**doubtful).flat_map(|((t, f), _)| {
+        t[channels - FEATURES..].iter().zip(f).map(|(t, f)| (f64::from(*f) - t).abs())
+    });
+    differences.fold(0.0, f64::max)
+}
+
+/// One renderer, views of several sizes, room for entries that does not suffice at first.
+#[test]
+fn features_are_blended_at_every_pixel() {
+    let gpu = Gpu::new();
+    let device = gpu.device();
+    let g = scenes::with_semantics(scenes::ordinary(2500, 0, true, 11), 5);
+    let model = Model { sh_degree: 0, normals: true, semantics: true };
+    let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();
+    gaussians.upload(device, &scenes::data(&g)).unwrap();
+    let channels = Channels { normals: true, depth: false };
+    let mut renderer = Renderer::with_features(device, gpu.tuning(), &gaussians, [1, 1], channels).unwrap();
+    for size in [[33, 20], [61, 37], [17, 3], [1, 1]] {
+        let camera = scenes::camera(size);
+        let picture = renderer.render(&gaussians, &scenes::gpu_camera(&camera), 0, [0.5; 3]).unwrap();
+        assert_eq!(picture.channels, 6);
+        let pixels = (size[0] * size[1]) as usize;
+        let found: Vec<f32> = device.download_as(renderer.features().unwrap(), pixels * FEATURES).unwrap();
+        let truth = render(&g, &camera, 0, false, [0.5; 3]);
+        let d = feature_difference(&found, &truth);
+        assert!(d < 2e-3, "{size:?}: largest difference {d}");
+        assert!(truth.doubtful.iter().filter(|d| !**d).count() > pixels / 2, "{size:?} shows too little");
+        // What is compared must be able to differ.
+        let mut other = found.clone();
+        let sure = truth.doubtful.iter().position(|d| !*d).unwrap();
+        other[sure * FEATURES + 31] += 0.01;
+        assert!(feature_difference(&other, &truth) > 5e-3);
+    }
+    // Gaussians without features in the same renderer, and with them again.
+    let plain = GpuGaussians::new(device, Model { semantics: false, ..model }, g.len() as u32, false).unwrap();
+    plain.upload(device, &scenes::data(&g)).unwrap();
+    let camera = scenes::gpu_camera(&scenes::camera([33, 20]));
+    let without = renderer.render(&plain, &camera, 0, [0.5; 3]).unwrap();
+    assert!(renderer.features().is_none());
+    let with = renderer.render(&gaussians, &camera, 0, [0.5; 3]).unwrap();
+    assert!(renderer.features().is_some() && with.image == without.image);
 }

@@ -1,6 +1,9 @@
-//! From a picture's features to its classes, on the host.
+//! From blended features on the device to the classes of pixels on the host.
+//!
+//! Promises: labels and relevances of the same features are the same every time. Leaves to the caller which pixels show
+//! anything at all: features of nothing have the class of the decoder's bias.
 
-use super::{Picture, Step};
+use super::Step;
 use crate::Tuning;
 use crate::loss::{Head, Relevance, SemanticLabels, semantic_labels, semantic_prepare};
 use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
@@ -9,15 +12,26 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
-/// What is asked of every picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A class that is asked about at every pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Query {
     /// The class whose relevance is wanted.
     pub class: u32,
     /// What relevance is.
     pub meaning: Relevance,
-    /// Logits are divided by it before the softmax.
-    pub temperature: f32,
+}
+
+/// Where features lie on the device.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureImage<'a> {
+    /// `[pixels * channels]` floats, or more.
+    pub buffer: &'a DeviceBuffer,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Floats of a pixel.
+    pub channels: u32,
+    /// The one at which its 32 features begin.
+    pub first: u32,
 }
 
 /// The classes of a picture.
@@ -25,17 +39,19 @@ pub struct Query {
 pub struct LabelMap {
     /// Class of each pixel; [`crate::loss::NO_LABEL`] where its features are not finite.
     pub labels: Vec<u32>,
-    /// How much each pixel has of the queried class.
-    pub relevance: Vec<f32>,
+    /// By query: how much each pixel has of the class.
+    pub relevance: Vec<Vec<f32>>,
 }
 
-/// Classifies pictures of one kind, of any size up to the first one's number of pixels; larger ones rebuild it.
+/// Classifies pictures again and again; made anew when their buffer is of another kind.
 pub struct Labeler {
     device: Device,
     tuning: Tuning,
     embeddings: DeviceBuffer,
     classes: u32,
-    query: Query,
+    /// Logits are divided by it before the softmax.
+    temperature: f32,
+    queries: Vec<Query>,
     state: Option<State>,
 }
 
@@ -43,11 +59,11 @@ struct State {
     exec: Executor,
     step: Buffer,
     decoder: DecoderHandles,
-    image: DeviceBuffer,
+    image: Buffer,
     labels: DeviceBuffer,
-    relevance: DeviceBuffer,
-    /// Pixels, floats of a pixel, first feature.
-    made_for: (usize, u32, u32),
+    relevance: Vec<DeviceBuffer>,
+    /// Bytes of the features' buffer, floats of a pixel, first feature.
+    made_for: (u64, u32, u32),
 }
 
 impl Labeler {
@@ -55,74 +71,97 @@ impl Labeler {
     ///
     /// # Errors
     /// If memory runs out.
-    pub fn new(device: &Device, tuning: Tuning, embeddings: &[f32], query: Query) -> Result<Labeler> {
+    pub fn new(
+        device: &Device,
+        tuning: Tuning,
+        embeddings: &[f32],
+        temperature: f32,
+        queries: &[Query],
+    ) -> Result<Labeler> {
         let buffer = device.buffer("text_embeddings", 4 * embeddings.len().max(1) as u64, Location::Device)?;
         device.upload(&buffer, 0, bytemuck::cast_slice(embeddings))?;
-        let classes = (embeddings.len() / EMBEDDING) as u32;
-        Ok(Labeler { device: device.clone(), tuning, embeddings: buffer, classes, query, state: None })
+        Ok(Labeler {
+            device: device.clone(),
+            tuning,
+            embeddings: buffer,
+            classes: (embeddings.len() / EMBEDDING) as u32,
+            temperature,
+            queries: queries.to_vec(),
+            state: None,
+        })
     }
 
-    /// Classifies a picture whose features begin at channel `first`.
+    /// Classifies a picture.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
-    pub fn label(&mut self, decoder: &Decoder, picture: &Picture, first: u32) -> Result<LabelMap> {
-        let pixels = picture.size[0] as usize * picture.size[1] as usize;
-        let fits = |s: &State| s.made_for.0 >= pixels && (s.made_for.1, s.made_for.2) == (picture.channels, first);
-        let mut state = match self.state.take().filter(fits) {
+    pub fn label(&mut self, decoder: &Decoder, image: &FeatureImage<'_>) -> Result<LabelMap> {
+        let kind = (image.buffer.bytes(), image.channels, image.first);
+        let mut state = match self.state.take().filter(|s| s.made_for == kind) {
             Some(state) => state,
-            None => self.build(decoder, pixels, picture.channels, first)?,
+            None => self.build(decoder, image)?,
         };
         decoder.bind(&mut state.exec, &state.decoder)?;
-        self.device.upload(&state.image, 0, bytemuck::cast_slice(&picture.image))?;
-        let mut step = Step { inverse_temperature: 1.0 / self.query.temperature, ..Default::default() };
-        step.camera.size = picture.size;
+        state.exec.bind(state.image, image.buffer)?;
+        let mut step = Step { inverse_temperature: 1.0 / self.temperature, ..Default::default() };
+        step.camera.size = image.size;
         state.exec.submit(&[(state.step, bytemuck::bytes_of(&step))])?;
         state.exec.finish()?;
+        let pixels = image.size[0] as usize * image.size[1] as usize;
         let labels = self.device.download_as(&state.labels, pixels)?;
-        let relevance = self.device.download_as(&state.relevance, pixels)?;
+        let relevance = state.relevance.iter().map(|r| self.device.download_as(r, pixels)).collect::<Result<_>>()?;
         self.state = Some(state);
         Ok(LabelMap { labels, relevance })
     }
 
-    fn build(&self, decoder: &Decoder, pixels: usize, channels: u32, first: u32) -> Result<State> {
+    fn build(&self, decoder: &Decoder, what: &FeatureImage<'_>) -> Result<State> {
         let mut g = Graph::new("labels");
-        let words = 4 * pixels.max(1) as u64;
+        let bytes = what.buffer.bytes();
+        let pixels = (bytes / (4 * u64::from(what.channels))).max(1);
         let step = g.uniform("step", size_of::<Step>() as u64);
         let handles = decoder.declare(&mut g, false);
         let embeddings = g.input("text_embeddings", self.embeddings.bytes());
-        let image = g.input("image", words * u64::from(channels));
-        let (labels, relevance) = (g.external("labels", words), g.external("relevance", words));
+        let image = g.input("image", bytes);
         let head = Head { decoder: handles.parameters, embeddings, classes: self.classes };
         let prepared = semantic_prepare(&mut g, self.tuning, &head)?;
-        let what = SemanticLabels {
-            step,
-            image,
-            channels,
-            first,
-            largest: [pixels.max(1) as u32, 1],
-            classes: self.classes,
-            query: self.query.class,
-            meaning: self.query.meaning,
-        };
-        semantic_labels(&mut g, &what, &prepared, labels, relevance)?;
+        let labels = g.external("labels", 4 * pixels);
+        // Without a question, one that nobody hears the answer to.
+        let unasked = [Query { class: 0, meaning: Relevance::Cosine }];
+        let queries = if self.queries.is_empty() { &unasked[..] } else { &self.queries };
+        let mut relevance = Vec::new();
+        for (i, query) in queries.iter().enumerate() {
+            let answer = match self.queries.is_empty() {
+                true => g.transient("relevance", 4 * pixels),
+                false => g.external(format!("relevance.{i}"), 4 * pixels),
+            };
+            let what = SemanticLabels {
+                step,
+                image,
+                channels: what.channels,
+                first: what.first,
+                largest: [u32::try_from(pixels).unwrap_or(u32::MAX), 1],
+                classes: self.classes,
+                query: query.class,
+                meaning: query.meaning,
+            };
+            let into = if i == 0 { labels } else { g.transient(format!("labels.{i}"), 4 * pixels) };
+            semantic_labels(&mut g, &what, &prepared, into, answer)?;
+            relevance.push(answer);
+        }
+        relevance.truncate(self.queries.len());
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let mut exec = Executor::new(&self.device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
-        let memory = |name: &str, bytes: u64| self.device.buffer(name, bytes, Location::Device);
-        let state_image = memory("labeled_image", words * u64::from(channels))?;
-        let (state_labels, state_relevance) = (memory("labels", words)?, memory("relevance", words)?);
+        let memory = |name: &str| self.device.buffer(name, 4 * pixels, Location::Device);
+        let label_memory = memory("labels")?;
         exec.bind(embeddings, &self.embeddings)?;
-        exec.bind(image, &state_image)?;
-        exec.bind(labels, &state_labels)?;
-        exec.bind(relevance, &state_relevance)?;
-        Ok(State {
-            exec,
-            step,
-            decoder: handles,
-            image: state_image,
-            labels: state_labels,
-            relevance: state_relevance,
-            made_for: (pixels, channels, first),
-        })
+        exec.bind(labels, &label_memory)?;
+        let mut answers = Vec::new();
+        for handle in relevance {
+            let answer = memory("relevance")?;
+            exec.bind(handle, &answer)?;
+            answers.push(answer);
+        }
+        let made_for = (bytes, what.channels, what.first);
+        Ok(State { exec, step, decoder: handles, image, labels: label_memory, relevance: answers, made_for })
     }
 }

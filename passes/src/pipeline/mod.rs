@@ -12,7 +12,7 @@ mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
 pub use geometry::{GeometryOptions, GeometryStep};
-pub use labeler::{LabelMap, Labeler, Query};
+pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
 pub use status::{RING, Status};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};

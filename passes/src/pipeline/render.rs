@@ -1,9 +1,9 @@
-//! From Gaussians and a camera to a picture on the host.
+//! From Gaussians and a camera to a picture on the host, and on demand its semantic features on the device.
 
 use super::{Camera, Step};
 use crate::Tuning;
-use crate::scene::{Gaussians, Handles};
-use crate::splat::{Blended, Channels, Screen, blend, intersect, project};
+use crate::scene::{FEATURES, Gaussians, Handles};
+use crate::splat::{Blended, Channels, Screen, blend, blend_features, intersect, project, wanted_words};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -28,6 +28,8 @@ pub struct Renderer {
     tuning: Tuning,
     largest: [u32; 2],
     channels: Channels,
+    /// Whether semantic features are blended where the Gaussians have them.
+    features: bool,
     capacity: u32,
     state: State,
 }
@@ -38,6 +40,7 @@ struct State {
     gaussians: Handles,
     image: DeviceBuffer,
     transmittance: DeviceBuffer,
+    features: Option<DeviceBuffer>,
     flags: DeviceBuffer,
     wanted: DeviceBuffer,
 }
@@ -54,9 +57,35 @@ impl Renderer {
         largest: [u32; 2],
         channels: Channels,
     ) -> Result<Renderer> {
+        Renderer::with(device, tuning, gaussians, largest, channels, false)
+    }
+
+    /// As [`Renderer::new`], and blends the semantic features at every pixel if the Gaussians have them. They stay on the
+    /// device ([`Renderer::features`]): 128 bytes a pixel.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_features(
+        device: &Device,
+        tuning: Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+    ) -> Result<Renderer> {
+        Renderer::with(device, tuning, gaussians, largest, channels, true)
+    }
+
+    fn with(
+        device: &Device,
+        tuning: Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+        features: bool,
+    ) -> Result<Renderer> {
         let capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
-        let state = State::new(device, &tuning, gaussians, largest, channels, capacity)?;
-        Ok(Renderer { device: device.clone(), tuning, largest, channels, capacity, state })
+        let state = State::new(device, &tuning, gaussians, largest, channels, features, capacity)?;
+        Ok(Renderer { device: device.clone(), tuning, largest, channels, features, capacity, state })
     }
 
     /// Renders one view.
@@ -71,7 +100,8 @@ impl Renderer {
         background: [f32; 3],
     ) -> Result<Picture> {
         let largest = [self.largest[0].max(camera.size[0]), self.largest[1].max(camera.size[1])];
-        if largest != self.largest || self.state.gaussians.capacity != gaussians.capacity {
+        let made_for = &self.state.gaussians;
+        if largest != self.largest || (made_for.capacity, made_for.model) != (gaussians.capacity, gaussians.model) {
             self.largest = largest;
             self.rebuild(gaussians)?;
         }
@@ -101,6 +131,12 @@ impl Renderer {
         })
     }
 
+    /// Blended semantic features of the last view, `[pixels * 32]` floats, row by row, not over any background; the buffer
+    /// may be larger. None if they were not asked for, or the Gaussians have none.
+    pub fn features(&self) -> Option<&DeviceBuffer> {
+        self.state.features.as_ref()
+    }
+
     /// The executor, for its plan and its times.
     pub fn executor(&mut self) -> &mut Executor {
         &mut self.state.exec
@@ -108,7 +144,7 @@ impl Renderer {
 
     fn rebuild(&mut self, gaussians: &Gaussians) -> Result<()> {
         let (t, l, c) = (&self.tuning, self.largest, self.channels);
-        self.state = State::new(&self.device, t, gaussians, l, c, self.capacity)?;
+        self.state = State::new(&self.device, t, gaussians, l, c, self.features, self.capacity)?;
         gaussians.bind(&mut self.state.exec, &self.state.gaussians)
     }
 }
@@ -120,6 +156,7 @@ impl State {
         gaussians: &Gaussians,
         largest: [u32; 2],
         channels: Channels,
+        features: bool,
         capacity: u32,
     ) -> Result<State> {
         let mut g = Graph::new("render");
@@ -133,24 +170,37 @@ impl State {
         let visible = project(&mut g, t, &screen, &handles, channels)?;
         let entries = intersect(&mut g, t, &screen, &visible, capacity, flags)?;
         blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
+        // A group that is absent has nothing behind it that a kernel could read.
+        let features = (features && gaussians.model.semantics)
+            .then(|| g.external("feature_image", 4 * FEATURES as u64 * screen.pixels()));
+        if let Some(into) = features {
+            let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
+            g.fill("want_all", everywhere, u32::MAX)?;
+            blend_features(&mut g, t, &screen, &handles, &visible, &entries, everywhere, into)?;
+        }
         g.copy("copy_wanted", entries.wanted, wanted_out)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let buffer =
             |b: Buffer| device.buffer(&plan.buffers[b.index()].name, plan.buffers[b.index()].bytes, Location::Device);
         let (image_memory, transmittance_memory) = (buffer(image)?, buffer(transmittance)?);
         let (flags_memory, wanted_memory) = (buffer(flags)?, buffer(wanted_out)?);
+        let feature_memory = features.map(buffer).transpose()?;
         let options = ExecOptions { frames_in_flight: 1, timestamps: true, ..Default::default() };
         let mut exec = Executor::new(device, plan, options)?;
         exec.bind(image, &image_memory)?;
         exec.bind(transmittance, &transmittance_memory)?;
         exec.bind(flags, &flags_memory)?;
         exec.bind(wanted_out, &wanted_memory)?;
+        if let (Some(handle), Some(memory)) = (features, &feature_memory) {
+            exec.bind(handle, memory)?;
+        }
         Ok(State {
             exec,
             step,
             gaussians: handles,
             image: image_memory,
             transmittance: transmittance_memory,
+            features: feature_memory,
             flags: flags_memory,
             wanted: wanted_memory,
         })
