@@ -95,9 +95,9 @@ fn a_planted_error_is_caught() {
 fn feature_difference(found: &[f32], truth: &Blended) -> f64 {
     let channels = truth.image.len() / truth.doubtful.len();
     let pixels = truth.image.chunks(channels).zip(found.chunks(FEATURES)).zip(&truth.doubtful);
-    let differences = pixels.filter(|(_, doubtful)| !**doubtful).flat_map(|((t, f), _)| {
-        t[channels - FEATURES..].iter().zip(f).map(|(t, f)| (f64::from(*f) - t).abs())
-    });
+    let differences = pixels
+        .filter(|(_, doubtful)| !**doubtful)
+        .flat_map(|((t, f), _)| t[channels - FEATURES..].iter().zip(f).map(|(t, f)| (f64::from(*f) - t).abs()));
     differences.fold(0.0, f64::max)
 }
 

@@ -11,7 +11,9 @@ use crate::beside::{Form, TruthFile, check_size};
 use crate::depth::{self, DepthDefinition, Verdict};
 use crate::error::Result;
 use crate::image::Image;
+use crate::json::read_json;
 use crate::maps::{self, Meaning, NormalFrame, RegionMap};
+use crate::priors::Labels;
 use crate::scene::Scene;
 use crate::view::View;
 
@@ -154,6 +156,17 @@ impl<'a> GroundTruth<'a> {
             Verdict::Untested | Verdict::Unclear => None,
         };
         Ok(*self.scene.depth_definition.get_or_init(|| known))
+    }
+
+    /// Names of the classes by id: those in `gt/semantic/labels.json`, or in `priors/semantic/labels.json` where ground
+    /// truth names none.
+    pub fn semantic_labels(&self) -> Result<Option<Vec<String>>> {
+        let folders = [self.folder(), self.scene.root.join("priors")];
+        let paths = folders.map(|folder| folder.join("semantic/labels.json"));
+        match paths.iter().find(|path| path.is_file()) {
+            Some(path) => Ok(Some(read_json::<Labels>(path)?.labels)),
+            None => Ok(None),
+        }
     }
 
     /// The class of every pixel, at the size of the view's camera.

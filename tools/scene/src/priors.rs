@@ -72,9 +72,10 @@ struct NormalSettings {
     frame: NormalFrame,
 }
 
+/// `labels.json`.
 #[derive(Deserialize)]
-struct Labels {
-    labels: Vec<String>,
+pub(crate) struct Labels {
+    pub(crate) labels: Vec<String>,
 }
 
 impl PriorSettings {

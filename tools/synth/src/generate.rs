@@ -17,6 +17,7 @@ use crate::output::{exr, meta, npy, ply, view};
 use crate::points;
 use crate::priors::{maps, masks, semantic};
 use crate::rng;
+use crate::scene::classes::CLASSES;
 use crate::scene::{MAX_GROUPS, Scene};
 use crate::trace::camera::Camera;
 use crate::trace::denoise::{self, Image};
@@ -162,6 +163,7 @@ impl Job<'_> {
         stage.write("priors/priors.json", &meta::text(&frame))?;
         let labels = meta::labels(semantic::DIM, semantic::CELL);
         stage.write("priors/semantic/labels.json", &meta::text(&labels))?;
+        stage.write("gt/semantic/labels.json", &meta::text(&json!({ "labels": CLASSES })))?;
         let flat: Vec<u8> = self.embeddings.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         let shape = [self.embeddings.len(), semantic::DIM];
         let table = npy::encode("<f4", &shape, &flat);

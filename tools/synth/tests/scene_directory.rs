@@ -96,6 +96,7 @@ fn everything_is_there_and_consistent() {
         "priors/semantic/labels.json",
         "priors/semantic/text_embeddings.npy",
         "gt/lights.json",
+        "gt/semantic/labels.json",
     ]
     .map(str::to_owned)
     .to_vec();

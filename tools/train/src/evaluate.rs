@@ -1,11 +1,14 @@
 //! What training came to, measured at the views of a split.
 
+use crate::classify::Classifier;
 use crate::convert::camera;
 use crate::error::Result;
+use crate::head::SemanticHead;
 use crate::metrics;
 use serde::Serialize;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
+use sgs_passes::loss::NO_LABEL;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::scene::Gaussians;
 use sgs_passes::splat::Channels;
@@ -44,9 +47,6 @@ pub struct Semantic {
     /// Share of pixels with the true class.
     pub accuracy: f64,
 }
-
-/// Gives the class of every pixel of a rendered picture; none where the model has no features.
-pub type Labels<'l> = &'l mut dyn FnMut(&Picture) -> Result<Option<Vec<u32>>>;
 
 /// Means over the views.
 #[derive(Clone, Debug, Serialize)]
@@ -98,10 +98,10 @@ pub fn evaluate(
     background: [f32; 3],
     look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    evaluate_classes(device, scene, gaussians, views, background, &mut |_| Ok(None), look)
+    evaluate_classes(device, scene, gaussians, views, background, None, look)
 }
 
-/// As [`evaluate`], and `labels` classifies every rendered picture.
+/// As [`evaluate`], and classifies every pixel by the head, if the Gaussians have features.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -111,17 +111,27 @@ pub fn evaluate_classes(
     gaussians: &Gaussians,
     views: &[usize],
     background: [f32; 3],
-    labels: Labels<'_>,
+    head: Option<&SemanticHead>,
     mut look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
     let truth = GroundTruth::of(scene);
     let channels = Channels { normals: gaussians.model.normals, depth: true };
-    let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), gaussians, [1, 1], channels)?;
+    let head = head.filter(|_| gaussians.model.semantics);
+    let make = if head.is_some() { Renderer::with_features } else { Renderer::new };
+    let mut renderer = make(device, Tuning::for_device(device.info()), gaussians, [1, 1], channels)?;
+    let mut classifier = head.map(|head| Classifier::new(device, head, &[])).transpose()?;
+    let known_as = match head {
+        Some(head) => ids_of(&head.text.labels, truth.semantic_labels()?.as_deref()),
+        None => Vec::new(),
+    };
     let mut out = Vec::new();
     for &i in views {
         let view = &scene.views[i];
         let picture = render_view(&mut renderer, gaussians, &view.camera, background)?;
-        let rendered = Rendered::from_picture(&picture, channels);
+        let mut rendered = Rendered::from_picture(&picture, channels);
+        if let Some(classifier) = &mut classifier {
+            rendered.labels = Some(classifier.classify(&renderer, &picture)?.labels);
+        }
         let photo = scene.load_image(i)?;
         // What was not trained on is not measured. Ground truth has a mask of its own, which also leaves out lamps and
         // windows where only materials mean nothing.
@@ -149,8 +159,12 @@ pub fn evaluate_classes(
             Some(t) => known(metrics::depth_rel(&rendered.depth, &t, mask))?,
             None => None,
         };
-        let semantic = match (labels(&picture)?, truth.semantic(i)?) {
-            (Some(l), Some(t)) => known(metrics::label_accuracy(&l, picture.size, &t, mask))?,
+        let semantic = match (&rendered.labels, truth.semantic(i)?) {
+            (Some(labels), Some(t)) => {
+                let id = |label: &Option<u32>| label.map_or(NO_LABEL, |l| known_as[l as usize]);
+                let ids: Vec<u32> = labels.iter().map(id).collect();
+                known(metrics::label_accuracy(&ids, picture.size, &t, mask))?
+            }
             _ => None,
         };
         let semantic = semantic.map(|accuracy| Semantic { accuracy });
@@ -171,6 +185,16 @@ pub fn evaluate_classes(
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
     };
     Ok(Evaluation { mean, views: out })
+}
+
+/// Under which id ground truth knows each class: its place in the list of ground truth, or in its own where there is no
+/// other. What ground truth has never heard of is always wrong.
+fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
+    let id = |(i, class): (usize, &String)| match truth {
+        Some(names) => names.iter().position(|n| n == class).map_or(NO_LABEL, |at| at as u32),
+        None => i as u32,
+    };
+    classes.iter().enumerate().map(id).collect()
 }
 
 /// A measure in which no pixel counts (a view of the sky alone) is absent, as one without ground truth is.
@@ -216,6 +240,8 @@ pub struct Rendered {
     pub normal: Option<Image>,
     /// Blended depth over alpha.
     pub depth: Image,
+    /// By pixel: the place of its class in the head's list, where it shows anything; absent without a head.
+    pub labels: Option<Vec<Option<u32>>>,
 }
 
 impl Rendered {
@@ -235,6 +261,19 @@ impl Rendered {
             image(3, (0..pixels).flat_map(|i| unit(&pixel(i)[3..6])).collect())
         });
         let depth = (0..pixels).map(|i| if alpha[i] > 1e-4 { pixel(i)[c - 2] / alpha[i] } else { 0.0 }).collect();
-        Rendered { rgb: image(3, rgb), alpha: image(1, alpha), normal, depth: image(1, depth) }
+        Rendered { rgb: image(3, rgb), alpha: image(1, alpha), normal, depth: image(1, depth), labels: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_are_known_by_their_names() {
+        let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let classes = names(&["sofa", "wall", "lamp"]);
+        assert_eq!(ids_of(&classes, None), [0, 1, 2]);
+        assert_eq!(ids_of(&classes, Some(&names(&["none", "wall", "floor", "sofa"]))), [3, 1, NO_LABEL]);
     }
 }

@@ -3,11 +3,13 @@
 //! Knows datasets and schedules; never Vulkan calls. The command line is a thin shell around this crate.
 
 mod checkpoint;
+mod classify;
 mod convert;
 mod data;
 mod error;
 mod evaluate;
 mod geometry;
+mod head;
 mod memory;
 pub mod metrics;
 mod run;
@@ -15,13 +17,15 @@ mod schedule;
 mod semantics;
 mod settings;
 
+pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use convert::{camera, gaussian_data, splats};
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
 pub use evaluate::{
-    Evaluation, Labels, Means, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth, render_view,
+    Evaluation, Means, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth, render_view,
 };
 pub use geometry::{Geometry, Progress};
+pub use head::SemanticHead;
 pub use memory::{Needs, parse_bytes};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;

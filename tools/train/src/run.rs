@@ -8,6 +8,9 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// The file with the semantic head of a run.
+const SEMANTICS: &str = "semantics.safetensors";
+
 /// A run directory.
 #[derive(Clone, Debug)]
 pub struct RunDirectory {
@@ -99,12 +102,17 @@ impl RunDirectory {
         Settings::from_table(table).map_err(|e| error(&path, one_line(&e.to_string())))
     }
 
+    /// Where the semantic head is, if the run has one ([`crate::SemanticHead`]).
+    pub fn semantics(&self) -> PathBuf {
+        self.path(SEMANTICS)
+    }
+
     /// Removes what an earlier training left, so that nothing can be taken for a result of the one that begins.
     ///
     /// # Errors
     /// If something cannot be removed.
     pub fn forget(&self) -> Result<()> {
-        let names = ["scene.ply", "training.json", "metrics.json", "log.jsonl"];
+        let names = ["scene.ply", SEMANTICS, "training.json", "metrics.json", "log.jsonl"];
         // The checkpoint goes first: were it left with other settings, resuming would go on from it.
         for path in std::iter::once(self.checkpoint()).chain(names.map(|n| self.path(n))) {
             match std::fs::remove_file(&path) {
