@@ -2,6 +2,8 @@
 // A = [W b] and f' = (f, 1). The wide vector is never formed: |v|^2 = f'^T (A^T A) f', and a class's dot product is
 // (T A) f'.
 
+#include "finite.glsl"
+
 const uint FEATURES = 32u;
 const uint AUGMENTED = FEATURES + 1u; // with the one that the bias is multiplied by
 const uint EMBEDDING = 512u;          // width of targets, text and decoder
@@ -21,9 +23,6 @@ struct Region {
     uint majority;  // class of most of them
     uint unused[30]; // each region of a buffer can be bound on its own
 };
-
-// By the exponent's bits: compilers may assume that isnan() and isinf() are never true.
-bool finite_bits(float x) { return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u; }
 
 // Where sample `i` of `samples` along an axis lies between `pixels` ones if the first and last of both coincide. In whole
 // numbers, so that whoever scatters and whoever gathers agree: pixel, and weights of it and the next.

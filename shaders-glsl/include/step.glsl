@@ -49,4 +49,6 @@ struct Step {
     uint mask_offset;
     // densification statistics: 1 while they are gathered
     uint gather_statistics;
+    // the region that this step is about, as region maps number it: 1 to 65535, 0 is none
+    uint region;
 };

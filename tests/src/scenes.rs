@@ -129,6 +129,22 @@ pub fn hard(seed: u64) -> Gaussians {
     g
 }
 
+/// Opaque flat splats on a rectangle that faces along z, so closely that nothing shines through: `low` and `high` are two
+/// corners of the rectangle at the given z.
+pub fn sheet(g: &mut Gaussians, low: [f64; 2], high: [f64; 2], z: f64, spacing: f64) {
+    let count = [0, 1].map(|k| ((high[k] - low[k]) / spacing).round() as usize);
+    for i in 0..=count[0] * (count[1] + 1) + count[1] {
+        let at = [i / (count[1] + 1), i % (count[1] + 1)];
+        g.means.extend([0, 1].map(|k| single(low[k] + spacing * at[k] as f64)));
+        g.means.push(single(z));
+        let flat = (0.5 * spacing).ln();
+        g.log_scales.extend([single(flat), single(flat), -9.0]);
+        g.rotations.extend([1.0, 0.0, 0.0, 0.0]);
+        g.opacity_logits.push(4.0);
+        g.sh[0].extend([0.5, 0.0, -0.5]);
+    }
+}
+
 /// The same Gaussians with semantic features.
 pub fn with_semantics(mut g: Gaussians, seed: u64) -> Gaussians {
     let mut r = Rng::new(seed);

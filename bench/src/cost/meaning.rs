@@ -54,6 +54,13 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             (bytes, (SAMPLE + CLASS * classes) * c.masked)
         }
         "correspondence_train_bwd" => (12.0 * FEATURES * c.masked + p / 8.0, 2.0 * FEATURES * c.masked),
+        "region_mask" => (2.0 * p + p / 8.0, 3.0 * p),
+        // Depth and transmittance of every pixel, and of those that arrive in the region the training view's. Projection
+        // there and back 40, bounds 8, two depths 10.
+        "carry_mask" => {
+            let arrived = (4.0 * spec("TRAINED_CHANNELS") + 4.0) * c.masked;
+            ((4.0 * spec("CHANNELS") + 4.0) * p + p / 4.0 + arrived, 58.0 * p)
+        }
         "semantic_labels" => {
             ((4.0 * FEATURES + 8.0) * p, (2.0 * AUGMENTED * AUGMENTED + 4.0 * AUGMENTED * classes) * p)
         }

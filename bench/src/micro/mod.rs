@@ -5,6 +5,7 @@ mod adam;
 mod blend;
 mod blend_bwd;
 pub mod densify;
+mod masks;
 mod photometric;
 mod primitives;
 mod semantic;
@@ -38,7 +39,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 9] = [
+pub const STAGES: [(&str, Stage); 10] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -46,6 +47,7 @@ pub const STAGES: [(&str, Stage); 9] = [
     ("photometric", photometric::both),
     ("semantic", semantic::loss),
     ("correspondence", semantic::correspondence),
+    ("masks", masks::both),
     ("adam", adam::one),
     ("densify", densify::one),
 ];

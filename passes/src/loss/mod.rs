@@ -4,6 +4,7 @@ pub mod correspondence;
 pub mod geometry_loss;
 pub mod octahedral;
 pub mod photometric;
+pub mod region_mask;
 pub mod semantic;
 pub mod semantic_labels;
 pub mod semantic_sum;
@@ -15,6 +16,7 @@ pub use correspondence::{
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
 pub use octahedral::{octahedral_decode, octahedral_encode};
 pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photometric_bwd_in_place};
+pub use region_mask::{CarryOptions, Seen, carry_mask, pack_regions, region_mask};
 pub use semantic::{
     Head, Prepared, SemanticLoss, SemanticSums, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings,
     semantic_loss, semantic_prepare, semantic_targets,

@@ -10,6 +10,7 @@ pub mod photometric;
 pub mod present;
 pub mod project;
 pub mod radix_sort;
+pub mod region_mask;
 pub mod rng;
 pub mod scan;
 pub mod semantic;
