@@ -1,6 +1,9 @@
 // Backward of projection for one splat: from the sums that blending left at its entries to its parameters.
 // Included after splat.glsl and sh.glsl.
 
+// Not zero unless `x` is: also for numbers that are not finite, which comparisons and max() may lose.
+uint magnitude_bits(float x) { return floatBitsToUint(x) & 0x7fffffffu; }
+
 struct SplatGradient {
     vec3 mean;
     vec3 log_scale;

@@ -38,10 +38,10 @@ Visible visible_splat(uint v) {
             [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
         }
     }
-    float any_gradient = 0.0;
-    [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient = max(any_gradient, abs(moments[j]));
-    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient = max(any_gradient, abs(colors[c]));
-    s.touched = any_gradient > 0.0;
+    uint any_gradient = 0u;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient |= magnitude_bits(colors[c]);
+    s.touched = any_gradient != 0u;
     s.mean = means[s.gaussian];
     s.log_scale = log_scales[s.gaussian];
     s.rotation = rotations[s.gaussian];

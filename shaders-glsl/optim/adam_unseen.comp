@@ -1,5 +1,5 @@
-// Adam for the Gaussians that a step did not see: gradient zero, so moments decay and carry the parameters on. Dense
-// Adam is this beside the fused update of those that were seen.
+// Adam for the Gaussians that the fused update of a step did not move. Their gradient is what other views left, or zero:
+// then moments decay and carry the parameters on, which makes Adam dense, or they stay as they are.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,13 +10,18 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint WIDTH = 1; // scalars of a Gaussian
 layout(constant_id = 2) const uint RATE = 0;  // which learning rate
+layout(constant_id = 3) const uint STRIDE = 0; // of the rows of gradients; 0: there are none, all are zero
+layout(constant_id = 4) const uint FIRST = 0;  // where this group's gradients begin in a row
+layout(constant_id = 5) const bool SPARSE = false; // an exactly-zero gradient leaves its scalar untouched
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, live);
 IN(uint, flags);
-IN(uint, seen); // not zero for what the fused update moved
+IN(uint, seen);      // not zero for what is none of this pass's business
+IN(float, gradients);
 INOUT(float, parameters);
 INOUT(vec2, moments);
+INOUT(uint, skipped); // Gaussians whose gradients were not finite
 
 float learning_rate() {
     switch (RATE) {
@@ -34,13 +39,25 @@ float learning_rate() {
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count || flags[0] != 0u || seen[i] != 0u) return;
+    if (STRIDE > 0u) {
+        bool finite = true;
+        for (uint k = 0u; k < WIDTH; ++k) finite = finite && is_finite(gradients[i * STRIDE + FIRST + k]);
+        if (!finite) {
+            atomicAdd(skipped[0], 1u);
+            return;
+        }
+    }
     float lr = learning_rate();
-    for (uint j = i * WIDTH; j < (i + 1u) * WIDTH; ++j) {
+    for (uint k = 0u; k < WIDTH; ++k) {
+        float gradient = 0.0;
+        if (STRIDE > 0u) gradient = gradients[i * STRIDE + FIRST + k];
+        if (SPARSE && gradient == 0.0) continue;
+        uint j = i * WIDTH + k;
         vec2 m = moments[j];
         // What never had a gradient stays exactly as it is.
-        if (m.x == 0.0 && m.y == 0.0) continue;
+        if (gradient == 0.0 && m.x == 0.0 && m.y == 0.0) continue;
         float parameter = parameters[j];
-        adam(parameter, m, 0.0, lr, params.step.correction1, params.step.correction2);
+        adam(parameter, m, gradient, lr, params.step.correction1, params.step.correction2);
         parameters[j] = parameter;
         moments[j] = m;
     }

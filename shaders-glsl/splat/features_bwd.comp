@@ -1,5 +1,5 @@
-// Gradients of raw features: the sums over the entries of each visible splat, in their order. For whoever wants them in
-// memory; training fuses them with Adam (features_bwd_adam).
+// Gradients of raw features: the sums over the entries of each visible splat, in their order, added to what other views
+// left. A step of one view fuses them with Adam instead (features_bwd_adam).
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -14,7 +14,7 @@ IN(uint, entry_starts);
 IN(uint, tile_counts);
 IN(float, entry_features); // [entries * (6 + FEATURES)], moments first
 IN(uint, entry_flags);
-OUT(float, grad_features); // [Gaussians * FEATURES]; those that are not visible stay as they are
+INOUT(float, grad_features); // [Gaussians * FEATURES]; those that are not visible stay as they are
 
 void main() {
     // A workgroup does WORKGROUP splats, lanes side by side on the features of one.
@@ -26,6 +26,6 @@ void main() {
         uint begin = entry_starts[v], end = begin + tile_counts[v];
         for (uint e = begin; e < end; ++e)
             if (entry_flags[e] != 0u) sum += entry_features[e * (6u + FEATURES) + 6u + c];
-        grad_features[splat_ids[v] * FEATURES + c] = sum;
+        grad_features[splat_ids[v] * FEATURES + c] += sum;
     }
 }

@@ -1,5 +1,6 @@
-// Backward of projection fused with Adam: gradients never reach memory. Only splats that were seen and touched move; a
-// raised flag (an overflow earlier in the step) leaves everything as it was.
+// Backward of projection fused with Adam: gradients of this view never reach memory; those that other views left (`extra`)
+// are added. Only splats that were seen and touched move; a raised flag (an overflow earlier in the step) leaves everything
+// as it was.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -8,6 +9,7 @@
 #include "splat.glsl"
 #include "sh.glsl"
 #include "project_bwd.glsl"
+#include "extra.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
@@ -18,6 +20,7 @@ layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool STATISTICS = false;
 layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
 layout(constant_id = 9) const uint FEATURES = 0; // if their gradients reach opacities and footprints
+layout(constant_id = 10) const bool EXTRA = false; // whether other views left gradients
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -30,6 +33,7 @@ IN(float, features);
 IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
+IN(float, extra); // [Gaussians * EXTRA_WIDTH]
 INOUT(vec3, means);
 INOUT(vec3, log_scales);
 INOUT(vec4, rotations);
@@ -50,7 +54,7 @@ INOUT(vec2, sh3_moments);
 INOUT(vec2, normals_moments);
 INOUT(float, statistics); // grad_sum, grad_count, weight_sum of each Gaussian
 INOUT(uint, skipped);     // splats whose gradients were not finite
-OUT(uint, seen);          // by Gaussian: whether it was updated here
+OUT(uint, seen);          // by Gaussian: whether it was updated here; with `extra`, also if it was skipped here
 
 #include "splat_sum.glsl"
 
@@ -76,16 +80,39 @@ void main() {
         statistics[3u * i + 1u] += 1.0;
         statistics[3u * i + 2u] += is_finite(s.weight) ? s.weight : 0.0;
     }
-    if (!s.touched) return;
+    bool touched = s.touched;
     vec3 gm = s.gradient.mean, gs = s.gradient.log_scale;
     vec4 gr = s.gradient.rotation;
-    float check = dot(gm, vec3(1.0)) + dot(gs, vec3(1.0)) + dot(gr, vec4(1.0)) + s.gradient.opacity_logit +
+    float go = s.gradient.opacity_logit;
+    if (EXTRA) {
+        if (!s.touched) {
+            // What projection makes of zeros need not be zeros.
+            gm = gs = s.color = s.normal = vec3(0.0);
+            gr = vec4(0.0);
+            go = 0.0;
+        }
+        uint any_extra = 0u;
+        float more[EXTRA_WIDTH];
+        [[unroll]] for (uint j = 0u; j < EXTRA_WIDTH; ++j) {
+            more[j] = extra[i * EXTRA_WIDTH + j];
+            any_extra |= magnitude_bits(more[j]);
+        }
+        gm += vec3(more[0], more[1], more[2]);
+        gs += vec3(more[3], more[4], more[5]);
+        gr += vec4(more[6], more[7], more[8], more[9]);
+        go += more[10];
+        touched = touched || any_extra != 0u;
+    }
+    if (!touched) return;
+    // Another pass moves what nobody has marked by the extra gradients alone: not what was skipped here.
+    if (EXTRA && MARK_SEEN) seen[i] = 1u;
+    float check = dot(gm, vec3(1.0)) + dot(gs, vec3(1.0)) + dot(gr, vec4(1.0)) + go +
                   dot(s.color, vec3(1.0)) + dot(s.normal, vec3(1.0));
     if (!is_finite(check)) {
         atomicAdd(skipped[0], 1u);
         return;
     }
-    if (MARK_SEEN) seen[i] = 1u;
+    if (MARK_SEEN && !EXTRA) seen[i] = 1u;
     uint degree = min(SH_DEGREE, params.step.sh_degree);
     float basis[16];
     sh_basis(s.direction, degree, basis);
@@ -129,7 +156,7 @@ void main() {
     rotations[i] = rotation;
     float logit = opacity_logits[i];
     vec2 m = opacity_logits_moments[i];
-    adam(logit, m, s.gradient.opacity_logit, params.step.lr_opacities, params.step.correction1,
+    adam(logit, m, go, params.step.lr_opacities, params.step.correction1,
          params.step.correction2);
     opacity_logits[i] = logit;
     opacity_logits_moments[i] = m;

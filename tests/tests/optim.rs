@@ -203,6 +203,9 @@ fn unseen_gaussians_follow_the_reference_and_nothing_else_moves() {
             rate: Rate::Scales,
             parameters: g.external("parameters", words),
             moments: g.external("moments", 2 * words),
+            gradients: None,
+            sparse: false,
+            skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), "adam_unseen", &a).unwrap();
         let rates = twin::Rates::at(0.25, 4);

@@ -6,6 +6,6 @@ pub mod densify;
 pub mod opacity_reset;
 
 pub use adam::{Adam, EPSILON, Rate, adam};
-pub use adam_unseen::{AdamUnseen, adam_unseen};
+pub use adam_unseen::{AdamUnseen, Rows, adam_unseen};
 pub use densify::{Densify, densify};
 pub use opacity_reset::opacity_reset;

@@ -217,7 +217,7 @@ fn build(
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;
     }
-    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen };
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen, extra: None };
     project_bwd_adam(g, t, &screen, gaussians, &visible, &entry_gradients, &adam)?;
     if let (Some(seen), Some(moments)) = (seen, gaussians.moments) {
         for group in gaussians.model.groups() {
@@ -230,6 +230,9 @@ fn build(
                 rate: rate(group),
                 parameters: gaussians.group(group),
                 moments: moments[group as usize],
+                gradients: None,
+                sparse: false,
+                skipped: status.skipped,
             };
             adam_unseen(g, t, &format!("adam_unseen.{}", group.name()), &rest)?;
         }

@@ -125,7 +125,8 @@ pub fn blend_features_bwd(
     Ok(EntryFeatures { starts: entries.starts, values, flags })
 }
 
-/// Gradients of the features, by Gaussian: written for visible ones alone, so the caller clears them first.
+/// Gradients of the features, by Gaussian, added to what is there: the caller clears it, then the views of a step add up,
+/// one pass after the other. [`crate::optim::adam()`] takes them, with [`crate::optim::Rate::Semantics`].
 ///
 /// # Errors
 /// If the graph refuses the pass.

@@ -5,12 +5,14 @@
 //! are bit-identical from run to run.
 
 mod blend;
+mod extra;
 mod features;
 mod intersect;
 mod present;
 mod project;
 
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
+pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
     EntryFeatures, FeatureAdam, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, wanted_words,
 };

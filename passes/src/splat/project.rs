@@ -1,10 +1,10 @@
-//! `project`, `project_bwd` and its form fused with Adam.
+//! `project`, `project_bwd`, its form fused with Adam, and its form for what came through features alone.
 //!
 //! Cost a Gaussian of N: 44 bytes read twice (the first time only to count). Cost a visible one: 4 (d+1)² · 3 bytes of
 //! harmonics read, 36 + 4 C written. Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each),
 //! 12 bytes read and 12 written for each of its scalars.
 
-use super::{Channels, EntryFeatures, Screen};
+use super::{Channels, EntryFeatures, ExtraGradients, Screen};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
@@ -219,8 +219,11 @@ pub struct FusedAdam {
     pub skipped: Buffer,
     /// Whether densification statistics are gathered.
     pub statistics: bool,
-    /// A word a Gaussian that is set where it was updated, for dense Adam; cleared by the caller.
+    /// A word a Gaussian that is set where it was updated, for [`crate::optim::adam_unseen()`]; cleared by the caller.
     pub seen: Option<Buffer>,
+    /// What other views left, added before Adam. Then `seen` is also set where a gradient was not finite, so that the
+    /// other views alone do not move what was skipped.
+    pub extra: Option<ExtraGradients>,
 }
 
 /// Backward of [`project`] and Adam in one pass.
@@ -252,6 +255,7 @@ pub fn project_bwd_adam(
         entry_gradients: entries.gradients.into(),
         entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
         entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
+        extra: adam.extra.map_or(visible.ids, |e| e.buffer).into(),
         means: gaussians.group(Group::Means).into(),
         log_scales: gaussians.group(Group::LogScales).into(),
         rotations: gaussians.group(Group::Rotations).into(),
@@ -284,6 +288,7 @@ pub fn project_bwd_adam(
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),
         features: feature_width(entries),
+        extra: adam.extra.is_some(),
     };
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

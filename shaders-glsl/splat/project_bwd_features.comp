@@ -1,0 +1,55 @@
+// Backward of projection for what came through features alone: their moments are summed over the entries of each visible
+// splat, in their order, taken back to its place, shape and opacity, and added to what other views left there. For views
+// of which nothing but features is compared.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "work.glsl"
+#include "adam.glsl"
+#include "splat.glsl"
+#include "project_bwd.glsl"
+#include "extra.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const uint FEATURES = 32;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(Work, visible);
+IN(uint, splat_ids);
+IN(uint, entry_starts);
+IN(uint, tile_counts);
+IN(float, entry_features); // [entries * (6 + FEATURES)], moments first
+IN(uint, entry_flags);
+IN(vec3, means);
+IN(vec3, log_scales);
+IN(vec4, rotations);
+IN(float, opacity_logits);
+INOUT(float, extra); // [Gaussians * EXTRA_WIDTH]; what shows at no wanted pixel stays as it is
+
+void main() {
+    uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (v >= visible[0].count) return;
+    float moments[6];
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
+    uint first = entry_starts[v], last = first + tile_counts[v];
+    for (uint e = first; e < last; ++e) {
+        if (entry_flags[e] == 0u) continue;
+        [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
+    }
+    uint any_gradient = 0u;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
+    if (any_gradient == 0u) return;
+    uint i = splat_ids[v];
+    vec3 mean = means[i], log_scale = log_scales[i];
+    Projection p;
+    project_splat(params.step.camera, mean, log_scale, rotations[i], opacity_logits[i], p);
+    SplatGradient g = project_gradient(params.step.camera, p, mean, log_scale, moments, 0.0);
+    float values[EXTRA_WIDTH] = float[](g.mean.x, g.mean.y, g.mean.z, g.log_scale.x, g.log_scale.y, g.log_scale.z,
+                                        g.rotation.x, g.rotation.y, g.rotation.z, g.rotation.w, g.opacity_logit);
+    float check = 0.0;
+    [[unroll]] for (uint j = 0u; j < EXTRA_WIDTH; ++j) check += values[j];
+    // Where one number is not finite all of them go without: the optimizer skips each group by itself.
+    float spoiled = is_finite(check) ? 0.0 : uintBitsToFloat(0x7fc00000u);
+    [[unroll]] for (uint j = 0u; j < EXTRA_WIDTH; ++j) extra[i * EXTRA_WIDTH + j] += values[j] + spoiled;
+}

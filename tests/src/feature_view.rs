@@ -1,0 +1,104 @@
+//! Views whose features are compared, for tests: cameras, weights, the twin's loss, and their part of a graph.
+
+use crate::Gpu;
+use crate::scenes::{self, Rng};
+use glam::DMat3;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::pipeline::Step;
+use sgs_passes::reference::blend::render;
+use sgs_passes::reference::project::{Camera, Gaussians};
+use sgs_passes::scene::{Handles, SEMANTIC_FEATURES};
+use sgs_passes::splat::{
+    Channels, Entries, EntryFeatures, Screen, Visible, blend_features, blend_features_bwd, intersect, project,
+    wanted_words,
+};
+use sgs_shaders::structs::Work;
+
+const WIDE: usize = SEMANTIC_FEATURES as usize;
+
+/// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
+pub fn wants(pixel: usize) -> bool {
+    pixel % 5 < 3 || (60..150).contains(&pixel)
+}
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// A view whose features are compared: the loss is their dot product with the weights.
+pub struct View {
+    /// Where it is.
+    pub camera: Camera,
+    /// `[pixels * features]`; zero where nothing is wanted.
+    pub weights: Vec<f64>,
+}
+
+impl View {
+    /// Turned to the right by `angle`.
+    pub fn new(size: [u32; 2], angle: f64, seed: u64) -> View {
+        let mut camera = scenes::camera(size);
+        let turned = DMat3::from_rotation_y(-angle);
+        camera.rotation = turned * camera.rotation;
+        camera.translation = turned * camera.translation;
+        let mut r = Rng::new(seed);
+        let pixels = (size[0] * size[1]) as usize;
+        let weight = |i: usize| if wants(i / WIDE) { f64::from(r.between(-1.0, 1.0) as f32) } else { 0.0 };
+        View { camera, weights: (0..pixels * WIDE).map(weight).collect() }
+    }
+
+    /// By the twin, of Gaussians without normals.
+    pub fn loss(&self, g: &Gaussians) -> f64 {
+        let all = render(g, &self.camera, 0, false, [0.0; 3]).image;
+        let features = all.chunks_exact(3 + WIDE).flat_map(|pixel| &pixel[3..]);
+        features.zip(&self.weights).map(|(a, b)| a * b).sum()
+    }
+}
+
+/// One view's part of a graph.
+pub struct Declared {
+    /// The image side.
+    pub screen: Screen,
+    /// What is seen.
+    pub visible: Visible,
+    /// Its tiles.
+    pub entries: Entries,
+    /// The picture of features.
+    pub image: Buffer,
+    /// What features left at the entries.
+    pub features: EntryFeatures,
+    /// What its uniforms and buffers hold.
+    pub inputs: Vec<(Buffer, Vec<u8>)>,
+}
+
+/// Declares a view up to what features leave at its entries. Where nothing is wanted stands what nobody may read.
+pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: Buffer, values: Step) -> Declared {
+    let t = gpu.tuning();
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let screen = Screen { step, largest: view.camera.size, tile: t.tile };
+    let visible = project(g, &t, &screen, handles, Channels::default()).unwrap();
+    let entries = intersect(g, &t, &screen, &visible, 1 << 13, flags).unwrap();
+    let pixels = screen.pixels();
+    let wanted = g.input("wanted", 4 * wanted_words(pixels));
+    let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+    let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+    blend_features(g, &t, &screen, handles, &visible, &entries, wanted, image).unwrap();
+    let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, wanted, image, gradient).unwrap();
+    let mut camera = scenes::gpu_camera(&view.camera);
+    camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+    let mut words = vec![0_u32; wanted_words(pixels) as usize];
+    (0..pixels as usize).filter(|&p| wants(p)).for_each(|p| words[p / 32] |= 1 << (p % 32));
+    let weights = view.weights.iter().enumerate();
+    let weights: Vec<f32> = weights.map(|(i, x)| if wants(i / WIDE) { *x as f32 } else { f32::NAN }).collect();
+    let inputs =
+        vec![(step, bytes(&[Step { camera, ..values }])), (wanted, bytes(&words)), (gradient, bytes(&weights))];
+    Declared { screen, visible, entries, image, features, inputs }
+}
+
+/// What the buffers of Gaussians hold.
+pub fn gaussian_inputs(g: &Gaussians, handles: &Handles) -> Vec<(Buffer, Vec<u8>)> {
+    let n = g.len() as u32;
+    let data = scenes::data(g);
+    let mut inputs: Vec<_> = handles.model.groups().map(|x| (handles.group(x), bytes(data.group(x)))).collect();
+    inputs.push((handles.work, bytes(&[Work { x: n.div_ceil(256), y: 1, z: 1, count: n }])));
+    inputs
+}
