@@ -12,6 +12,7 @@ mod geometry;
 mod head;
 mod memory;
 pub mod metrics;
+mod pseudo;
 mod run;
 mod schedule;
 mod semantics;
@@ -27,6 +28,7 @@ pub use evaluate::{
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;
 pub use memory::{Needs, parse_bytes};
+pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticView};
