@@ -23,9 +23,9 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
     Ok((Splats::read_ply(source)?, None))
 }
 
-/// Gaussians on the device from splats.
-pub fn upload(device: &Device, splats: &Splats) -> anyhow::Result<Gaussians> {
-    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
+/// Gaussians on the device from splats; semantic features only if they are wanted.
+pub fn upload(device: &Device, splats: &Splats, semantics: bool) -> anyhow::Result<Gaussians> {
+    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), semantics };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     Ok(gaussians)

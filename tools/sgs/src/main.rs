@@ -3,8 +3,10 @@
 //! Exit status 0 done, 1 failed (one sentence on standard error), 2 wrong usage.
 
 mod cameras;
+mod classes;
 mod commands;
 mod common;
+mod palette;
 mod ui;
 
 use clap::{Parser, Subcommand};

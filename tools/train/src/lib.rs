@@ -23,7 +23,8 @@ pub use convert::{camera, gaussian_data, splats};
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
 pub use evaluate::{
-    Evaluation, Means, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth, render_view,
+    Evaluation, Means, Nvs, Rendered, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth,
+    render_view,
 };
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;

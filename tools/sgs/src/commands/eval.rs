@@ -2,10 +2,11 @@
 
 use super::train::{open_scene, validated};
 use crate::cameras::{splats_of, upload};
+use crate::classes::{Legend, head_of};
 use crate::common::Common;
 use anyhow::bail;
 use sgs_scene::{Image, write_png};
-use sgs_train::{Evaluation, RunDirectory, evaluate};
+use sgs_train::{Evaluation, Nvs, RunDirectory, Semantic, evaluate_classes};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -18,7 +19,7 @@ pub struct Args {
     /// Which views.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
-    /// Also write every view as PNG into this directory: color, normals, depth, and truth beside them.
+    /// Also write every view as PNG into this directory: color, normals, depth, classes, and truth beside them.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
 }
@@ -41,12 +42,18 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if views.is_empty() {
         bail!("The scene has no views in that split.");
     }
+    let classified = splats.semantic.is_some() && run.semantics().exists();
+    let head = if classified { Some(head_of(&a.run, &splats)?) } else { None };
     let device = common.open_device()?;
-    let gaussians = upload(&device, &splats)?;
+    let gaussians = upload(&device, &splats, head.is_some())?;
+    let legend = head.as_ref().map(|head| Legend::new(&head.text.labels));
     if let Some(dir) = &a.images {
         std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
+        legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
     }
-    let result = evaluate(&device, &scene, &gaussians, views, settings.geometry.background, |name, rendered| {
+    let background = settings.geometry.background;
+    let head = head.as_ref();
+    let result = evaluate_classes(&device, &scene, &gaussians, views, background, head, |name, rendered| {
         if let Some(dir) = &a.images {
             write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
             let view = scene.views.iter().position(|v| v.camera.name == name);
@@ -63,6 +70,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
             shown.data.iter_mut().for_each(|v| *v /= far);
             write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+            if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
+                let size = [rendered.rgb.width, rendered.rgb.height];
+                legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
+            }
         }
         Ok(())
     })?;
@@ -100,25 +111,15 @@ fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize
 }
 
 fn print_table(e: &Evaluation) {
-    println!("{:<20} {:>8} {:>8} {:>10} {:>10}", "view", "PSNR", "SSIM", "normal °", "depth rel");
+    let row = |name: &str, [a, b, c, d, e]: [String; 5]| println!("{name:<20} {a:>8} {b:>8} {c:>10} {d:>10} {e:>8}");
     let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    let line = |name: &str, nvs: &Nvs, normal: Option<f64>, depth: Option<f64>, semantic: Option<Semantic>| {
+        let (psnr, ssim) = (cell(Some(nvs.psnr), 2), cell(Some(nvs.ssim), 4));
+        row(name, [psnr, ssim, cell(normal, 2), cell(depth, 4), cell(semantic.map(|s| s.accuracy), 4)]);
+    };
+    row("view", ["PSNR", "SSIM", "normal °", "depth rel", "labels"].map(str::to_owned));
     for v in &e.views {
-        println!(
-            "{:<20} {:>8.2} {:>8.4} {:>10} {:>10}",
-            v.name,
-            v.nvs.psnr,
-            v.nvs.ssim,
-            cell(v.normal_mae_deg, 2),
-            cell(v.depth_rel, 4)
-        );
+        line(&v.name, &v.nvs, v.normal_mae_deg, v.depth_rel, v.semantic);
     }
-    let m = &e.mean;
-    println!(
-        "{:<20} {:>8.2} {:>8.4} {:>10} {:>10}",
-        "mean",
-        m.nvs.psnr,
-        m.nvs.ssim,
-        cell(m.normal_mae_deg, 2),
-        cell(m.depth_rel, 4)
-    );
+    line("mean", &e.mean.nvs, e.mean.normal_mae_deg, e.mean.depth_rel, e.mean.semantic);
 }

@@ -2,13 +2,16 @@
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
+use crate::classes::{Legend, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
 use crate::ui::Bar;
 use anyhow::bail;
+use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::splat::Channels;
-use sgs_scene::{Camera, Image, write_exr, write_png};
+use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
+use sgs_train::{Classes, Classifier, SemanticHead};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -21,9 +24,12 @@ pub struct Args {
     /// Directory for the pictures.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// What to write.
+    /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
     channels: Vec<Channel>,
+    /// Also write how probably each pixel belongs to this class; may be repeated.
+    #[arg(long, value_name = "CLASS")]
+    query: Vec<String>,
     /// File format: exr keeps the blended values (float32), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -45,12 +51,20 @@ enum Channel {
     Alpha,
     Depth,
     Normal,
+    Semantic,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
     Exr,
     Png,
+}
+
+impl Format {
+    fn file(self, dir: &Path, stem: &str, name: &str) -> PathBuf {
+        let extension = if self == Format::Exr { "exr" } else { "png" };
+        dir.join(format!("{stem}_{name}.{extension}"))
+    }
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
@@ -66,11 +80,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.channels.contains(&Channel::Normal) && splats.normals.is_none() {
         bail!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
+    let asked = Asked::of(a, &splats)?;
     let device = common.open_device()?;
-    let gaussians = upload(&device, &splats)?;
+    let gaussians = upload(&device, &splats, asked.is_some())?;
+    let mut meaning = asked.map(|asked| Meaning::new(&device, asked)).transpose()?;
     let channels =
         Channels { normals: a.channels.contains(&Channel::Normal), depth: a.channels.contains(&Channel::Depth) };
-    let mut renderer = Renderer::new(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
+    let make = if meaning.is_some() { Renderer::with_features } else { Renderer::new };
+    let mut renderer = make(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
     std::fs::create_dir_all(&a.output)
         .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
     let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
@@ -79,16 +96,24 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let c = sgs_train::camera(camera);
         let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, [r, g, b])?;
         for channel in &a.channels {
-            written.push(write(&a.output, &camera.name, *channel, a.format, &picture, channels)?);
+            written.extend(write(&a.output, &camera.name, *channel, a.format, &picture, channels)?);
+        }
+        if let Some(meaning) = &mut meaning {
+            let classes = meaning.classifier.classify(&renderer, &picture)?;
+            written.extend(meaning.write(a, &camera.name, picture.size, classes)?);
         }
         bar.set(i as u64 + 1, || camera.name.clone());
     }
     bar.finish();
-    common.answer(&serde_json::json!({"gaussians": splats.len(), "files": written}))?;
+    let mut answer = serde_json::json!({"gaussians": splats.len(), "files": written});
+    if let Some(meaning) = meaning.filter(|_| a.channels.contains(&Channel::Semantic)) {
+        answer["labels"] = serde_json::to_value(meaning.legend.write(&a.output)?)?;
+    }
+    common.answer(&answer)?;
     validated(&device)
 }
 
-/// Writes one channel of a picture; gives the file's path.
+/// Writes one channel of a picture; gives the file's path. Classes are no channel of it.
 fn write(
     dir: &Path,
     stem: &str,
@@ -96,7 +121,7 @@ fn write(
     format: Format,
     p: &Picture,
     channels: Channels,
-) -> anyhow::Result<PathBuf> {
+) -> anyhow::Result<Option<PathBuf>> {
     let c = p.channels as usize;
     let pixels = p.transmittance.len();
     let pick = |from: usize, count: usize| -> Vec<f32> {
@@ -107,10 +132,10 @@ fn write(
         Channel::Alpha => ("alpha", &["Y"], p.transmittance.iter().map(|t| 1.0 - t).collect()),
         Channel::Normal => ("normal", &["X", "Y", "Z"], pick(3, 3)),
         Channel::Depth => ("depth", &["Z"], pick(if channels.normals { 6 } else { 3 }, 1)),
+        Channel::Semantic => return Ok(None),
     };
     let mut image = Image { width: p.size[0], height: p.size[1], channels: names.len() as u32, data };
-    let extension = if format == Format::Exr { "exr" } else { "png" };
-    let path = dir.join(format!("{stem}_{name}.{extension}"));
+    let path = format.file(dir, stem, name);
     match format {
         Format::Exr => write_exr(&path, &image, names)?,
         Format::Png => {
@@ -126,5 +151,67 @@ fn write(
             write_png(&path, &image)?;
         }
     }
-    Ok(path)
+    Ok(Some(path))
+}
+
+/// What is asked about classes.
+struct Asked {
+    head: SemanticHead,
+    queries: Vec<usize>,
+}
+
+impl Asked {
+    /// Nothing, if neither the channel nor a class is asked for.
+    fn of(a: &Args, splats: &Splats) -> anyhow::Result<Option<Asked>> {
+        if !a.channels.contains(&Channel::Semantic) && a.query.is_empty() {
+            return Ok(None);
+        }
+        let head = head_of(&a.source, splats)?;
+        let mut queries = Vec::new();
+        for name in &a.query {
+            let class = head.class(name)?;
+            if !queries.contains(&class) {
+                queries.push(class);
+            }
+        }
+        Ok(Some(Asked { head, queries }))
+    }
+}
+
+/// The classes of pictures, and how they are written.
+struct Meaning {
+    classifier: Classifier,
+    legend: Legend,
+    /// Parts of files' names, by query.
+    names: Vec<String>,
+}
+
+impl Meaning {
+    fn new(device: &Device, Asked { head, queries }: Asked) -> anyhow::Result<Meaning> {
+        let names = queries.iter().map(|q| file_part(&head.text.labels[*q])).collect();
+        let classifier = Classifier::new(device, &head, &queries)?;
+        Ok(Meaning { classifier, legend: Legend::new(&head.text.labels), names })
+    }
+
+    /// Writes what was asked for; gives the files' paths.
+    fn write(&self, a: &Args, stem: &str, size: [u32; 2], classes: Classes) -> anyhow::Result<Vec<PathBuf>> {
+        let mut written = Vec::new();
+        if a.channels.contains(&Channel::Semantic) {
+            let path = a.format.file(&a.output, stem, "semantic");
+            match a.format {
+                Format::Exr => write_labels_exr(&path, size, &classes.labels)?,
+                Format::Png => self.legend.write_png(&path, size, &classes.labels)?,
+            }
+            written.push(path);
+        }
+        for (name, relevance) in self.names.iter().zip(classes.relevance) {
+            let path = a.format.file(&a.output, stem, &format!("semantic_{name}"));
+            match a.format {
+                Format::Exr => write_relevance_exr(&path, size, relevance)?,
+                Format::Png => write_relevance_png(&path, size, &relevance)?,
+            }
+            written.push(path);
+        }
+        Ok(written)
+    }
 }

@@ -1,0 +1,110 @@
+//! Classes in pictures: where a run keeps them, and how they are shown.
+
+use crate::palette::{Color, colors, hex};
+use anyhow::bail;
+use sgs_passes::scene::FEATURES;
+use sgs_scene::{Image, Splats, write_exr, write_png};
+use sgs_train::{NO_RELEVANCE, RunDirectory, SemanticHead};
+use std::path::{Path, PathBuf};
+
+/// Whether a file was written.
+type Written = sgs_scene::Result<()>;
+
+/// The head of a run, for features that are to be shown.
+pub fn head_of(source: &Path, splats: &Splats) -> anyhow::Result<SemanticHead> {
+    let name = source.display();
+    let Some((width, _)) = splats.semantic else {
+        bail!(
+            "\"{name}\" holds no semantic features; leave out \"semantic\" and --query, or train on a scene with \
+             priors/semantic."
+        );
+    };
+    if width != FEATURES {
+        bail!("\"{name}\" holds {width} semantic features a splat, but {FEATURES} are needed to classify them.");
+    }
+    if !source.is_dir() {
+        bail!(
+            "\"{name}\" holds semantic features, but not the decoder that tells their classes; give the run directory \
+             with its semantics.safetensors instead of the PLY."
+        );
+    }
+    Ok(SemanticHead::load(&RunDirectory::open(source)?.semantics())?)
+}
+
+/// How classes are shown.
+pub struct Legend {
+    labels: Vec<String>,
+    colors: Vec<Color>,
+}
+
+impl Legend {
+    /// Of these classes.
+    pub fn new(labels: &[String]) -> Legend {
+        Legend { labels: labels.to_vec(), colors: colors(labels.len()) }
+    }
+
+    /// Writes what the numbers and colors of label maps mean; gives the file's path.
+    pub fn write(&self, dir: &Path) -> anyhow::Result<PathBuf> {
+        let class = |(i, (name, color)): (usize, (&String, &Color))| serde_json::json!({"index": i, "name": name, "color": hex(*color)});
+        let classes: Vec<_> = self.labels.iter().zip(&self.colors).enumerate().map(class).collect();
+        let text = serde_json::to_string_pretty(&serde_json::json!({"none": -1, "classes": classes}))?;
+        let path = dir.join("labels.json");
+        sgs_scene::atomic_write(&path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+        Ok(path)
+    }
+
+    /// Every pixel in the color of its class, transparent where it has none.
+    pub fn write_png(&self, path: &Path, size: [u32; 2], labels: &[Option<u32>]) -> Written {
+        let color = |label: &Option<u32>| match label.and_then(|l| self.colors.get(l as usize)) {
+            Some([r, g, b]) => [*r, *g, *b, 255].map(|v| f32::from(v) / 255.0),
+            None => [0.0; 4],
+        };
+        let image =
+            Image { width: size[0], height: size[1], channels: 4, data: labels.iter().flat_map(color).collect() };
+        write_png(path, &image)
+    }
+}
+
+/// Every pixel's class as a number, -1 where it has none.
+pub fn write_labels_exr(path: &Path, size: [u32; 2], labels: &[Option<u32>]) -> Written {
+    let data = labels.iter().map(|l| l.map_or(-1.0, |l| l as f32)).collect();
+    write_exr(path, &Image { width: size[0], height: size[1], channels: 1, data }, &["Y"])
+}
+
+/// Relevance as gray, transparent where a pixel shows nothing.
+pub fn write_relevance_png(path: &Path, size: [u32; 2], relevance: &[f32]) -> Written {
+    let gray = |r: &f32| if *r == NO_RELEVANCE { [0.0; 2] } else { [*r, 1.0] };
+    let data = relevance.iter().flat_map(gray).collect();
+    write_png(path, &Image { width: size[0], height: size[1], channels: 2, data })
+}
+
+/// Relevance as it is, -1 where a pixel shows nothing.
+pub fn write_relevance_exr(path: &Path, size: [u32; 2], relevance: Vec<f32>) -> Written {
+    write_exr(path, &Image { width: size[0], height: size[1], channels: 1, data: relevance }, &["Y"])
+}
+
+/// The part of a file's name that says the class: as it is, but for what file systems give a meaning to.
+pub fn file_part(class: &str) -> String {
+    let kept = |c: char| !c.is_control() && !r#"/\:*?"<>|%"#.contains(c);
+    let mut bytes = [0; 4];
+    class
+        .chars()
+        .map(|c| match kept(c) {
+            true => c.to_string(),
+            false => c.encode_utf8(&mut bytes).bytes().map(|b| format!("%{b:02X}")).collect(),
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_classes_are_names_of_files() {
+        assert_eq!(file_part("light source"), "light source");
+        assert_eq!(file_part("../a/b"), "..%2Fa%2Fb");
+        assert_eq!(file_part("a%2Fb"), "a%252Fb");
+        assert_eq!(file_part("дверь\n\u{85}"), "дверь%0A%C2%85");
+    }
+}
