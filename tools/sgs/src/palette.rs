@@ -15,7 +15,7 @@ pub fn colors(count: usize) -> Vec<Color> {
     let level = |i: u32| (i * 255 / (STEPS - 1)) as u8;
     let all = (0..STEPS.pow(3)).map(|i| [i / STEPS / STEPS, i / STEPS % STEPS, i % STEPS].map(level));
     // Whoever is too near to black does not show as a color on a screen.
-    let candidates: Vec<(Color, [f64; 3])> = all.map(|c| (c, oklab(c))).filter(|(_, lab)| lab[0] > 0.3).collect();
+    let candidates: Vec<(Color, [f64; 3])> = all.map(|c| (c, oklab(c))).filter(|(_, lab)| lab[0] > 0.45).collect();
     let taken = [[0; 3], [255; 3], [128; 3]].map(oklab);
     let apart = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>();
     let nearest = |lab: &[f64; 3]| taken.iter().map(|t| apart(lab, t)).fold(f64::INFINITY, f64::min);
