@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use half::f16;
 use serde::Deserialize;
 
+use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{Image, NpyArray};
 use crate::json::read_json;
@@ -143,6 +144,15 @@ impl Scene {
         let view = self.view(view)?;
         match self.prior_path("masks", view, &["png"]) {
             Some(path) => maps::load_numbers(&path, view).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The regions of a pseudo-view by its camera, whose name its file has in `priors/masks/pseudo`, at the camera's size.
+    /// The numbers are those of [`Scene::region_prior`]; what was segmented is a rendered picture, so there is no distortion.
+    pub fn pseudo_region_prior(&self, camera: &Camera) -> Result<Option<RegionMap>> {
+        match maps::find(&self.root.join("priors/masks/pseudo"), &camera.name, &["png"]) {
+            Some(path) => maps::load_numbers_seen(&path, camera, &Distortion::default()).map(Some),
             None => Ok(None),
         }
     }

@@ -29,6 +29,8 @@ enum Command {
     Synth(commands::synth::Args),
     /// Run a provider of networks over a scene's images and write its priors.
     Priors(commands::priors::Args),
+    /// Write the cameras of the pseudo-views, to be rendered and segmented outside.
+    Pseudo(commands::pseudo::Args),
     /// Print what will be modeled, why, and what it costs; train nothing.
     Plan(commands::plan::Args),
     /// Train on a scene directory.
@@ -66,6 +68,7 @@ fn main() {
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),
         Command::Priors(a) => commands::priors::run(&cli.common, a),
+        Command::Pseudo(a) => commands::pseudo::run(&cli.common, a),
         Command::Plan(a) => commands::plan::run(&cli.common, a),
         Command::Train(a) => commands::train::run(&cli.common, a),
         Command::Eval(a) => commands::eval::run(&cli.common, a),

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 pub use normal::NormalFrame;
 pub(crate) use normal::{finish as finish_normals, load as load_normals, stored as stored_normals};
 pub use numbers::RegionMap;
-pub(crate) use numbers::{cells, load as load_numbers};
+pub(crate) use numbers::{cells, load as load_numbers, load_seen as load_numbers_seen};
 
 use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image, NpyArray, read_raster, resize_valid, srgb_to_linear, undistort};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::camera::{Camera, Distortion};
 use crate::error::Result;
 use crate::image::read_ids;
 use crate::view::View;
@@ -19,14 +20,18 @@ pub struct RegionMap {
 
 /// Loads a map of numbers for a view. Numbers cannot be averaged: each pixel takes the one at its center.
 pub(crate) fn load(path: &Path, view: &View) -> Result<RegionMap> {
+    load_seen(path, &view.camera, &view.distortion)
+}
+
+/// Loads a map of what a camera saw through a lens.
+pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Result<RegionMap> {
     let (w, h, stored) = read_ids(path)?;
-    let camera = &view.camera;
     let mut ids = Vec::with_capacity(camera.width as usize * camera.height as usize);
     for y in 0..camera.height {
         for x in 0..camera.width {
             let nx = (f64::from(x) + 0.5 - camera.cx) / camera.fx;
             let ny = (f64::from(y) + 0.5 - camera.cy) / camera.fy;
-            let (dx, dy) = view.distortion.distort(nx, ny);
+            let (dx, dy) = lens.distort(nx, ny);
             let u = (dx * camera.fx + camera.cx) / f64::from(camera.width) * f64::from(w);
             let v = (dy * camera.fy + camera.cy) / f64::from(camera.height) * f64::from(h);
             // Rounding must not push the center of a pixel over its edge; the cast stops at zero and is total.

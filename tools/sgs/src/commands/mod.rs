@@ -5,6 +5,7 @@ pub mod eval;
 pub mod export;
 pub mod plan;
 pub mod priors;
+pub mod pseudo;
 pub mod render;
 pub mod synth;
 pub mod train;

@@ -5,6 +5,7 @@
 
 mod intrinsics;
 mod listing;
+mod write;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
