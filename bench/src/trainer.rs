@@ -77,6 +77,7 @@ impl<'w> Trainer<'w> {
             statistics: densify,
             dense_adam: false,
             backward,
+            semantic_geometry: true,
             timestamps: false,
             frames_in_flight: IN_FLIGHT as usize,
         };
@@ -175,8 +176,13 @@ impl<'w> Trainer<'w> {
     }
 
     fn submit(&mut self, step: u32) -> anyhow::Result<()> {
-        let (camera, offset) = self.workload.views[self.schedule.view(step)];
-        self.exec.submit(&self.schedule.step(step, &camera, offset))?;
+        let view = self.schedule.view(step);
+        let (camera, offset) = self.workload.views[view];
+        let mut values = self.schedule.step(step, &camera, offset);
+        if let Some((data, _)) = self.workload.semantics.as_deref() {
+            data.views[view].fill(&mut values);
+        }
+        self.exec.submit(&values)?;
         Ok(())
     }
 
@@ -217,8 +223,7 @@ fn build(
     status: &Status,
     options: GeometryOptions,
 ) -> anyhow::Result<GeometryStep> {
-    let normals = workload.normals.as_ref();
-    Ok(GeometryStep::new(device, tuning, gaussians, &workload.targets, normals, status, options)?)
+    Ok(GeometryStep::new(device, tuning, gaussians, &workload.inputs(), status, options)?)
 }
 
 /// Room for tile entries before anything is measured, as training has it.

@@ -9,13 +9,14 @@ use crate::micro::{Context, densify};
 use crate::report::Report;
 use crate::stats::Summary;
 use crate::trainer::{Run, Trainer, first_entry_capacity};
-use crate::workload::{Synthetic, Workload, directory, synthetic};
+use crate::workload::{Priors, Synthetic, Workload, directory, synthetic};
 use sgs_engine::Device;
 use sgs_engine::graph::Plan;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Renderer, StepReport};
+use sgs_passes::scene::Decoder;
 use sgs_passes::splat::BackwardKernel;
 use std::path::PathBuf;
 
@@ -43,6 +44,9 @@ pub struct Args {
     /// With normals and depth, their losses, and normal priors.
     #[arg(long)]
     pub normals: bool,
+    /// With the semantic loss; the scene must have the priors.
+    #[arg(long, requires = "scene")]
+    pub semantics: bool,
     /// Degree of the spherical harmonics.
     #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
     pub sh_degree: u32,
@@ -96,7 +100,13 @@ impl Args {
     /// If it cannot be read or made.
     pub fn workload(&self, device: &Device, report: &mut Report) -> anyhow::Result<Workload> {
         let workload = match &self.scene {
-            Some(path) => directory(device, path, self.normals, self.densify, self.sh_degree)?,
+            Some(path) => directory(
+                device,
+                path,
+                Priors { normals: self.normals, semantics: self.semantics },
+                self.densify,
+                self.sh_degree,
+            )?,
             None => {
                 let (gaussians, size) = Args::sizes(device, self.gaussians, self.size);
                 let room = Synthetic {
@@ -115,6 +125,7 @@ impl Args {
         report.setting("views", workload.views.len());
         report.setting("degree", self.sh_degree);
         report.setting("normals", self.normals);
+        report.setting("semantics", self.semantics);
         report.setting("densify", self.densify);
         report.setting("backward", format!("{:?}", self.backward).to_lowercase());
         Ok(workload)
@@ -272,7 +283,9 @@ fn shape(report: &mut Report, what: &str, plan: &Plan) {
 fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &mut Trainer<'_>) -> anyhow::Result<()> {
     let count = workload.start.len();
     let (used, _) = device.memory_use();
-    let targets = workload.targets.bytes() + workload.normals.as_ref().map_or(0, |n| n.bytes());
+    let sizes = workload.inputs().sizes();
+    let semantics = sizes.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES);
+    let targets = sizes.targets + sizes.normals.unwrap_or(0) + semantics;
     let training = used - targets;
     report
         .fact("device memory, of it photographs, MB", format!("{:.2}, {:.2}", used as f64 / 1e6, targets as f64 / 1e6));
@@ -311,6 +324,7 @@ fn shallow(w: &Workload) -> Workload {
         start: Default::default(),
         targets: w.targets.clone(),
         normals: w.normals.clone(),
+        semantics: w.semantics.clone(),
         views: w.views.clone(),
         settings: w.settings.clone(),
         ..*w

@@ -6,12 +6,13 @@ mod synthetic;
 pub use synthetic::{Synthetic, synthetic};
 
 use sgs_engine::{Device, DeviceBuffer};
-use sgs_passes::pipeline::Camera;
+use sgs_passes::pipeline::{Camera, Inputs};
 use sgs_passes::reference::project as twin;
-use sgs_passes::scene::{GaussianData, Group, Model};
+use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
 use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_train::{Settings, TrainingData, gaussian_data};
+use sgs_train::{SemanticData, Settings, TrainingData, gaussian_data};
 use std::path::Path;
+use std::sync::Arc;
 
 /// A scene, ready to be trained on.
 pub struct Workload {
@@ -25,6 +26,8 @@ pub struct Workload {
     pub targets: DeviceBuffer,
     /// Normal priors, packed.
     pub normals: Option<DeviceBuffer>,
+    /// Semantic priors and the decoder.
+    pub semantics: Option<Arc<(SemanticData, Decoder)>>,
     /// Cameras, and the first pixel of each one's photograph.
     pub views: Vec<(Camera, u32)>,
     /// Columns and rows that no view exceeds.
@@ -45,6 +48,26 @@ fn settings(densify: bool, sh_degree: u32) -> Settings {
     s
 }
 
+/// Which priors a scene directory is trained with.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Priors {
+    /// Normals, with depth.
+    pub normals: bool,
+    /// Semantic features.
+    pub semantics: bool,
+}
+
+impl Workload {
+    /// What a step is bound to.
+    pub fn inputs(&self) -> Inputs<'_> {
+        Inputs {
+            targets: &self.targets,
+            normals: self.normals.as_ref(),
+            semantics: self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder)),
+        }
+    }
+}
+
 /// A scene directory: its training views, and splats from its points.
 ///
 /// # Errors
@@ -52,14 +75,20 @@ fn settings(densify: bool, sh_degree: u32) -> Settings {
 pub fn directory(
     device: &Device,
     path: &Path,
-    normals: bool,
+    priors: Priors,
     densify: bool,
     sh_degree: u32,
 ) -> anyhow::Result<Workload> {
     let scene = Scene::open(path, &SceneOptions::default())?;
-    let data = TrainingData::load(device, &scene, normals)?;
-    anyhow::ensure!(!normals || data.normals.is_some(), "\"{}\" has no normal priors.", path.display());
-    let model = Model { sh_degree, normals: data.normals.is_some(), ..Default::default() };
+    let data = TrainingData::load(device, &scene, priors.normals)?;
+    anyhow::ensure!(!priors.normals || data.normals.is_some(), "\"{}\" has no normal priors.", path.display());
+    let maps = if priors.semantics { SemanticData::load(device, &scene)? } else { None };
+    anyhow::ensure!(!priors.semantics || maps.is_some(), "\"{}\" has no semantic priors.", path.display());
+    let semantics = match maps {
+        Some(maps) => Some(Arc::new((maps, Decoder::new(device, 0, true)?))),
+        None => None,
+    };
+    let model = Model { sh_degree, normals: data.normals.is_some(), semantics: semantics.is_some() };
     let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
     Ok(Workload {
         name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
@@ -67,6 +96,7 @@ pub fn directory(
         start: gaussian_data(&splats, model),
         targets: data.targets,
         normals: data.normals,
+        semantics,
         views: data.views,
         largest: data.largest,
         extent: scene.extent(),

@@ -67,6 +67,7 @@ pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
         start,
         targets,
         normals,
+        semantics: None,
         views: views.into_iter().enumerate().map(|(i, c)| (c, i as u32 * pixels)).collect(),
         largest: s.size,
         extent: 1.1 * RING,

@@ -9,6 +9,7 @@ pub mod semantic;
 pub mod semantic_labels;
 pub mod semantic_sum;
 pub mod sum;
+pub mod wanted;
 
 pub use correspondence::{
     Correspondence, Pictured, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
@@ -24,3 +25,4 @@ pub use semantic::{
 pub use semantic_labels::{NO_LABEL, Relevance, SemanticLabels, semantic_labels};
 pub use semantic_sum::semantic_sum;
 pub use sum::loss_sum;
+pub use wanted::wanted_samples;

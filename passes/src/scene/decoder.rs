@@ -23,6 +23,8 @@ pub const AUGMENTED: usize = FEATURES + 1;
 /// Width of targets, of text, and of what is decoded.
 pub const EMBEDDING: usize = 512;
 
+const PARAMETER_BYTES: u64 = 4 * (EMBEDDING * AUGMENTED) as u64;
+
 /// Epsilon of its Adam.
 const EPSILON: f32 = 1e-8;
 
@@ -52,7 +54,7 @@ impl Decoder {
     /// # Errors
     /// If memory runs out.
     pub fn new(device: &Device, seed: u32, training: bool) -> Result<Decoder> {
-        let bytes = 4 * (EMBEDDING * AUGMENTED) as u64;
+        let bytes = PARAMETER_BYTES;
         let parameters = device.buffer("decoder", bytes, Location::Device)?;
         let moments =
             if training { Some(device.buffer("decoder_moments", 2 * bytes, Location::Device)?) } else { None };
@@ -121,13 +123,21 @@ impl Decoder {
 
     /// Declares the buffers in a graph; kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> DecoderHandles {
-        let bytes = self.parameters.bytes();
+        Decoder::handles(g, training && self.moments.is_some())
+    }
+
+    /// Declares the buffers of a decoder that need not exist yet. With `training` it must have moments.
+    pub fn handles(g: &mut Graph, training: bool) -> DecoderHandles {
+        let bytes = PARAMETER_BYTES;
         DecoderHandles {
             parameters: if training { g.external("decoder", bytes) } else { g.input("decoder", bytes) },
-            moments: self.moments.as_ref().filter(|_| training).map(|m| g.external("decoder_moments", m.bytes())),
-            work: g.input("decoder_rows", self.work.bytes()),
+            moments: training.then(|| g.external("decoder_moments", 2 * bytes)),
+            work: g.input("decoder_rows", size_of::<Work>() as u64),
         }
     }
+
+    /// Bytes that a decoder in training takes.
+    pub const TRAINING_BYTES: u64 = 3 * PARAMETER_BYTES + size_of::<Work>() as u64;
 
     /// Puts the buffers behind their handles.
     ///

@@ -4,7 +4,7 @@
 
 use crate::error::{Result, TrainError};
 use safetensors::{Dtype, SafeTensors, View};
-use sgs_passes::scene::{GaussianData, Group, Model, STATISTICS};
+use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
@@ -17,6 +17,28 @@ pub(crate) struct State {
     pub parameters: GaussianData,
     pub moments: GaussianData,
     pub statistics: Vec<f32>,
+    /// The semantic decoder and its moments, where there are features.
+    pub decoder: Option<[Vec<f32>; 2]>,
+}
+
+impl State {
+    fn tensors(&self, model: Model) -> Vec<(String, Floats<'_>)> {
+        let count = self.parameters.len();
+        let mut tensors = Vec::new();
+        for group in model.groups() {
+            let width = group.width() as usize;
+            let (name, parameters, moments) = (group.name(), &self.parameters, &self.moments);
+            tensors.push((name.to_owned(), Floats(parameters.group(group), vec![count, width])));
+            tensors.push((format!("{name}_moments"), Floats(moments.group(group), vec![count, width, 2])));
+        }
+        let statistics = &self.statistics;
+        tensors.push(("statistics".to_owned(), Floats(statistics, vec![count, statistics.len() / count.max(1)])));
+        if let Some([parameters, moments]) = &self.decoder {
+            tensors.push(("decoder".to_owned(), Floats(parameters, vec![EMBEDDING, AUGMENTED])));
+            tensors.push(("decoder_moments".to_owned(), Floats(moments, vec![EMBEDDING, AUGMENTED, 2])));
+        }
+        tensors
+    }
 }
 
 struct Floats<'a>(&'a [f32], Vec<usize>);
@@ -36,28 +58,13 @@ impl View for Floats<'_> {
     }
 }
 
-pub(crate) fn save(
-    path: &Path,
-    step: u32,
-    model: Model,
-    capacity: u32,
-    parameters: &GaussianData,
-    moments: &GaussianData,
-    statistics: &[f32],
-) -> Result<()> {
-    let count = parameters.len();
-    let mut tensors = Vec::new();
-    for group in model.groups() {
-        let width = group.width() as usize;
-        tensors.push((group.name().to_owned(), Floats(parameters.group(group), vec![count, width])));
-        tensors.push((format!("{}_moments", group.name()), Floats(moments.group(group), vec![count, width, 2])));
-    }
-    tensors.push(("statistics".to_owned(), Floats(statistics, vec![count, statistics.len() / count.max(1)])));
+pub(crate) fn save(path: &Path, state: &State, model: Model) -> Result<()> {
     let meta = HashMap::from([
         ("format".to_owned(), "sgs-geometry-1".to_owned()),
-        ("step".to_owned(), step.to_string()),
-        ("capacity".to_owned(), capacity.to_string()),
+        ("step".to_owned(), state.step.to_string()),
+        ("capacity".to_owned(), state.capacity.to_string()),
     ]);
+    let tensors = state.tensors(model);
     let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
     Ok(())
@@ -117,7 +124,17 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
     if !statistics.is_empty() && statistics.len() != count * STATISTICS as usize {
         return Err(file(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
     }
-    Ok(State { step, capacity, parameters, moments, statistics })
+    let decoder = match model.semantics {
+        true => Some([floats("decoder")?, floats("decoder_moments")?]),
+        false => None,
+    };
+    if let Some([parameters, moments]) = &decoder {
+        let scalars = EMBEDDING * AUGMENTED;
+        if parameters.len() != scalars || moments.len() != 2 * scalars || parameters.iter().any(|v| !v.is_finite()) {
+            return Err(file(path, "damaged: \"decoder\" has another size or holds values that are not finite".into()));
+        }
+    }
+    Ok(State { step, capacity, parameters, moments, statistics, decoder })
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -4,20 +4,22 @@
 //! when checkpoints were written, or whether training was interrupted. A step in the steady state waits only for the
 //! one two before it; the host looks at reports of steps that are done.
 
-use crate::checkpoint;
+use crate::checkpoint::{self, State};
 use crate::convert::{gaussian_data, splats};
 use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::memory::{Needs, allowed};
 use crate::schedule::Schedule;
+use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings};
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{BudgetSource, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, OpacityReset, Status, StepReport,
+    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, OpacityReset, Status, Step,
+    StepReport,
 };
-use sgs_passes::scene::{Gaussians, Layout, Model};
+use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
 use std::path::Path;
@@ -49,6 +51,8 @@ pub struct Geometry {
     settings: Settings,
     schedule: Schedule,
     data: TrainingData,
+    /// What features should mean, and what gives them a meaning.
+    semantics: Option<(SemanticData, Decoder)>,
     gaussians: Gaussians,
     status: Status,
     /// Absent only while it is rebuilt: the old one's memory goes before the new one's comes.
@@ -82,8 +86,15 @@ impl Geometry {
         if budget > 0 {
             device.set_memory_budget(Some(budget));
         }
+        let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let data = Packed::read(scene, wants_normals)?;
-        let model = Model { sh_degree: g.sh_degree, normals: data.normal_bytes().is_some(), ..Default::default() };
+        let maps = if wants_semantics { SemanticMaps::read(scene)? } else { None };
+        let inputs = InputSizes {
+            targets: data.image_bytes(),
+            normals: data.normal_bytes(),
+            semantics: maps.as_ref().map(SemanticMaps::sizes),
+        };
+        let model = Model { sh_degree: g.sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
         let initial;
         let start = match start {
             Some(s) => s,
@@ -93,7 +104,7 @@ impl Geometry {
             }
         };
         let count = start.len() as u32;
-        let most = most_gaussians(device, model, settings, &data);
+        let most = most_gaussians(device, model, settings, &inputs, data.largest);
         let wanted = most.min(g.densify.max_gaussians);
         let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
         let tuning = Tuning::for_device(device.info());
@@ -105,11 +116,12 @@ impl Geometry {
             statistics: g.densify.enabled,
             dense_adam: g.dense_adam,
             backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
+            semantic_geometry: g.semantic_geometry,
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
         let layout = Layout { model, capacity: capacity.max(1), training: true, statistics: g.densify.enabled };
-        let needs = Needs::of(device, &tuning, &layout, data.image_bytes(), data.normal_bytes(), &options)?;
+        let needs = Needs::of(device, &tuning, &layout, &inputs, &options)?;
         needs.check(&allowed(device, settings))?;
         if count > most {
             return Err(TrainError::Memory(format!(
@@ -118,6 +130,10 @@ impl Geometry {
             )));
         }
         let data = data.upload(device)?;
+        let semantics = match maps {
+            Some(maps) => Some((maps.upload(device, scene)?, Decoder::new(device, settings.seed as u32, true)?)),
+            None => None,
+        };
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
@@ -134,6 +150,7 @@ impl Geometry {
             settings,
             schedule,
             data,
+            semantics,
             gaussians,
             status,
             exec: None,
@@ -201,11 +218,21 @@ impl Geometry {
 
     fn submit_next(&mut self) -> Result<()> {
         let step = self.submitted + 1;
-        let (camera, offset) = self.data.views[self.schedule.view(step)];
-        let values = self.schedule.step(step, &camera, offset);
+        let values = self.values(step);
         self.exec()?.submit(&values)?;
         self.submitted = step;
         Ok(())
+    }
+
+    /// The uniform of a step.
+    fn values(&self, step: u32) -> Step {
+        let view = self.schedule.view(step);
+        let (camera, offset) = self.data.views[view];
+        let mut values = self.schedule.step(step, &camera, offset);
+        if let Some((data, _)) = &self.semantics {
+            data.views[view].fill(&mut values);
+        }
+        values
     }
 
     /// Looks at the reports up to a step that is known to be done. False if an overflow took steps back.
@@ -259,15 +286,13 @@ impl Geometry {
         self.densify = None;
         self.reset = None;
         self.exec = None;
-        self.exec = Some(GeometryStep::new(
-            &self.device,
-            &self.tuning,
-            &self.gaussians,
-            &self.data.targets,
-            self.data.normals.as_ref(),
-            &self.status,
-            self.options,
-        )?);
+        let inputs = Inputs {
+            targets: &self.data.targets,
+            normals: self.data.normals.as_ref(),
+            semantics: self.semantics.as_ref().map(|(data, decoder)| data.inputs(decoder)),
+        };
+        let (device, gaussians, status) = (&self.device, &self.gaussians, &self.status);
+        self.exec = Some(GeometryStep::new(device, &self.tuning, gaussians, &inputs, status, self.options)?);
         Ok(())
     }
 
@@ -372,8 +397,7 @@ impl Geometry {
         self.options.backward = kernel;
         self.rebuild()?;
         for step in 1..=5 {
-            let (camera, offset) = self.data.views[self.schedule.view(step)];
-            let values = self.schedule.step(step, &camera, offset);
+            let values = self.values(step);
             self.exec()?.submit(&values)?;
         }
         self.exec()?.finish()?;
@@ -400,10 +424,21 @@ impl Geometry {
     /// # Errors
     /// If the file cannot be written; an earlier one stays whole.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let (moments, statistics) = self.gaussians.download_optimizer(&self.device)?;
-        let parameters = self.gaussians.download(&self.device)?;
-        let (model, capacity) = (self.gaussians.model, self.gaussians.capacity);
-        checkpoint::save(path, self.done, model, capacity, &parameters, &moments, &statistics)
+        let device = &self.device;
+        let (moments, statistics) = self.gaussians.download_optimizer(device)?;
+        let decoder = match &self.semantics {
+            Some((_, decoder)) => Some([decoder.download(device)?, decoder.download_moments(device)?]),
+            None => None,
+        };
+        let state = State {
+            step: self.done,
+            capacity: self.gaussians.capacity,
+            parameters: self.gaussians.download(device)?,
+            moments,
+            statistics,
+            decoder,
+        };
+        checkpoint::save(path, &state, self.gaussians.model)
     }
 
     /// Goes on from what [`Geometry::save`] wrote.
@@ -419,6 +454,10 @@ impl Geometry {
         self.gaussians = Gaussians::with(&self.device, self.gaussians.model, capacity, true, enabled)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
+        if let (Some((_, decoder)), Some([parameters, moments])) = (&self.semantics, &state.decoder) {
+            decoder.upload(&self.device, parameters)?;
+            decoder.upload_moments(&self.device, moments)?;
+        }
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
         self.options.entry_capacity = self.options.entry_capacity.max(first);
         self.rebuild()?;
@@ -453,11 +492,13 @@ impl Geometry {
 }
 
 /// How many Gaussians memory allows: the budget less the photographs, and no binding beyond the device's range.
-fn most_gaussians(device: &Device, model: Model, settings: &Settings, data: &Packed) -> u32 {
+fn most_gaussians(device: &Device, model: Model, settings: &Settings, inputs: &InputSizes, largest: [u32; 2]) -> u32 {
     // Parameters and moments; per visible splat and per tile entry of the transients, at three entries a splat.
-    let a_gaussian = u64::from(model.width()) * 12 + 12 + 4 * u64::from(model.width().min(16)) + 3 * 100;
-    let pixels = u64::from(data.largest[0]) * u64::from(data.largest[1]);
-    let fixed = data.image_bytes() + data.normal_bytes().unwrap_or(0) + 160 * pixels;
+    let an_entry = 100 + if model.semantics { 160 } else { 0 };
+    let a_gaussian = u64::from(model.width()) * 12 + 12 + 4 * u64::from(model.width().min(16)) + 3 * an_entry;
+    let pixels = u64::from(largest[0]) * u64::from(largest[1]);
+    let semantics = inputs.semantics.map_or(0, |s| s.bytes() + 256 * pixels);
+    let fixed = inputs.targets + inputs.normals.unwrap_or(0) + semantics + 160 * pixels;
     let b = allowed(device, settings);
     // What nobody promised is not used up.
     let budget = if b.source == BudgetSource::Heap && b.budget == b.heap { b.heap / 10 * 9 } else { b.budget };

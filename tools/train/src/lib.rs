@@ -34,5 +34,5 @@ pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;
-pub use semantics::{SemanticData, SemanticView};
+pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, Rates, Settings};

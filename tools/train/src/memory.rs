@@ -8,8 +8,8 @@ use crate::settings::Settings;
 use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, Status, Step};
-use sgs_passes::scene::Layout;
+use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, Status, Step};
+use sgs_passes::scene::{Decoder, Layout};
 
 /// Bytes of device memory by what they are for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -18,6 +18,8 @@ pub struct Needs {
     pub photographs: u64,
     /// Normal priors.
     pub priors: u64,
+    /// Semantic priors, texts and the decoder.
+    pub semantics: u64,
     /// Parameters of the Gaussians, at first capacity.
     pub parameters: u64,
     /// Adam's moments.
@@ -40,16 +42,16 @@ impl Needs {
         device: &Device,
         tuning: &Tuning,
         layout: &Layout,
-        photographs: u64,
-        priors: Option<u64>,
+        inputs: &InputSizes,
         options: &GeometryOptions,
     ) -> Result<Needs> {
-        let plan = GeometryStep::plan(tuning, layout, photographs, priors, options)?;
+        let plan = GeometryStep::plan(tuning, layout, inputs, options)?;
         let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
         let uniform = (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16));
         Ok(Needs {
-            photographs,
-            priors: priors.unwrap_or(0),
+            photographs: inputs.targets,
+            priors: inputs.normals.unwrap_or(0),
+            semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
             parameters: layout.parameter_bytes(),
             moments: layout.moment_bytes(),
             statistics: layout.statistics_bytes(),
@@ -66,10 +68,11 @@ impl Needs {
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 9] {
+    pub fn parts(&self) -> [(&'static str, u64); 10] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
+            ("semantic priors", self.semantics),
             ("parameters", self.parameters),
             ("moments", self.moments),
             ("statistics", self.statistics),

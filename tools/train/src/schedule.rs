@@ -55,6 +55,7 @@ impl Schedule {
             lr_sh_rest: (factor * g.rates.sh_rest) as f32,
             lr_normals: (factor * g.rates.normals) as f32,
             lr_semantics: (factor * g.rates.semantics) as f32,
+            lr_decoder: (factor * g.rates.decoder) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_l1: g.losses.l1,
@@ -63,6 +64,9 @@ impl Schedule {
             weight_normal_smooth: g.losses.normal_smooth,
             weight_depth_smooth: g.losses.depth_smooth,
             weight_depth_variance: g.losses.depth_variance * spread,
+            weight_semantic: g.losses.semantic,
+            weight_semantic_class: g.losses.semantic_class,
+            inverse_temperature: 1.0 / g.temperature,
             gather_statistics: u32::from(self.last_densification() >= step),
             ..Step::default()
         }

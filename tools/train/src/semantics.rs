@@ -7,8 +7,8 @@ use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::loss::{count_targets, normalize_embeddings, semantic_targets};
-use sgs_passes::pipeline::SemanticTarget;
-use sgs_passes::scene::EMBEDDING;
+use sgs_passes::pipeline::{SemanticInputs, SemanticSizes, SemanticTarget, Step};
+use sgs_passes::scene::{Decoder, EMBEDDING};
 use sgs_scene::{FeatureMap, Scene, TextEmbeddings};
 use std::sync::Arc;
 
@@ -23,6 +23,16 @@ pub struct SemanticView {
     pub valid: u32,
     /// Samples that have a class.
     pub labeled: u32,
+}
+
+/// What the semantic priors of the training views are, before any of them is on the device.
+pub struct SemanticMaps {
+    /// Names of the classes, and their texts as stored.
+    pub text: TextEmbeddings,
+    /// By training view, in the order of the split; what their maps say is not known yet.
+    views: Vec<SemanticView>,
+    samples: u64,
+    largest: u32,
 }
 
 /// What semantic losses compare with.
@@ -41,12 +51,12 @@ pub struct SemanticData {
     pub views: Vec<SemanticView>,
 }
 
-impl SemanticData {
-    /// Loads the maps of the training views; none without text embeddings or without any map. Maps may differ in size.
+impl SemanticMaps {
+    /// Looks at the maps of the training views; none without text embeddings or without any map. Maps may differ in size.
     ///
     /// # Errors
-    /// If a file cannot be used, a width is not 512, or memory runs out.
-    pub fn load(device: &Device, scene: &Scene) -> Result<Option<SemanticData>> {
+    /// If a file cannot be used, a width is not 512, or there are too many samples.
+    pub fn read(scene: &Scene) -> Result<Option<SemanticMaps>> {
         let Some(text) = scene.text_embeddings()? else { return Ok(None) };
         if text.channels != EMBEDDING {
             return Err(TrainError::Setting(format!(
@@ -57,12 +67,14 @@ impl SemanticData {
         }
         let mut views = Vec::new();
         let mut samples = 0_u64;
-        // Sizes first, so that only one map is in the host's memory at a time.
+        let mut largest = 0;
+        // One map at a time is in the host's memory.
         for &i in &scene.split.train {
             let map = scene.semantic_prior(i)?;
             let size = map.map_or([0, 0], |m| [m.width as u32, m.height as u32]);
             views.push(SemanticView { size, offset: samples as u32, ..Default::default() });
             samples += u64::from(size[0]) * u64::from(size[1]);
+            largest = largest.max(size[0] * size[1]);
         }
         if samples == 0 {
             return Ok(None);
@@ -73,6 +85,20 @@ impl SemanticData {
                 "The semantic maps hold {samples} cells, more than the 16777215 that one buffer can; make them smaller."
             )));
         }
+        Ok(Some(SemanticMaps { text, views, samples, largest }))
+    }
+
+    /// What they will take.
+    pub fn sizes(&self) -> SemanticSizes {
+        SemanticSizes { samples: self.samples, largest: self.largest, classes: self.text.labels.len() as u32 }
+    }
+
+    /// Puts them into device memory and works out what they say.
+    ///
+    /// # Errors
+    /// If a file cannot be read any more, or memory runs out.
+    pub fn upload(self, device: &Device, scene: &Scene) -> Result<SemanticData> {
+        let SemanticMaps { text, mut views, samples, largest } = self;
         let row = 2 * EMBEDDING as u64;
         let features = device.buffer("semantic_features", samples * row, Location::Device)?;
         for (&i, view) in scene.split.train.iter().zip(&views) {
@@ -87,19 +113,48 @@ impl SemanticData {
         let targets = device.buffer("semantic_targets", bytes, Location::Device)?;
         work_out(device, &features, &embeddings, text.labels.len() as u32, samples as u32, &targets)?;
         let said: Vec<SemanticTarget> = device.download_as(&targets, samples as usize)?;
-        let mut largest = 0;
         for view in &mut views {
             let count = view.size[0] * view.size[1];
-            largest = largest.max(count);
             let first = view.offset as usize;
             [view.valid, view.labeled] = count_targets(&said[first..first + count as usize]);
         }
-        Ok(Some(SemanticData { features, targets, embeddings, text, largest, views }))
+        Ok(SemanticData { features, targets, embeddings, text, largest, views })
+    }
+}
+
+impl SemanticData {
+    /// Loads the maps of the training views; none without text embeddings or without any map.
+    ///
+    /// # Errors
+    /// If a file cannot be used, a width is not 512, or memory runs out.
+    pub fn load(device: &Device, scene: &Scene) -> Result<Option<SemanticData>> {
+        SemanticMaps::read(scene)?.map(|maps| maps.upload(device, scene)).transpose()
+    }
+
+    /// What a step is bound to.
+    pub fn inputs<'a>(&'a self, decoder: &'a Decoder) -> SemanticInputs<'a> {
+        SemanticInputs {
+            decoder,
+            features: &self.features,
+            targets: &self.targets,
+            embeddings: &self.embeddings,
+            largest: self.largest,
+        }
     }
 
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
         self.features.bytes() + self.targets.bytes() + self.embeddings.bytes()
+    }
+}
+
+impl SemanticView {
+    /// Writes the view's map into the values of a step.
+    pub fn fill(&self, step: &mut Step) {
+        step.semantic_size = self.size;
+        step.semantic_offset = self.offset;
+        step.semantic_valid = self.valid;
+        step.semantic_labeled = self.labeled;
     }
 }
 

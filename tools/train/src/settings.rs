@@ -66,6 +66,12 @@ pub struct GeometrySettings {
     pub background: [f32; 3],
     /// Whether priors of normals are used where there are any.
     pub normals: bool,
+    /// Whether semantic priors are used where there are any.
+    pub semantics: bool,
+    /// Whether what is asked of semantic features also moves opacities, positions and shapes.
+    pub semantic_geometry: bool,
+    /// The classes' softmax divides its logits, which are cosines, by this.
+    pub temperature: f32,
     /// Learning rates.
     pub rates: Rates,
     /// Whether Adam also moves Gaussians that a step did not see, by their moments, as 3DGS does. It costs time, and
@@ -91,6 +97,9 @@ impl Default for GeometrySettings {
             sh_interval: 0,
             background: [0.0; 3],
             normals: true,
+            semantics: true,
+            semantic_geometry: true,
+            temperature: 1.0,
             rates: Rates::default(),
             dense_adam: false,
             losses: LossWeights::default(),
@@ -138,6 +147,8 @@ pub struct Rates {
     pub normals: f64,
     /// Of semantic features.
     pub semantics: f64,
+    /// Of the decoder from features to the wide vectors of a network.
+    pub decoder: f64,
 }
 
 impl Default for Rates {
@@ -153,6 +164,7 @@ impl Default for Rates {
             sh_rest: 1.25e-4,
             normals: 0.01,
             semantics: 1e-3,
+            decoder: 1e-4,
         }
     }
 }
@@ -173,11 +185,27 @@ pub struct LossWeights {
     pub depth_smooth: f32,
     /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps, a hundredfold at most.
     pub depth_variance: f32,
+    /// One minus the cosine of decoded features to the semantic prior.
+    pub semantic: f32,
+    /// Cross-entropy of their class to that of the prior.
+    pub semantic_class: f32,
+    /// Difference of a region's features and classes between views.
+    pub correspondence: f32,
 }
 
 impl Default for LossWeights {
     fn default() -> Self {
-        LossWeights { l1: 0.8, dssim: 0.2, normal: 0.05, normal_smooth: 0.01, depth_smooth: 0.01, depth_variance: 0.02 }
+        LossWeights {
+            l1: 0.8,
+            dssim: 0.2,
+            normal: 0.05,
+            normal_smooth: 0.01,
+            depth_smooth: 0.01,
+            depth_variance: 0.02,
+            semantic: 1.0,
+            semantic_class: 1.0,
+            correspondence: 0.3,
+        }
     }
 }
 
@@ -311,12 +339,16 @@ impl Settings {
             ("rates.sh_rest", r.sh_rest),
             ("rates.normals", r.normals),
             ("rates.semantics", r.semantics),
+            ("rates.decoder", r.decoder),
             ("losses.l1", f64::from(l.l1)),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
             ("losses.depth_smooth", f64::from(l.depth_smooth)),
             ("losses.depth_variance", f64::from(l.depth_variance)),
+            ("losses.semantic", f64::from(l.semantic)),
+            ("losses.semantic_class", f64::from(l.semantic_class)),
+            ("losses.correspondence", f64::from(l.correspondence)),
             ("densify.grad_threshold", f64::from(d.grad_threshold)),
             ("densify.split_size", d.split_size),
             ("densify.prune_opacity", f64::from(d.prune_opacity)),
@@ -326,6 +358,9 @@ impl Settings {
             if !(value >= 0.0 && value.is_finite()) {
                 return fail(format!("geometry.{name} is {value}, but must be a finite number of at least 0."));
             }
+        }
+        if !(g.temperature > 0.0 && g.temperature.is_finite()) {
+            return fail(format!("geometry.temperature is {}, but must be a finite number above 0.", g.temperature));
         }
         if !(0.0..=1.0).contains(&d.until) {
             return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", d.until));

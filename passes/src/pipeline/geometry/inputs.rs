@@ -1,0 +1,136 @@
+//! What a geometry step reads beside the Gaussians, and what that takes.
+
+use crate::loss::{Head, SemanticTargets};
+use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
+use sgs_engine::graph::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_engine::{DeviceBuffer, Result};
+use sgs_shaders::structs::SemanticTarget;
+
+/// Device memory that a step is bound to.
+#[derive(Clone, Copy, Debug)]
+pub struct Inputs<'a> {
+    /// The photographs, packed.
+    pub targets: &'a DeviceBuffer,
+    /// Priors of the normals, packed likewise.
+    pub normals: Option<&'a DeviceBuffer>,
+    /// What features should mean; the Gaussians must have some.
+    pub semantics: Option<SemanticInputs<'a>>,
+}
+
+/// What the semantic loss is bound to.
+#[derive(Clone, Copy, Debug)]
+pub struct SemanticInputs<'a> {
+    /// Learned beside the Gaussians.
+    pub decoder: &'a Decoder,
+    /// `[samples * 512]` halves, all views' maps one behind the other.
+    pub features: &'a DeviceBuffer,
+    /// `[samples]` of `SemanticTarget`.
+    pub targets: &'a DeviceBuffer,
+    /// `[classes * 512]` floats, rows of length one.
+    pub embeddings: &'a DeviceBuffer,
+    /// Samples of the largest map.
+    pub largest: u32,
+}
+
+/// The sizes of [`Inputs`], for a plan without them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputSizes {
+    /// Bytes of the photographs.
+    pub targets: u64,
+    /// Bytes of the normals.
+    pub normals: Option<u64>,
+    /// The semantic targets.
+    pub semantics: Option<SemanticSizes>,
+}
+
+/// The sizes of [`SemanticInputs`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SemanticSizes {
+    /// Samples of all maps.
+    pub samples: u64,
+    /// Samples of the largest map.
+    pub largest: u32,
+    /// Classes.
+    pub classes: u32,
+}
+
+/// Bytes of a sample's target features.
+const ROW: u64 = 2 * EMBEDDING as u64;
+
+impl SemanticSizes {
+    /// Bytes of everything but the decoder.
+    pub fn bytes(&self) -> u64 {
+        self.samples * (ROW + size_of::<SemanticTarget>() as u64) + self.text_bytes()
+    }
+
+    fn text_bytes(&self) -> u64 {
+        u64::from(self.classes) * 4 * EMBEDDING as u64
+    }
+}
+
+impl Inputs<'_> {
+    /// What they take.
+    pub fn sizes(&self) -> InputSizes {
+        InputSizes {
+            targets: self.targets.bytes(),
+            normals: self.normals.map(DeviceBuffer::bytes),
+            semantics: self.semantics.map(|s| SemanticSizes {
+                samples: s.features.bytes() / ROW,
+                largest: s.largest,
+                classes: (s.embeddings.bytes() / (4 * EMBEDDING as u64)) as u32,
+            }),
+        }
+    }
+}
+
+/// Their handles in a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct InputHandles {
+    pub targets: Buffer,
+    pub normals: Option<Buffer>,
+    pub semantics: Option<SemanticHandles>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SemanticHandles {
+    pub decoder: DecoderHandles,
+    pub targets: SemanticTargets,
+    pub head: Head,
+}
+
+impl InputHandles {
+    pub fn declare(g: &mut Graph, sizes: &InputSizes) -> InputHandles {
+        InputHandles {
+            targets: g.input("targets", sizes.targets),
+            normals: sizes.normals.map(|bytes| g.input("normal_priors", bytes)),
+            semantics: sizes.semantics.map(|s| {
+                let decoder = Decoder::handles(g, true);
+                let embeddings = g.input("text_embeddings", s.text_bytes());
+                SemanticHandles {
+                    decoder,
+                    targets: SemanticTargets {
+                        features: g.input("semantic_features", s.samples * ROW),
+                        targets: g.input("semantic_targets", s.samples * size_of::<SemanticTarget>() as u64),
+                        largest: s.largest,
+                    },
+                    head: Head { decoder: decoder.parameters, embeddings, classes: s.classes },
+                }
+            }),
+        }
+    }
+
+    pub fn bind(&self, exec: &mut Executor, inputs: &Inputs<'_>) -> Result<()> {
+        exec.bind(self.targets, inputs.targets)?;
+        if let (Some(handle), Some(memory)) = (self.normals, inputs.normals) {
+            exec.bind(handle, memory)?;
+        }
+        if let (Some(handles), Some(memory)) = (&self.semantics, &inputs.semantics) {
+            memory.decoder.bind(exec, &handles.decoder)?;
+            exec.bind(handles.targets.features, memory.features)?;
+            exec.bind(handles.targets.targets, memory.targets)?;
+            exec.bind(handles.head.embeddings, memory.embeddings)?;
+        }
+        Ok(())
+    }
+}
