@@ -1,14 +1,25 @@
 // Sums over the lanes of a subgroup of many values at once, in a fixed order: afterwards lane j holds the sum of value j.
 //
 // Halving: at each distance half of the values change hands, so S values cost S - 1 shuffles, not S log2 S. Needs a
-// constant SUBGROUP, a power of two. `values` has SUBGROUP elements and is used up.
+// constant SUBGROUP, a power of two up to 128. `values` has SUBGROUP elements and is used up.
+//
+// The distances are written out one by one: a loop that halves its counter is not unrolled by every compiler, and an array
+// that is indexed in a loop lies in memory.
 
-#define LANE_SUMS(values)                                                                                      \
-    [[unroll]] for (uint reach_ = SUBGROUP / 2u; reach_ > 0u; reach_ /= 2u) {                                  \
-        bool upper_ = (gl_SubgroupInvocationID & reach_) != 0u;                                                \
-        [[unroll]] for (uint j_ = 0u; j_ < reach_; ++j_) {                                                     \
-            float given_ = upper_ ? values[j_] : values[j_ + reach_];                                          \
-            float kept_ = upper_ ? values[j_ + reach_] : values[j_];                                           \
-            values[j_] = kept_ + subgroupShuffleXor(given_, reach_);                                           \
+#define LANE_HALVE(values, reach)                                                                              \
+    if (SUBGROUP > reach) {                                                                                    \
+        bool upper_ = (gl_SubgroupInvocationID & reach) != 0u;                                                 \
+        [[unroll]] for (uint j_ = 0u; j_ < reach; ++j_) {                                                      \
+            float low_ = values[j_], high_ = values[(j_ + reach) % SUBGROUP];                                  \
+            values[j_] = (upper_ ? high_ : low_) + subgroupShuffleXor(upper_ ? low_ : high_, reach);           \
         }                                                                                                      \
     }
+
+#define LANE_SUMS(values)                                                                                      \
+    LANE_HALVE(values, 64u)                                                                                    \
+    LANE_HALVE(values, 32u)                                                                                    \
+    LANE_HALVE(values, 16u)                                                                                    \
+    LANE_HALVE(values, 8u)                                                                                     \
+    LANE_HALVE(values, 4u)                                                                                     \
+    LANE_HALVE(values, 2u)                                                                                     \
+    LANE_HALVE(values, 1u)
