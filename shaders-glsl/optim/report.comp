@@ -6,13 +6,14 @@
 #include "loss_stats.glsl"
 
 layout(constant_id = 0) const uint RING = 64;
+layout(constant_id = 1) const uint PSEUDO = 0; // other views of the step, whose entries share the room
 layout(local_size_x = 1) in;
 
 struct StepReport {
     uint step;
     uint gaussians;
     uint visible;
-    uint entries;  // wanted; more than the capacity if `flags` is set
+    uint entries;  // wanted, by the view that wants most; more than the capacity if `flags` is set
     uint flags;
     uint skipped;  // splats whose gradients were not finite, so far
     LossStats losses;
@@ -22,12 +23,17 @@ layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
 IN(Work, visible);
 IN(uint, wanted);
+IN(uint, wanted0);
+IN(uint, wanted1);
 IN(uint, flags);
 IN(uint, skipped);
 IN(LossStats, losses);
 OUT(StepReport, reports);
 
 void main() {
-    reports[params.step.step % RING] = StepReport(params.step.step, gaussians[0].count, visible[0].count, wanted[0],
-                                                  flags[0], skipped[0], losses[0]);
+    uint entries = wanted[0];
+    if (PSEUDO >= 1u) entries = max(entries, wanted0[0]);
+    if (PSEUDO >= 2u) entries = max(entries, wanted1[0]);
+    reports[params.step.step % RING] =
+        StepReport(params.step.step, gaussians[0].count, visible[0].count, entries, flags[0], skipped[0], losses[0]);
 }

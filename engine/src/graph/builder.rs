@@ -18,6 +18,8 @@ use crate::shader::{Access, BindingKind, Shader};
 #[derive(Clone, Debug)]
 pub struct Graph {
     pub(super) name: String,
+    /// What names of transients and passes begin with.
+    prefix: String,
     pub(super) buffers: Vec<BufferInfo>,
     pub(super) passes: Vec<Pass>,
     /// By buffer: which bytes of a transient, or of an image that arrives undefined, some pass writes. Absent for
@@ -42,6 +44,7 @@ impl Graph {
     pub fn new(name: impl Into<String>) -> Self {
         Graph {
             name: name.into(),
+            prefix: String::new(),
             buffers: Vec::new(),
             passes: Vec::new(),
             written: Vec::new(),
@@ -71,7 +74,7 @@ impl Graph {
 
     /// A buffer that exists within a replay only. What it holds at first is undefined.
     pub fn transient(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
-        self.declare(name.into(), bytes, BufferKind::Transient, false)
+        self.declare(self.prefixed(name), bytes, BufferKind::Transient, false)
     }
 
     /// Two buffers that change places: what one replay writes to `current` the next one reads as `previous`, without a
@@ -145,16 +148,26 @@ impl Graph {
         }
     }
 
+    /// Puts `prefix` before the names of the transients and passes that are declared from now on, so that a stage that
+    /// appears several times can be told apart. Empty for none.
+    pub fn set_prefix(&mut self, prefix: impl Into<String>) {
+        self.prefix = prefix.into();
+    }
+
+    fn prefixed(&self, name: impl Into<String>) -> String {
+        if self.prefix.is_empty() { name.into() } else { format!("{}{}", self.prefix, name.into()) }
+    }
+
     /// Begins a pass that runs a kernel. It is declared when [`PassBuilder::dispatch`] has returned without an error.
     pub fn pass(&mut self, name: impl Into<String>, shader: &Arc<Shader>) -> PassBuilder<'_> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         PassBuilder::new(self, name, Arc::clone(shader))
     }
 
     /// Declares a pass that writes `value` over a range.
     pub fn fill(&mut self, name: impl Into<String>, target: impl Into<Slice>, value: u32) -> Result<(), GraphError> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         let target = self.resolve(&name, target.into())?;
         self.check_write(&name, target.buffer, "fill")?;
@@ -178,7 +191,7 @@ impl Graph {
         source: impl Into<Slice>,
         target: impl Into<Slice>,
     ) -> Result<(), GraphError> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         let source = self.resolve(&name, source.into())?;
         let target = self.resolve(&name, target.into())?;

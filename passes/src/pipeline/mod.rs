@@ -11,7 +11,9 @@ mod status;
 mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
-pub use geometry::{GeometryOptions, GeometryStep, InputSizes, Inputs, SemanticInputs, SemanticSizes};
+pub use geometry::{
+    GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, PSEUDO_VIEWS, SemanticInputs, SemanticSizes,
+};
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
 pub use status::{RING, Status};

@@ -1,87 +1,146 @@
 //! The graph of a step. The order of declarations is the order of what depends on what: everything reads parameters
 //! before anything moves them.
 
-use super::GeometryOptions;
 use super::inputs::{InputHandles, SemanticHandles};
+use super::pseudo::{self, Pseudo};
+use super::{GeometryOptions, PSEUDO_VIEWS};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{
-    GeometryLoss, Photometric, SemanticLoss, SemanticSums, decoder_gradient, geometry_loss, loss_sum, photometric,
-    photometric_bwd, photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
+    GeometryLoss, Photometric, SemanticLoss, decoder_gradient, geometry_loss, loss_sum, photometric, photometric_bwd,
+    photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
 };
-use crate::optim::{AdamUnseen, Rate, adam_unseen};
+use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen};
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
-use crate::scene::{AUGMENTED, EMBEDDING, Group, Handles, decoder_step};
+use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step};
 use crate::splat::{
-    Blended, Entries, EntryFeatures, FeatureAdam, FusedAdam, PixelGradients, Screen, Visible, blend, blend_bwd,
-    blend_debt, blend_features, blend_features_bwd, features_bwd_adam, intersect, project, project_bwd_adam,
-    wanted_words,
+    Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen, Visible,
+    blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, intersect,
+    project, project_bwd_adam, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
 
-type Built<T> = std::result::Result<T, GraphError>;
+pub(super) type Built<T> = std::result::Result<T, GraphError>;
+
+/// Bytes of a pixel of a picture of features.
+pub(super) const FEATURE_BYTES: u64 = 4 * FEATURES as u64;
 
 /// A view on its way through a step.
-struct Rendering {
-    screen: Screen,
-    visible: Visible,
-    entries: Entries,
-    blended: Blended,
+pub(super) struct Rendering {
+    pub screen: Screen,
+    pub visible: Visible,
+    pub entries: Entries,
+    pub blended: Blended,
+    pub channels: Channels,
 }
 
-pub(super) fn build(
+/// Projects, sorts and blends a view.
+pub(super) fn render(
     g: &mut Graph,
     t: &Tuning,
     step: Buffer,
     gaussians: &Handles,
     status: &StatusHandles,
-    inputs: &InputHandles,
+    channels: Channels,
     o: &GeometryOptions,
-) -> Built<()> {
+) -> Built<Rendering> {
     let screen = Screen { step, largest: o.largest, tile: t.tile };
-    let visible = project(g, t, &screen, gaussians, o.channels)?;
+    let visible = project(g, t, &screen, gaussians, channels)?;
     let entries = intersect(g, t, &screen, &visible, o.entry_capacity, status.flags)?;
     let blended = Blended {
-        image: g.transient("image", 4 * u64::from(o.channels.count()) * screen.pixels()),
+        image: g.transient("image", 4 * u64::from(channels.count()) * screen.pixels()),
         transmittance: g.transient("transmittance", 4 * screen.pixels()),
     };
     blend(g, t, &screen, &visible, &entries, &blended)?;
-    let view = Rendering { screen, visible, entries, blended };
+    Ok(Rendering { screen, visible, entries, blended, channels })
+}
+
+/// The uniforms of a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Steps {
+    /// The training view's.
+    pub step: Buffer,
+    /// The pseudo-views', if there are any.
+    pub pseudo: Option<[Buffer; PSEUDO_VIEWS]>,
+}
+
+pub(super) fn build(
+    g: &mut Graph,
+    t: &Tuning,
+    steps: &Steps,
+    gaussians: &Handles,
+    status: &StatusHandles,
+    inputs: &InputHandles,
+    o: &GeometryOptions,
+) -> Built<()> {
+    let step = steps.step;
+    let view = render(g, t, step, gaussians, status, o.channels, o)?;
+    let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
     let gradient = appearance(g, t, &view, inputs, o, stats)?;
     let meaning = match &inputs.semantics {
-        Some(s) => Some(meaning(g, t, &view, gaussians, status, s, stats)?),
+        Some(s) => Some(meaning(g, t, steps, &view, gaussians, status, inputs, s, stats, o)?),
         None => None,
     };
     let mut entry_gradients =
         blend_bwd(g, t, &screen, &view.visible, &view.entries, &gradient, o.backward, o.statistics)?;
-    entry_gradients.features = meaning.filter(|_| o.semantic_geometry);
-    let seen = o.dense_adam.then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
+    entry_gradients.features = meaning.as_ref().map(|m| m.entries).filter(|_| o.semantic_geometry);
+    let extra = meaning.as_ref().and_then(|m| m.pseudo.as_ref()).and_then(|p| p.extra);
+    let seen = (o.dense_adam || extra.is_some()).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;
     }
-    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen, extra: None };
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen, extra };
     project_bwd_adam(g, t, &screen, gaussians, &view.visible, &entry_gradients, &adam)?;
-    if let (Some(features), Some(moments)) = (meaning, gaussians.moments) {
-        let adam = FeatureAdam { step, flags: status.flags, moments: moments[Group::Semantics as usize], seen };
-        features_bwd_adam(g, t, gaussians, &view.visible, &features, &adam)?;
+    if let (Some(meaning), Some(moments)) = (&meaning, gaussians.moments) {
+        let moments = moments[Group::Semantics as usize];
+        match &meaning.pseudo {
+            None => {
+                let seen = seen.filter(|_| o.dense_adam);
+                let adam = FeatureAdam { step, flags: status.flags, moments, seen };
+                features_bwd_adam(g, t, gaussians, &view.visible, &meaning.entries, &adam)?;
+            }
+            Some(pseudo) => {
+                features_bwd(g, t, &view.visible, &meaning.entries, pseudo.grad_features)?;
+                let all = Adam {
+                    step,
+                    live: gaussians.work,
+                    flags: status.flags,
+                    flag_words: 1,
+                    width: Group::Semantics.width(),
+                    capacity: u64::from(gaussians.capacity),
+                    rate: Rate::Semantics,
+                    skip_zero: !o.dense_adam,
+                    epsilon: EPSILON,
+                    gradients: pseudo.grad_features,
+                    parameters: gaussians.group(Group::Semantics),
+                    moments,
+                    skipped: status.skipped,
+                };
+                adam_pass(g, *t, "adam.semantics", &all)?;
+            }
+        }
     }
     if let Some(seen) = seen {
-        unseen(g, t, step, gaussians, status, seen)?;
+        let features_done = meaning.as_ref().is_some_and(|m| m.pseudo.is_some());
+        unseen(g, t, step, gaussians, status, seen, extra, o.dense_adam, features_done)?;
     }
+    let wanted = meaning.and_then(|m| m.pseudo).map(|p| p.wanted);
     let bindings = report::Bindings {
         params: step.into(),
         gaussians: gaussians.work.into(),
         visible: view.visible.work.slice,
         wanted: view.entries.wanted.into(),
+        wanted0: wanted.map_or(view.entries.wanted, |w| w[0]).into(),
+        wanted1: wanted.map_or(view.entries.wanted, |w| w[1]).into(),
         flags: status.flags.into(),
         skipped: status.skipped.into(),
         losses: stats.into(),
         reports: status.reports.into(),
     };
-    let specs = report::Specs { ring: RING };
+    let specs = report::Specs { ring: RING, pseudo: if wanted.is_some() { PSEUDO_VIEWS as u32 } else { 0 } };
     stage(g, "report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
 }
 
@@ -123,31 +182,61 @@ fn appearance(
     blend_debt(g, t, screen, channels, &view.blended, &gradient)
 }
 
+/// What the losses of features leave.
+struct Meaning {
+    /// At the training view's entries.
+    entries: EntryFeatures,
+    /// From the pseudo-views.
+    pseudo: Option<Pseudo>,
+}
+
 /// The losses of what features mean, and the decoder's step.
 fn meaning(
     g: &mut Graph,
     t: &Tuning,
+    steps: &Steps,
     view: &Rendering,
     gaussians: &Handles,
     status: &StatusHandles,
+    inputs: &InputHandles,
     s: &SemanticHandles,
     stats: Buffer,
-) -> Built<EntryFeatures> {
+    o: &GeometryOptions,
+) -> Built<Meaning> {
     let (screen, step) = (&view.screen, view.screen.step);
-    let width = Group::Semantics.width();
+    let region = match steps.pseudo {
+        Some(pseudo) => pseudo::Region::of(g, t, view, inputs, o, pseudo)?,
+        None => None,
+    };
     let wanted = g.transient("wanted", 4 * wanted_words(screen.pixels()));
-    wanted_samples(g, *t, screen, None, s.targets.targets, wanted)?;
-    let image = g.transient("feature_image", 4 * u64::from(width) * screen.pixels());
+    let mask = region.as_ref().map(|r| r.mask);
+    wanted_samples(g, *t, screen, mask, s.targets.targets, wanted)?;
+    let image = g.transient("feature_image", FEATURE_BYTES * screen.pixels());
     blend_features(g, t, screen, gaussians, &view.visible, &view.entries, wanted, image)?;
     let prepared = semantic_prepare(g, *t, &s.head)?;
-    let gradient = g.transient("grad_feature_image", 4 * u64::from(width) * screen.pixels());
-    let loss = SemanticLoss { step, image, channels: width, first: 0, largest: screen.largest, targets: s.targets };
-    let sums: SemanticSums = semantic_loss(g, *t, &loss, &s.head, &prepared, gradient)?;
-    semantic_sum(g, *t, step, Some(&sums), None, stats)?;
+    let gradient = g.transient("grad_feature_image", FEATURE_BYTES * screen.pixels());
+    let channels = Group::Semantics.width();
+    let loss = SemanticLoss { step, image, channels, first: 0, largest: screen.largest, targets: s.targets };
+    let sums = semantic_loss(g, *t, &loss, &s.head, &prepared, gradient)?;
+    let mut left = None;
+    if let Some(region) = region {
+        let head = (&s.head, &prepared);
+        let (views, losses) = region.compare(g, t, view, gaussians, status, head, (image, gradient), o)?;
+        semantic_sum(g, *t, step, Some(&sums), Some((&losses.0, &losses.1)), stats)?;
+        left = Some(views);
+    } else {
+        semantic_sum(g, *t, step, Some(&sums), None, stats)?;
+    }
     let grad_decoder = g.transient("grad_decoder", 4 * (EMBEDDING * AUGMENTED) as u64);
     decoder_gradient(g, *t, &s.head, &prepared, Some(&sums), grad_decoder)?;
     decoder_step(g, *t, step, &s.decoder, grad_decoder, status.flags, status.skipped)?;
-    blend_features_bwd(g, t, screen, gaussians, &view.visible, &view.entries, wanted, image, gradient)
+    let pseudo = match left {
+        Some(views) => Some(views.gather(g, t, gaussians, o)?),
+        None => None,
+    };
+    let (visible, entries) = (&view.visible, &view.entries);
+    let entries = blend_features_bwd(g, t, screen, gaussians, visible, entries, wanted, image, gradient)?;
+    Ok(Meaning { entries, pseudo })
 }
 
 /// The learning rate that a group follows.
@@ -164,7 +253,7 @@ fn rate(group: Group) -> Rate {
     }
 }
 
-/// Dense Adam for what the view did not see.
+/// Adam for what the view did not see: where pseudo-views left something, and everywhere if it is dense.
 fn unseen(
     g: &mut Graph,
     t: &Tuning,
@@ -172,9 +261,16 @@ fn unseen(
     gaussians: &Handles,
     status: &StatusHandles,
     seen: Buffer,
+    extra: Option<ExtraGradients>,
+    dense: bool,
+    features_done: bool,
 ) -> Built<()> {
     let Some(moments) = gaussians.moments else { return Ok(()) };
     for group in gaussians.model.groups() {
+        let gradients = extra.and_then(|e| e.of(group));
+        if (!dense && gradients.is_none()) || (features_done && group == Group::Semantics) {
+            continue;
+        }
         let rest = AdamUnseen {
             step,
             live: gaussians.work,
@@ -184,8 +280,8 @@ fn unseen(
             rate: rate(group),
             parameters: gaussians.group(group),
             moments: moments[group as usize],
-            gradients: None,
-            sparse: false,
+            gradients,
+            sparse: !dense,
             skipped: status.skipped,
         };
         adam_unseen(g, t, &format!("adam_unseen.{}", group.name()), &rest)?;

@@ -16,6 +16,9 @@ pub struct Inputs<'a> {
     pub normals: Option<&'a DeviceBuffer>,
     /// What features should mean; the Gaussians must have some.
     pub semantics: Option<SemanticInputs<'a>>,
+    /// For pseudo-views: ids of regions of the training views ([`crate::loss::pack_regions`]), or masks of all views of a
+    /// step, as [`GeometryOptions::pseudo`](super::GeometryOptions::pseudo) says.
+    pub regions: Option<&'a DeviceBuffer>,
 }
 
 /// What the semantic loss is bound to.
@@ -42,6 +45,8 @@ pub struct InputSizes {
     pub normals: Option<u64>,
     /// The semantic targets.
     pub semantics: Option<SemanticSizes>,
+    /// Bytes of the regions.
+    pub regions: Option<u64>,
 }
 
 /// The sizes of [`SemanticInputs`].
@@ -80,6 +85,7 @@ impl Inputs<'_> {
                 largest: s.largest,
                 classes: (s.embeddings.bytes() / (4 * EMBEDDING as u64)) as u32,
             }),
+            regions: self.regions.map(DeviceBuffer::bytes),
         }
     }
 }
@@ -90,6 +96,7 @@ pub(super) struct InputHandles {
     pub targets: Buffer,
     pub normals: Option<Buffer>,
     pub semantics: Option<SemanticHandles>,
+    pub regions: Option<Buffer>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -117,12 +124,16 @@ impl InputHandles {
                     head: Head { decoder: decoder.parameters, embeddings, classes: s.classes },
                 }
             }),
+            regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
         }
     }
 
     pub fn bind(&self, exec: &mut Executor, inputs: &Inputs<'_>) -> Result<()> {
         exec.bind(self.targets, inputs.targets)?;
         if let (Some(handle), Some(memory)) = (self.normals, inputs.normals) {
+            exec.bind(handle, memory)?;
+        }
+        if let (Some(handle), Some(memory)) = (self.regions, inputs.regions) {
             exec.bind(handle, memory)?;
         }
         if let (Some(handles), Some(memory)) = (&self.semantics, &inputs.semantics) {

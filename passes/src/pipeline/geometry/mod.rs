@@ -2,10 +2,11 @@
 
 mod build;
 mod inputs;
+mod pseudo;
 
 pub use inputs::{InputSizes, Inputs, SemanticInputs, SemanticSizes};
 
-use self::build::build;
+use self::build::{Steps, build};
 use self::inputs::InputHandles;
 use super::Step;
 use super::status::{Status, StatusHandles};
@@ -13,9 +14,21 @@ use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
 use crate::splat::{BackwardKernel, Channels};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
-use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
+use sgs_engine::graph::{CompileOptions, Graph, Plan};
 use sgs_engine::{Device, Result, Ticket};
 use std::sync::Arc;
+
+/// Pseudo-views of a step.
+pub const PSEUDO_VIEWS: usize = 2;
+
+/// Where a region is in the pictures of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Masks {
+    /// In the training view by the ids of its pixels, and carried from there to the pseudo-views by depth.
+    Carried,
+    /// As bits, for each view from its `mask_offset`.
+    Given,
+}
 
 /// What a geometry step is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +47,9 @@ pub struct GeometryOptions {
     pub backward: BackwardKernel,
     /// Whether what is asked of features also moves opacities, positions and shapes.
     pub semantic_geometry: bool,
+    /// Whether a region is compared with two pseudo-views, and what says where it is; needs semantics, and depth among
+    /// the channels if masks are carried.
+    pub pseudo: Option<Masks>,
     /// Timestamps around every pass.
     pub timestamps: bool,
     /// Replays in flight.
@@ -43,7 +59,7 @@ pub struct GeometryOptions {
 /// A geometry step, ready to be replayed.
 pub struct GeometryStep {
     exec: Executor,
-    step: Buffer,
+    steps: Steps,
     tile: [u32; 2],
     options: GeometryOptions,
 }
@@ -71,7 +87,7 @@ impl GeometryStep {
         gaussians.bind(&mut exec, &declared.gaussians)?;
         status.bind(&mut exec, &declared.status)?;
         declared.inputs.bind(&mut exec, inputs)?;
-        Ok(GeometryStep { exec, step: declared.step, tile: tuning.tile, options })
+        Ok(GeometryStep { exec, steps: declared.steps, tile: tuning.tile, options })
     }
 
     /// The plan of a step that does not exist yet, for what it would cost.
@@ -92,10 +108,31 @@ impl GeometryStep {
     /// # Errors
     /// If the device fails.
     pub fn submit(&mut self, step: &Step) -> Result<Ticket> {
-        let mut step = *step;
-        let size = step.camera.size;
-        step.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
-        self.exec.submit(&[(self.step, bytemuck::bytes_of(&step))])
+        // A step with pseudo-views that has none compares nothing: their weight is zero.
+        let none = Step { camera: step.camera, step: step.step, ..Step::default() };
+        self.submit_views(step, &[none; PSEUDO_VIEWS])
+    }
+
+    /// Replays the step with these values, and those of its pseudo-views if it has some.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn submit_views(&mut self, step: &Step, pseudo: &[Step; PSEUDO_VIEWS]) -> Result<Ticket> {
+        let tiled = |step: &Step| {
+            let mut step = *step;
+            let size = step.camera.size;
+            step.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
+            step
+        };
+        let (step, pseudo) = (tiled(step), pseudo.each_ref().map(tiled));
+        let first = (self.steps.step, bytemuck::bytes_of(&step));
+        match self.steps.pseudo {
+            None => self.exec.submit(&[first]),
+            Some([a, b]) => {
+                let [x, y] = pseudo.each_ref().map(bytemuck::bytes_of);
+                self.exec.submit(&[first, (a, x), (b, y)])
+            }
+        }
     }
 
     /// Waits for every replay in flight.
@@ -120,7 +157,7 @@ impl GeometryStep {
 /// A compiled step and what is bound to it.
 struct Declared {
     plan: Arc<Plan>,
-    step: Buffer,
+    steps: Steps,
     gaussians: Handles,
     status: StatusHandles,
     inputs: InputHandles,
@@ -128,11 +165,15 @@ struct Declared {
 
 fn declare(tuning: &Tuning, gaussians: &Layout, inputs: &InputSizes, options: &GeometryOptions) -> Result<Declared> {
     let mut g = Graph::new("geometry_step");
-    let step = g.uniform("step", size_of::<Step>() as u64);
+    let mut uniform = |name: &str| g.uniform(name, size_of::<Step>() as u64);
+    let steps = Steps {
+        step: uniform("step"),
+        pseudo: options.pseudo.map(|_| [uniform("pseudo0"), uniform("pseudo1")]),
+    };
     let gaussians = gaussians.declare(&mut g, true);
     let status = Status::declare(&mut g);
     let inputs = InputHandles::declare(&mut g, inputs);
-    build(&mut g, tuning, step, &gaussians, &status, &inputs, options)?;
+    build(&mut g, tuning, &steps, &gaussians, &status, &inputs, options)?;
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, step, gaussians, status, inputs })
+    Ok(Declared { plan, steps, gaussians, status, inputs })
 }

@@ -1,0 +1,154 @@
+//! The pseudo-views of a step: rendered like the training view, compared with it in one region, and taken back to the
+//! Gaussians together with it.
+//!
+//! They have features and depth alone: nothing is asked of their colors. A region that is empty in a picture costs its
+//! rendering and asks for nothing.
+
+use super::build::{Built, FEATURE_BYTES, Rendering, render};
+use super::inputs::InputHandles;
+use super::{GeometryOptions, Masks, PSEUDO_VIEWS};
+use crate::Tuning;
+use crate::loss::{
+    CarryOptions, Correspondence, Head, Pictured, Prepared, Regions, Seen, carry_mask, correspondence_bwd,
+    correspondence_train_bwd, region, region_mask, regions, wanted_samples,
+};
+use crate::pipeline::status::StatusHandles;
+use crate::scene::{Group, Handles};
+use crate::splat::{
+    Channels, EntryFeatures, ExtraGradients, blend_features, blend_features_bwd, features_bwd, project_bwd_features,
+    wanted_words,
+};
+use sgs_engine::graph::{Buffer, Graph};
+
+/// What names of a pseudo-view's passes begin with.
+const PREFIXES: [&str; PSEUDO_VIEWS] = ["pseudo0.", "pseudo1."];
+
+/// Where the step's region is in the training view.
+pub(super) struct Region {
+    /// A bit a pixel, from the step's `mask_offset`.
+    pub mask: Buffer,
+    masks: Masks,
+    steps: [Buffer; PSEUDO_VIEWS],
+}
+
+/// What pseudo-views leave for the optimizer.
+pub(super) struct Pseudo {
+    /// For places, shapes and opacities.
+    pub extra: Option<ExtraGradients>,
+    /// `[Gaussians * 32]`; the training view adds its own.
+    pub grad_features: Buffer,
+    /// How many entries each wanted.
+    pub wanted: [Buffer; PSEUDO_VIEWS],
+}
+
+/// A pseudo-view whose features have gradients.
+struct Compared {
+    view: Rendering,
+    wanted: Buffer,
+    image: Buffer,
+    gradient: Buffer,
+}
+
+/// All of them.
+pub(super) struct Views([Compared; PSEUDO_VIEWS]);
+
+impl Region {
+    /// None without anything that says where regions are.
+    pub fn of(
+        g: &mut Graph,
+        t: &Tuning,
+        view: &Rendering,
+        inputs: &InputHandles,
+        o: &GeometryOptions,
+        steps: [Buffer; PSEUDO_VIEWS],
+    ) -> Built<Option<Region>> {
+        let (Some(masks), Some(given)) = (o.pseudo, inputs.regions) else { return Ok(None) };
+        let mask = match masks {
+            Masks::Given => given,
+            Masks::Carried => {
+                let mask = g.transient("region_mask", 4 * wanted_words(view.screen.pixels()));
+                region_mask(g, *t, &view.screen, given, mask)?;
+                mask
+            }
+        };
+        Ok(Some(Region { mask, masks, steps }))
+    }
+
+    /// Renders the pseudo-views, compares the region in all pictures, and adds to the training view's gradient. `trained`:
+    /// its picture of features, and the gradient.
+    pub fn compare(
+        self,
+        g: &mut Graph,
+        t: &Tuning,
+        view: &Rendering,
+        gaussians: &Handles,
+        status: &StatusHandles,
+        (head, prepared): (&Head, &Prepared),
+        trained: (Buffer, Buffer),
+        o: &GeometryOptions,
+    ) -> Built<(Views, (Correspondence, Regions))> {
+        let seen = |v: &Rendering| Seen { screen: v.screen, blended: v.blended, channels: v.channels };
+        let pictured = |v: &Rendering, image: Buffer, mask: Buffer| Pictured {
+            step: v.screen.step,
+            image,
+            channels: Group::Semantics.width(),
+            first: 0,
+            largest: v.screen.largest,
+            mask,
+        };
+        let all = regions(g, PSEUDO_VIEWS as u32);
+        let training = pictured(view, trained.0, self.mask);
+        region(g, &training, head, prepared, &all, 0)?;
+        let channels = Channels { normals: false, depth: self.masks == Masks::Carried };
+        let mut one = |i: usize| -> Built<Compared> {
+            g.set_prefix(PREFIXES[i]);
+            let view_i = render(g, t, self.steps[i], gaussians, status, channels, o)?;
+            let pixels = view_i.screen.pixels();
+            let wanted = g.transient("wanted", 4 * wanted_words(pixels));
+            match self.masks {
+                Masks::Carried => {
+                    let options = CarryOptions::default();
+                    carry_mask(g, *t, "carry_mask", &seen(view), self.mask, &seen(&view_i), options, wanted)?;
+                }
+                // The pseudo-view has no samples: what is wanted is the region.
+                Masks::Given => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
+            }
+            let image = g.transient("feature_image", FEATURE_BYTES * pixels);
+            blend_features(g, t, &view_i.screen, gaussians, &view_i.visible, &view_i.entries, wanted, image)?;
+            let gradient = g.transient("grad_feature_image", FEATURE_BYTES * pixels);
+            Ok(Compared { view: view_i, wanted, image, gradient })
+        };
+        let views = Views([one(0)?, one(1)?]);
+        g.set_prefix("");
+        let mask = |c: &Compared| if self.masks == Masks::Carried { c.wanted } else { self.mask };
+        let pictures = views.0.each_ref().map(|c| (pictured(&c.view, c.image, mask(c)), c.gradient));
+        for (i, (picture, _)) in pictures.iter().enumerate() {
+            region(g, picture, head, prepared, &all, 1 + i as u32)?;
+        }
+        let losses = correspondence_bwd(g, *t, &pictures, head, prepared, &all)?;
+        correspondence_train_bwd(g, *t, &training, &all, trained.1)?;
+        Ok((views, (losses, all)))
+    }
+}
+
+impl Views {
+    /// Takes the gradients of the pseudo-views to the Gaussians.
+    pub fn gather(self, g: &mut Graph, t: &Tuning, gaussians: &Handles, o: &GeometryOptions) -> Built<Pseudo> {
+        let features = 4 * u64::from(Group::Semantics.width()) * u64::from(gaussians.capacity);
+        let grad_features = g.transient("grad_features", features);
+        g.fill("clear_grad_features", grad_features, 0)?;
+        let extra = if o.semantic_geometry { Some(ExtraGradients::cleared(g, gaussians.capacity)?) } else { None };
+        for (i, c) in self.0.iter().enumerate() {
+            g.set_prefix(PREFIXES[i]);
+            let (screen, visible, entries) = (&c.view.screen, &c.view.visible, &c.view.entries);
+            let entries: EntryFeatures =
+                blend_features_bwd(g, t, screen, gaussians, visible, entries, c.wanted, c.image, c.gradient)?;
+            features_bwd(g, t, visible, &entries, grad_features)?;
+            if let Some(extra) = &extra {
+                project_bwd_features(g, t, screen, gaussians, visible, &entries, extra)?;
+            }
+        }
+        g.set_prefix("");
+        Ok(Pseudo { extra, grad_features, wanted: self.0.each_ref().map(|c| c.view.entries.wanted) })
+    }
+}
