@@ -78,6 +78,7 @@ impl<'w> Trainer<'w> {
             dense_adam: false,
             backward,
             semantic_geometry: true,
+            pseudo: None,
             timestamps: false,
             frames_in_flight: IN_FLIGHT as usize,
         };

@@ -64,6 +64,8 @@ impl Workload {
             targets: &self.targets,
             normals: self.normals.as_ref(),
             semantics: self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder)),
+            regions: None,
+            pseudo_regions: None,
         }
     }
 }

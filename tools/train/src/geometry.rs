@@ -6,8 +6,10 @@
 
 use crate::checkpoint::{self, State};
 use crate::convert::{gaussian_data, splats};
+use crate::correspondence::Correspondence;
 use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
+use crate::head::SemanticHead;
 use crate::memory::{Needs, allowed};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
@@ -53,6 +55,8 @@ pub struct Geometry {
     data: TrainingData,
     /// What features should mean, and what gives them a meaning.
     semantics: Option<(SemanticData, Decoder)>,
+    /// What is compared between views.
+    correspondence: Option<Correspondence>,
     gaussians: Gaussians,
     status: Status,
     /// Absent only while it is rebuilt: the old one's memory goes before the new one's comes.
@@ -86,6 +90,7 @@ impl Geometry {
         if budget > 0 {
             device.set_memory_budget(Some(budget));
         }
+        let wants_views = g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let data = Packed::read(scene, wants_normals)?;
         let maps = if wants_semantics { SemanticMaps::read(scene)? } else { None };
@@ -93,6 +98,7 @@ impl Geometry {
             targets: data.image_bytes(),
             normals: data.normal_bytes(),
             semantics: maps.as_ref().map(SemanticMaps::sizes),
+            ..Default::default()
         };
         let model = Model { sh_degree: g.sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
         let initial;
@@ -109,6 +115,8 @@ impl Geometry {
         let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
         let tuning = Tuning::for_device(device.info());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
+        // Regions are carried to pseudo-views by depth.
+        let depth = depth || (wants_views && maps.is_some());
         let options = GeometryOptions {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
@@ -117,6 +125,7 @@ impl Geometry {
             dense_adam: g.dense_adam,
             backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
             semantic_geometry: g.semantic_geometry,
+            pseudo: None,
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
@@ -133,6 +142,10 @@ impl Geometry {
         let semantics = match maps {
             Some(maps) => Some((maps.upload(device, scene)?, Decoder::new(device, settings.seed as u32, true)?)),
             None => None,
+        };
+        let correspondence = match &semantics {
+            Some((data, _)) if wants_views => Correspondence::load(device, scene, data, &g.pseudo)?,
+            _ => None,
         };
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
@@ -151,6 +164,7 @@ impl Geometry {
             schedule,
             data,
             semantics,
+            correspondence,
             gaussians,
             status,
             exec: None,
@@ -218,8 +232,25 @@ impl Geometry {
 
     fn submit_next(&mut self) -> Result<()> {
         let step = self.submitted + 1;
-        let values = self.values(step);
-        self.exec()?.submit(&values)?;
+        // Which graph a step runs depends on its number alone, also where it is run again.
+        let due = step >= self.settings.geometry.correspondence_from;
+        let pseudo = self.correspondence.as_ref().filter(|_| due).map(Correspondence::masks);
+        if pseudo != self.options.pseudo {
+            self.exec()?.finish()?;
+            self.options.pseudo = pseudo;
+            self.rebuild()?;
+        }
+        let mut values = self.values(step);
+        match &self.correspondence {
+            Some(c) if due => {
+                let view = self.schedule.view(step);
+                let pseudo = c.steps(self.settings.seed, view, &mut values);
+                self.exec()?.submit_views(&values, &pseudo)?;
+            }
+            _ => {
+                self.exec()?.submit(&values)?;
+            }
+        }
         self.submitted = step;
         Ok(())
     }
@@ -286,11 +317,16 @@ impl Geometry {
         self.densify = None;
         self.reset = None;
         self.exec = None;
-        let inputs = Inputs {
+        let mut inputs = Inputs {
             targets: &self.data.targets,
             normals: self.data.normals.as_ref(),
             semantics: self.semantics.as_ref().map(|(data, decoder)| data.inputs(decoder)),
+            regions: None,
+            pseudo_regions: None,
         };
+        if let (Some(c), Some(_)) = (&self.correspondence, self.options.pseudo) {
+            c.bind(&mut inputs);
+        }
         let (device, gaussians, status) = (&self.device, &self.gaussians, &self.status);
         self.exec = Some(GeometryStep::new(device, &self.tuning, gaussians, &inputs, status, self.options)?);
         Ok(())
@@ -404,6 +440,16 @@ impl Geometry {
         let times = self.take_times();
         let backward = times.iter().filter(|t| t.name.starts_with("blend_bwd"));
         Ok(backward.flat_map(|t| t.nanoseconds.iter().copied()).fold(f64::INFINITY, f64::min))
+    }
+
+    /// What gives the features their meaning, if there are any.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn head(&self) -> Result<Option<SemanticHead>> {
+        let Some((data, decoder)) = &self.semantics else { return Ok(None) };
+        let temperature = self.settings.geometry.temperature;
+        Ok(Some(SemanticHead { decoder: decoder.download(&self.device)?, text: data.text.clone(), temperature }))
     }
 
     /// The settings, with what was chosen along the way.

@@ -5,6 +5,7 @@
 mod checkpoint;
 mod classify;
 mod convert;
+mod correspondence;
 mod data;
 mod error;
 mod evaluate;

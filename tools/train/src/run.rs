@@ -30,6 +30,14 @@ pub struct StepLog {
     pub ssim: f32,
     /// One minus the cosine to the normal prior.
     pub normal: f32,
+    /// One minus the cosine to the semantic prior.
+    pub semantic: f32,
+    /// Cross-entropy of the classes.
+    pub semantic_class: f32,
+    /// Distance of a region's features between views.
+    pub correspondence: f32,
+    /// Cross-entropy of its class there.
+    pub correspondence_class: f32,
     /// How many Gaussians.
     pub gaussians: u32,
     /// How many of them the view sees.
@@ -48,6 +56,10 @@ impl From<&StepReport> for StepLog {
             l1: r.losses.l1,
             ssim: r.losses.ssim,
             normal: r.losses.normal,
+            semantic: r.losses.semantic,
+            semantic_class: r.losses.semantic_class,
+            correspondence: r.losses.correspondence,
+            correspondence_class: r.losses.correspondence_class,
             gaussians: r.gaussians,
             visible: r.visible,
             entries: r.entries,

@@ -66,6 +66,7 @@ impl Schedule {
             weight_depth_variance: g.losses.depth_variance * spread,
             weight_semantic: g.losses.semantic,
             weight_semantic_class: g.losses.semantic_class,
+            weight_correspondence: g.losses.correspondence,
             inverse_temperature: 1.0 / g.temperature,
             gather_statistics: u32::from(self.last_densification() >= step),
             ..Step::default()

@@ -1,6 +1,7 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
 use crate::error::TrainError;
+use crate::pseudo::PseudoOptions;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -72,6 +73,12 @@ pub struct GeometrySettings {
     pub semantic_geometry: bool,
     /// The classes' softmax divides its logits, which are cosines, by this.
     pub temperature: f32,
+    /// Whether regions are compared with pseudo-views, where there are semantic priors.
+    pub correspondence: bool,
+    /// The first step that does.
+    pub correspondence_from: u32,
+    /// Where pseudo-views are.
+    pub pseudo: PseudoOptions,
     /// Learning rates.
     pub rates: Rates,
     /// Whether Adam also moves Gaussians that a step did not see, by their moments, as 3DGS does. It costs time, and
@@ -100,6 +107,9 @@ impl Default for GeometrySettings {
             semantics: true,
             semantic_geometry: true,
             temperature: 1.0,
+            correspondence: true,
+            correspondence_from: 2000,
+            pseudo: PseudoOptions::default(),
             rates: Rates::default(),
             dense_adam: false,
             losses: LossWeights::default(),
@@ -362,6 +372,7 @@ impl Settings {
         if !(g.temperature > 0.0 && g.temperature.is_finite()) {
             return fail(format!("geometry.temperature is {}, but must be a finite number above 0.", g.temperature));
         }
+        g.pseudo.check("geometry.pseudo.")?;
         if !(0.0..=1.0).contains(&d.until) {
             return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", d.until));
         }

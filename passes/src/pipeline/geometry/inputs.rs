@@ -19,6 +19,8 @@ pub struct Inputs<'a> {
     /// For pseudo-views: ids of regions of the training views ([`crate::loss::pack_regions`]), or masks of all views of a
     /// step, as [`GeometryOptions::pseudo`](super::GeometryOptions::pseudo) says.
     pub regions: Option<&'a DeviceBuffer>,
+    /// Ids of regions of the pseudo-views, where they are numbered.
+    pub pseudo_regions: Option<&'a DeviceBuffer>,
 }
 
 /// What the semantic loss is bound to.
@@ -47,6 +49,8 @@ pub struct InputSizes {
     pub semantics: Option<SemanticSizes>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
+    /// Bytes of those of the pseudo-views.
+    pub pseudo_regions: Option<u64>,
 }
 
 /// The sizes of [`SemanticInputs`].
@@ -86,6 +90,7 @@ impl Inputs<'_> {
                 classes: (s.embeddings.bytes() / (4 * EMBEDDING as u64)) as u32,
             }),
             regions: self.regions.map(DeviceBuffer::bytes),
+            pseudo_regions: self.pseudo_regions.map(DeviceBuffer::bytes),
         }
     }
 }
@@ -97,6 +102,7 @@ pub(super) struct InputHandles {
     pub normals: Option<Buffer>,
     pub semantics: Option<SemanticHandles>,
     pub regions: Option<Buffer>,
+    pub pseudo_regions: Option<Buffer>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -125,6 +131,7 @@ impl InputHandles {
                 }
             }),
             regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
+            pseudo_regions: sizes.pseudo_regions.map(|bytes| g.input("pseudo_regions", bytes)),
         }
     }
 
@@ -133,8 +140,10 @@ impl InputHandles {
         if let (Some(handle), Some(memory)) = (self.normals, inputs.normals) {
             exec.bind(handle, memory)?;
         }
-        if let (Some(handle), Some(memory)) = (self.regions, inputs.regions) {
-            exec.bind(handle, memory)?;
+        for (handle, memory) in [(self.regions, inputs.regions), (self.pseudo_regions, inputs.pseudo_regions)] {
+            if let (Some(handle), Some(memory)) = (handle, memory) {
+                exec.bind(handle, memory)?;
+            }
         }
         if let (Some(handles), Some(memory)) = (&self.semantics, &inputs.semantics) {
             memory.decoder.bind(exec, &handles.decoder)?;

@@ -26,6 +26,8 @@ pub const PSEUDO_VIEWS: usize = 2;
 pub enum Masks {
     /// In the training view by the ids of its pixels, and carried from there to the pseudo-views by depth.
     Carried,
+    /// By the ids of the pixels of all views, those of pseudo-views from their `target_offset`.
+    Numbered,
     /// As bits, for each view from its `mask_offset`.
     Given,
 }

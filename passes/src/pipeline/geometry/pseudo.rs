@@ -28,6 +28,8 @@ pub(super) struct Region {
     /// A bit a pixel, from the step's `mask_offset`.
     pub mask: Buffer,
     masks: Masks,
+    /// Where regions of pseudo-views are numbered.
+    ids: Option<Buffer>,
     steps: [Buffer; PSEUDO_VIEWS],
 }
 
@@ -65,13 +67,13 @@ impl Region {
         let (Some(masks), Some(given)) = (o.pseudo, inputs.regions) else { return Ok(None) };
         let mask = match masks {
             Masks::Given => given,
-            Masks::Carried => {
+            Masks::Carried | Masks::Numbered => {
                 let mask = g.transient("region_mask", 4 * wanted_words(view.screen.pixels()));
                 region_mask(g, *t, &view.screen, given, mask)?;
                 mask
             }
         };
-        Ok(Some(Region { mask, masks, steps }))
+        Ok(Some(Region { mask, masks, ids: inputs.pseudo_regions, steps }))
     }
 
     /// Renders the pseudo-views, compares the region in all pictures, and adds to the training view's gradient. `trained`:
@@ -105,13 +107,14 @@ impl Region {
             let view_i = render(g, t, self.steps[i], gaussians, status, channels, o)?;
             let pixels = view_i.screen.pixels();
             let wanted = g.transient("wanted", 4 * wanted_words(pixels));
-            match self.masks {
-                Masks::Carried => {
+            match (self.masks, self.ids) {
+                (Masks::Numbered, Some(ids)) => region_mask(g, *t, &view_i.screen, ids, wanted)?,
+                (Masks::Carried | Masks::Numbered, _) => {
                     let options = CarryOptions::default();
                     carry_mask(g, *t, "carry_mask", &seen(view), self.mask, &seen(&view_i), options, wanted)?;
                 }
                 // The pseudo-view has no samples: what is wanted is the region.
-                Masks::Given => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
+                (Masks::Given, _) => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
             }
             let image = g.transient("feature_image", FEATURE_BYTES * pixels);
             blend_features(g, t, &view_i.screen, gaussians, &view_i.visible, &view_i.entries, wanted, image)?;
@@ -120,7 +123,7 @@ impl Region {
         };
         let views = Views([one(0)?, one(1)?]);
         g.set_prefix("");
-        let mask = |c: &Compared| if self.masks == Masks::Carried { c.wanted } else { self.mask };
+        let mask = |c: &Compared| if self.masks == Masks::Given { self.mask } else { c.wanted };
         let pictures = views.0.each_ref().map(|c| (pictured(&c.view, c.image, mask(c)), c.gradient));
         for (i, (picture, _)) in pictures.iter().enumerate() {
             region(g, picture, head, prepared, &all, 1 + i as u32)?;

@@ -245,6 +245,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         std::process::exit(1);
     }
     training.splats()?.write_ply(&run.path("scene.ply"))?;
+    if let Some(head) = training.head()? {
+        head.save(&run.semantics())?;
+    }
     let times = training.take_times();
     write_profile(&run, &times)?;
     let page = html(training.executor()?.plan(), &times);
