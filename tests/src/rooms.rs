@@ -65,6 +65,16 @@ impl Room {
             .collect()
     }
 
+    /// The wall behind every pixel: twice the axis of its normal, and one more if that points the negative way.
+    pub fn walls(&self, camera: &Camera) -> Vec<usize> {
+        let wall = |x: u32, y: u32| {
+            let n = hit(camera, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).normal;
+            let axis = (0..3).max_by(|&a, &b| n[a].abs().total_cmp(&n[b].abs())).unwrap_or(0);
+            2 * axis + usize::from(n[axis] > 0.0)
+        };
+        (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y))).map(|(x, y)| wall(x, y)).collect()
+    }
+
     /// Names of training and test views.
     pub fn split(&self) -> (Vec<String>, Vec<String>) {
         let names = |test: bool| (0..self.views).filter(|i| (i % 4 == 1) == test).map(|i| format!("{i:03}")).collect();

@@ -1,0 +1,209 @@
+//! Training with semantic priors and pseudo-views: that it learns classes, and that the result depends on scene, settings
+//! and seed alone.
+
+use half::f16;
+use sgs_engine::{Device, DeviceOptions};
+use sgs_passes::scene::{EMBEDDING, Group};
+use sgs_scene::{Scene, SceneOptions, write_ids, write_npy_f16};
+use sgs_tests::cli::sgs;
+use sgs_tests::meaning::{Meaning, WALLS};
+use sgs_tests::rooms::Room;
+use sgs_tests::{Gpu, Place};
+use sgs_train::{Geometry, Progress, Settings, evaluate_classes};
+
+fn place(room: Room, meaning: Meaning) -> Place {
+    let place = Place::new(room);
+    meaning.write(&room, &place.path("scene"));
+    place
+}
+
+fn open(place: &Place) -> Scene {
+    Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
+}
+
+fn device() -> Device {
+    let select = std::env::var("SGS_TEST_DEVICE").ok();
+    Device::open(&DeviceOptions { select, ..Default::default() }).unwrap()
+}
+
+fn settings(steps: u32, from: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = steps;
+    s.geometry.correspondence_from = from;
+    s.geometry.densify.enabled = false;
+    s.geometry.sh_degree = 1;
+    s
+}
+
+type Losses = Vec<(u32, [f32; 4])>;
+
+fn train(device: &Device, scene: &Scene, s: &Settings) -> (Geometry, Losses) {
+    let mut losses = Vec::new();
+    let mut training = Geometry::new(device, scene, s, None).unwrap();
+    let heard = |p: &Progress| {
+        if let Progress::Step(r) = p {
+            let l = &r.losses;
+            losses.push((r.step, [l.semantic, l.semantic_class, l.correspondence, l.correspondence_class]));
+        }
+    };
+    training.train(s.geometry.steps, heard, || true).unwrap();
+    (training, losses)
+}
+
+/// Mean of a loss over some steps.
+fn mean(losses: &Losses, steps: std::ops::Range<u32>, which: usize) -> f32 {
+    let some: Vec<f32> = losses.iter().filter(|(s, _)| steps.contains(s)).map(|(_, l)| l[which]).collect();
+    some.iter().sum::<f32>() / some.len() as f32
+}
+
+#[test]
+fn classes_are_learned_and_regions_correspond() {
+    let room = Room { size: [48, 36], spacing: 3, priors: true, truth: true, ..Room::default() };
+    let place = place(room, Meaning { wrong: 0.1, ..Meaning::default() });
+    let (device, scene) = (device(), open(&place));
+    let mut s = settings(240, 121);
+    s.geometry.temperature = 0.2;
+    let (training, losses) = train(&device, &scene, &s);
+    assert!(mean(&losses, 200..241, 0) < 0.6 * mean(&losses, 1..10, 0), "the cosine: {losses:?}");
+    assert!(mean(&losses, 200..241, 1) < 0.8 * mean(&losses, 1..10, 1), "the cross-entropy: {losses:?}");
+    // Pseudo-views begin when they should, and not before; now and then the region is hidden from both.
+    let compared = |l: &[f32; 4]| l[2] > 0.0 && l[3] > 0.0;
+    assert!(losses.iter().all(|(step, l)| *step >= 121 || !compared(l)), "{losses:?}");
+    let late = losses.iter().filter(|(step, l)| *step >= 121 && compared(l)).count();
+    assert!(late > 80, "of 120 steps {late} compared a region: {losses:?}");
+    assert!(mean(&losses, 121..241, 3) < 1.0, "the regions' class: {losses:?}");
+    let head = training.head().unwrap().unwrap();
+    let views = &scene.split.test;
+    let evaluation =
+        evaluate_classes(&device, &scene, training.gaussians(), views, [0.0; 3], Some(&head), |_, _| Ok(())).unwrap();
+    // Nine in ten samples of the training views are right.
+    let accuracy = evaluation.mean.semantic.unwrap().accuracy;
+    assert!(accuracy > 0.9, "{accuracy}");
+    // The same scene without its priors has neither features nor a head.
+    s.geometry.semantics = false;
+    s.geometry.steps = 2;
+    let (plain, _) = train(&device, &scene, &s);
+    assert!(plain.head().unwrap().is_none() && plain.splats().unwrap().semantic.is_none());
+}
+
+/// Room for one entry and for enough, stopped and gone on with on either side of where pseudo-views begin, beside
+/// densification and opacity resets.
+#[test]
+fn neither_room_nor_interruptions_matter() {
+    let gpu = Gpu::new();
+    for (masks, dense) in [(false, false), (true, true)] {
+        let room = Room::default();
+        let place = place(room, Meaning { masks, ..Meaning::default() });
+        let scene = open(&place);
+        let run = |capacity: u32, resumed_at: Option<u32>| {
+            let mut s = settings(26, 12);
+            s.geometry.entry_capacity = capacity;
+            s.geometry.dense_adam = dense;
+            let d = &mut s.geometry.densify;
+            (d.enabled, d.from, d.interval, d.reset_interval, d.grad_threshold) = (true, 5, 5, 12, 5e-5);
+            d.max_gaussians = 3000;
+            let mut reports = Vec::new();
+            let mut heard = |p: &Progress| match p {
+                Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
+                Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
+            };
+            let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+            if let Some(at) = resumed_at {
+                let file = place.path("state");
+                training.train(at, &mut heard, || true).unwrap();
+                training.save(&file).unwrap();
+                training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+                training.restore(&file).unwrap();
+            }
+            training.train(26, &mut heard, || true).unwrap();
+            (training.splats().unwrap(), training.head().unwrap().unwrap(), reports)
+        };
+        let expected = run(1 << 16, None);
+        assert!(expected.2.iter().filter(|r| r.0 > 1000).count() >= 3, "densification was to happen: {:?}", expected.2);
+        for (capacity, resumed_at) in [(1, None), (1 << 16, Some(8)), (700, Some(17))] {
+            let found = run(capacity, resumed_at);
+            assert_eq!(found.2, expected.2, "capacity {capacity}, resumed at {resumed_at:?}");
+            assert!(found.0 == expected.0, "capacity {capacity}, resumed at {resumed_at:?}: the splats differ");
+            assert!(found.1 == expected.1, "capacity {capacity}, resumed at {resumed_at:?}: the decoder differs");
+        }
+    }
+}
+
+/// Without the option, features change nothing that can be seen; with it they do.
+#[test]
+fn features_move_geometry_only_if_they_may() {
+    // With normals, depth is blended in any case: rounding is the same.
+    let place = place(Room { priors: true, ..Room::default() }, Meaning::default());
+    let (device, scene) = (device(), open(&place));
+    let run = |semantics: bool, geometry: bool, correspondence: bool| {
+        let mut s = settings(12, 6);
+        s.geometry.correspondence = correspondence;
+        s.geometry.semantics = semantics;
+        s.geometry.semantic_geometry = geometry;
+        let (training, _) = train(&device, &scene, &s);
+        let data = training.gaussians().download(&device).unwrap();
+        [Group::Means, Group::OpacityLogits, Group::Sh0].map(|g| data.group(g).to_vec())
+    };
+    let (without, held) = (run(false, true, false), run(true, false, false));
+    assert_eq!(without, held);
+    let (moved, compared) = (run(true, true, false), run(true, true, true));
+    assert!(without[0] != moved[0] && without[1] != moved[1]);
+    assert!(moved[0] != compared[0] && moved[1] != compared[1]);
+    assert_eq!(without, run(true, false, true));
+}
+
+#[test]
+fn bad_priors_are_left_out_or_refused_by_name() {
+    let room = Room { views: 6, ..Room::default() };
+    let device = device();
+    // What is not a number, zeros, and a view without a map: masked.
+    let masked = place(room, Meaning { masks: true, ..Meaning::default() });
+    let map = |value: f16| vec![value; 6 * 8 * EMBEDDING];
+    let semantic = |place: &Place, name: &str, shape: [usize; 3], data: &[f16]| {
+        write_npy_f16(&place.path(&format!("scene/priors/semantic/{name}.npy")), &shape, data).unwrap();
+    };
+    semantic(&masked, "000", [6, 8, EMBEDDING], &map(f16::NAN));
+    semantic(&masked, "002", [6, 8, EMBEDDING], &map(f16::ZERO));
+    semantic(&masked, "003", [6, 8, EMBEDDING], &map(f16::INFINITY));
+    std::fs::remove_file(masked.path("scene/priors/semantic/004.npy")).unwrap();
+    for name in ["000", "002"] {
+        write_ids(&masked.path(&format!("scene/priors/masks/{name}.png")), 32, 24, &[0; 32 * 24]).unwrap();
+    }
+    let (training, losses) = train(&device, &open(&masked), &settings(12, 4));
+    let data = training.gaussians().download(&device).unwrap();
+    for group in training.gaussians().model.groups() {
+        assert!(data.group(group).iter().all(|v| v.is_finite()), "{}", group.name());
+    }
+    assert!(training.head().unwrap().unwrap().decoder.iter().all(|v| v.is_finite()));
+    assert!(losses.iter().all(|(_, l)| l.iter().all(|v| v.is_finite())) && losses.iter().any(|(_, l)| l[2] > 0.0));
+    // Everything unusable: the term is absent, the rest is trained.
+    for name in ["000", "001", "002", "003", "004", "005"] {
+        semantic(&masked, name, [6, 8, EMBEDDING], &map(f16::NAN));
+        write_ids(&masked.path(&format!("scene/priors/masks/{name}.png")), 32, 24, &[0; 32 * 24]).unwrap();
+    }
+    let (training, losses) = train(&device, &open(&masked), &settings(8, 4));
+    assert!(losses.iter().all(|(_, l)| *l == [0.0; 4]), "{losses:?}");
+    assert!(training.splats().unwrap().means.iter().flatten().all(|v| v.is_finite()));
+
+    // Of another width, with names that do not fit, in a file that is none: refused.
+    let refused = |spoil: &dyn Fn(&Place), words: &[&str]| {
+        let bad = place(room, Meaning::default());
+        spoil(&bad);
+        sgs(&bad.arguments("run", 4, &["--set", "geometry.correspondence_from=1"])).refused(words);
+        assert!(!bad.path("run/scene.ply").exists());
+    };
+    refused(&|p| semantic(p, "000", [2, 2, 100], &[f16::ONE; 400]), &["000.npy", "100"]);
+    refused(
+        &|p| std::fs::write(p.path("scene/priors/semantic/labels.json"), r#"{"labels": ["wall"]}"#).unwrap(),
+        &["text_embeddings.npy", "1 classes"],
+    );
+    refused(&|p| std::fs::write(p.path("scene/priors/semantic/000.npy"), "no array").unwrap(), &["000.npy"]);
+    refused(
+        &|p| {
+            std::fs::create_dir_all(p.path("scene/priors/masks")).unwrap();
+            std::fs::write(p.path("scene/priors/masks/000.png"), "no picture").unwrap();
+        },
+        &["000.png"],
+    );
+    assert_eq!(WALLS.len(), 6);
+}
