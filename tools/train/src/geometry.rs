@@ -130,7 +130,7 @@ impl Geometry {
             frames_in_flight: IN_FLIGHT,
         };
         let layout = Layout { model, capacity: capacity.max(1), training: true, statistics: g.densify.enabled };
-        let needs = Needs::of(device, &tuning, &layout, &inputs, &options)?;
+        let mut needs = Needs::of(device, &tuning, &layout, &inputs, &options)?;
         needs.check(&allowed(device, settings))?;
         if count > most {
             return Err(TrainError::Memory(format!(
@@ -147,6 +147,7 @@ impl Geometry {
             Some((data, _)) if wants_views => Correspondence::load(device, scene, data, &g.pseudo)?,
             _ => None,
         };
+        needs.regions = correspondence.as_ref().map_or(0, Correspondence::bytes);
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;

@@ -20,6 +20,8 @@ pub struct Needs {
     pub priors: u64,
     /// Semantic priors, texts and the decoder.
     pub semantics: u64,
+    /// Regions that are compared between views.
+    pub regions: u64,
     /// Parameters of the Gaussians, at first capacity.
     pub parameters: u64,
     /// Adam's moments.
@@ -52,6 +54,8 @@ impl Needs {
             photographs: inputs.targets,
             priors: inputs.normals.unwrap_or(0),
             semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
+            // Known once they are loaded.
+            regions: 0,
             parameters: layout.parameter_bytes(),
             moments: layout.moment_bytes(),
             statistics: layout.statistics_bytes(),
@@ -68,11 +72,12 @@ impl Needs {
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 10] {
+    pub fn parts(&self) -> [(&'static str, u64); 11] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
             ("semantic priors", self.semantics),
+            ("regions", self.regions),
             ("parameters", self.parameters),
             ("moments", self.moments),
             ("statistics", self.statistics),

@@ -168,10 +168,8 @@ struct Declared {
 fn declare(tuning: &Tuning, gaussians: &Layout, inputs: &InputSizes, options: &GeometryOptions) -> Result<Declared> {
     let mut g = Graph::new("geometry_step");
     let mut uniform = |name: &str| g.uniform(name, size_of::<Step>() as u64);
-    let steps = Steps {
-        step: uniform("step"),
-        pseudo: options.pseudo.map(|_| [uniform("pseudo0"), uniform("pseudo1")]),
-    };
+    let steps =
+        Steps { step: uniform("step"), pseudo: options.pseudo.map(|_| [uniform("pseudo0"), uniform("pseudo1")]) };
     let gaussians = gaussians.declare(&mut g, true);
     let status = Status::declare(&mut g);
     let inputs = InputHandles::declare(&mut g, inputs);
