@@ -39,6 +39,8 @@ enum Command {
     Eval(commands::eval::Args),
     /// Render a run or a PLY from the cameras of a transforms file.
     Render(commands::render::Args),
+    /// Train variants of the method and write a table of what each part is worth.
+    Ablate(commands::ablate::Args),
     /// Write a run's Gaussians as a PLY that viewers open.
     Export(commands::export::Args),
     /// List what can run here, and what each device lacks.
@@ -73,6 +75,7 @@ fn main() {
         Command::Train(a) => commands::train::run(&cli.common, a),
         Command::Eval(a) => commands::eval::run(&cli.common, a),
         Command::Render(a) => commands::render::run(&cli.common, a),
+        Command::Ablate(a) => commands::ablate::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
         Command::Devices => commands::devices::run(&cli.common),
     };

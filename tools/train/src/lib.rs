@@ -1,7 +1,8 @@
-//! Training: settings, the geometry stage, checkpoints, evaluation, the run directory.
+//! Training: settings, the geometry stage, checkpoints, evaluation, the run directory, ablations.
 //!
 //! Knows datasets and schedules; never Vulkan calls. The command line is a thin shell around this crate.
 
+pub mod ablate;
 mod checkpoint;
 mod classify;
 mod convert;

@@ -91,6 +91,11 @@ impl RunDirectory {
         Ok(RunDirectory { root: root.to_owned() })
     }
 
+    /// The directory.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// A file in it.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)

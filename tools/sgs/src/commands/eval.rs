@@ -5,9 +5,10 @@ use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, head_of};
 use crate::common::Common;
 use anyhow::bail;
-use sgs_scene::{Image, write_png};
-use sgs_train::{Evaluation, Nvs, RunDirectory, Semantic, evaluate_classes};
-use std::path::PathBuf;
+use sgs_engine::Device;
+use sgs_scene::{Image, Scene, Splats, write_png};
+use sgs_train::{Evaluation, Nvs, RunDirectory, Semantic, Settings, evaluate_classes};
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -25,7 +26,7 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Split {
+pub enum Split {
     Test,
     Train,
 }
@@ -38,51 +39,62 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         settings.scene.clone_from(scene);
     }
     let scene = open_scene(&settings)?;
-    let views = if a.split == Split::Test { &scene.split.test } else { &scene.split.train };
-    if views.is_empty() {
-        bail!("The scene has no views in that split.");
-    }
-    let classified = splats.semantic.is_some() && run.semantics().exists();
-    let head = if classified { Some(head_of(&a.run, &splats)?) } else { None };
     let device = common.open_device()?;
-    let gaussians = upload(&device, &splats, head.is_some())?;
-    let legend = head.as_ref().map(|head| Legend::new(&head.text.labels));
-    if let Some(dir) = &a.images {
-        std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
-        legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
-    }
-    let background = settings.geometry.background;
-    let head = head.as_ref();
-    let result = evaluate_classes(&device, &scene, &gaussians, views, background, head, |name, rendered| {
-        if let Some(dir) = &a.images {
-            write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
-            let view = scene.views.iter().position(|v| v.camera.name == name);
-            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
-            row.push(rendered.rgb.clone());
-            if let Some(normal) = &rendered.normal {
-                let mut shown = normal.clone();
-                shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
-                write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
-                row.push(shown);
-            }
-            write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
-            let mut shown = rendered.depth.clone();
-            let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-            shown.data.iter_mut().for_each(|v| *v /= far);
-            write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
-            if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
-                let size = [rendered.rgb.width, rendered.rgb.height];
-                legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
-            }
-        }
-        Ok(())
-    })?;
-    let split = if a.split == Split::Test { "test" } else { "train" };
-    record(&run, split, &result, splats.len())?;
+    let result = measure(&device, &scene, &run, &splats, &settings, a.split, a.images.as_deref())?;
     if !common.answer(&result)? {
         print_table(&result);
     }
     validated(&device)
+}
+
+/// Measures a run and records it in `metrics.json`; pictures go to `images`.
+pub fn measure(
+    device: &Device,
+    scene: &Scene,
+    run: &RunDirectory,
+    splats: &Splats,
+    settings: &Settings,
+    split: Split,
+    images: Option<&Path>,
+) -> anyhow::Result<Evaluation> {
+    let views = if split == Split::Test { &scene.split.test } else { &scene.split.train };
+    if views.is_empty() {
+        bail!("The scene has no views in that split.");
+    }
+    let classified = splats.semantic.is_some() && run.semantics().exists();
+    let head = if classified { Some(head_of(run.root(), splats)?) } else { None };
+    let gaussians = upload(device, splats, head.is_some())?;
+    let legend = head.as_ref().map(|head| Legend::new(&head.text.labels));
+    if let Some(dir) = images {
+        std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
+        legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
+    }
+    let background = settings.geometry.background;
+    let result = evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), |name, rendered| {
+        let Some(dir) = images else { return Ok(()) };
+        write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+        let view = scene.views.iter().position(|v| v.camera.name == name);
+        let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+        row.push(rendered.rgb.clone());
+        if let Some(normal) = &rendered.normal {
+            let mut shown = normal.clone();
+            shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
+            write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+            row.push(shown);
+        }
+        write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
+        let mut shown = rendered.depth.clone();
+        let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
+        shown.data.iter_mut().for_each(|v| *v /= far);
+        write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+        if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
+            let size = [rendered.rgb.width, rendered.rgb.height];
+            legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
+        }
+        Ok(())
+    })?;
+    record(run, if split == Split::Test { "test" } else { "train" }, &result, splats.len())?;
+    Ok(result)
 }
 
 /// Color images of one height next to each other.

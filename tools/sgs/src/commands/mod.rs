@@ -1,5 +1,6 @@
 //! One file a command.
 
+pub mod ablate;
 pub mod devices;
 pub mod eval;
 pub mod export;

@@ -3,13 +3,14 @@
 use crate::common::Common;
 use crate::ui::{Bar, interrupted};
 use anyhow::bail;
+use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::Scene;
 use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// Steps at the end whose passes are timed for `profile.json`.
@@ -185,8 +186,66 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     // What was chosen for the scene belongs to the run: it is measured and resumed alike.
     settings.exposure = scene.exposure();
     let device = common.open_device()?;
-    let run = RunDirectory::create(&a.output)?;
-    let mut training = Geometry::new(&device, &scene, &settings, None)?;
+    let stop = interrupted()?;
+    let summary = match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training")? {
+        Ended::Done(summary) => summary,
+        Ended::Stopped(step) => {
+            eprintln!(
+                "stopped after step {step}; go on with: sgs train {} -o {} --resume",
+                a.scene.display(),
+                a.output.display()
+            );
+            std::process::exit(1);
+        }
+    };
+    if !common.answer(&summary)? && !common.quiet {
+        eprintln!(
+            "{} Gaussians after {} steps in {:.0} s; wrote {}",
+            summary.gaussians,
+            summary.steps,
+            summary.seconds,
+            a.output.display()
+        );
+    }
+    validated(&device)
+}
+
+/// How training ended.
+pub enum Ended {
+    /// With all steps.
+    Done(Summary),
+    /// Because somebody wanted it to, after this step.
+    Stopped(u32),
+}
+
+/// What `training.json` holds.
+#[derive(serde::Serialize)]
+pub struct Summary {
+    steps: u32,
+    seconds: f64,
+    steps_per_second: f64,
+    gaussians: u32,
+    peak_device_bytes: u64,
+    device: String,
+}
+
+/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised; leaves all that
+/// a run holds. `what`: the name of the progress.
+pub fn train_into(
+    common: &Common,
+    device: &Device,
+    scene: &Scene,
+    settings: &Settings,
+    output: &Path,
+    resuming: bool,
+    stop: &AtomicBool,
+    what: &str,
+) -> anyhow::Result<Ended> {
+    let run = RunDirectory::create(output)?;
+    let mut training = Geometry::new(device, scene, settings, None)?;
+    if stop.load(Ordering::SeqCst) {
+        return Ok(Ended::Stopped(0));
+    }
     if !resuming {
         run.forget()?;
     } else if run.checkpoint().is_file() {
@@ -195,8 +254,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     run.write_settings(training.settings())?;
     let steps = settings.geometry.steps;
     let mut log = run.log(training.step())?;
-    let mut bar = Bar::new(common, "training", u64::from(steps), u64::from(training.step()));
-    let stop = interrupted()?;
+    let mut bar = Bar::new(common, what, u64::from(steps), u64::from(training.step()));
     let started = Instant::now();
     let first = training.step();
     let mut failure = None;
@@ -236,13 +294,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         tracing::warn!("log.jsonl could not be written: {e}");
     }
     if training.step() < steps {
-        eprintln!(
-            "stopped after step {}; go on with: sgs train {} -o {} --resume",
-            training.step(),
-            a.scene.display(),
-            a.output.display()
-        );
-        std::process::exit(1);
+        return Ok(Ended::Stopped(training.step()));
     }
     training.splats()?.write_ply(&run.path("scene.ply"))?;
     if let Some(head) = training.head()? {
@@ -253,23 +305,16 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let page = html(training.executor()?.plan(), &times);
     sgs_scene::atomic_write(&run.path("graph.html"), |f| f.write_all(page.as_bytes()))?;
     let seconds = started.elapsed().as_secs_f64();
-    let summary = serde_json::json!({
-        "steps": steps,
-        "seconds": seconds,
-        "steps_per_second": f64::from(steps - first) / seconds.max(1e-9),
-        "gaussians": training.gaussians().count(&device)?,
-        "peak_device_bytes": device.memory_use().1,
-        "device": device.info().name,
-    });
+    let summary = Summary {
+        steps,
+        seconds,
+        steps_per_second: f64::from(steps - first) / seconds.max(1e-9),
+        gaussians: training.gaussians().count(device)?,
+        peak_device_bytes: device.memory_use().1,
+        device: device.info().name.clone(),
+    };
     run.write_json("training.json", &summary)?;
-    if !common.answer(&summary)? && !common.quiet {
-        eprintln!(
-            "{} Gaussians after {steps} steps in {seconds:.0} s; wrote {}",
-            summary["gaussians"],
-            a.output.display()
-        );
-    }
-    validated(&device)
+    Ok(Ended::Done(summary))
 }
 
 /// The last step as a Chrome trace.
@@ -280,7 +325,7 @@ fn write_profile(run: &RunDirectory, times: &[PassTime]) -> anyhow::Result<()> {
 }
 
 /// In validation mode any message is a failure.
-pub fn validated(device: &sgs_engine::Device) -> anyhow::Result<()> {
+pub fn validated(device: &Device) -> anyhow::Result<()> {
     let messages = device.messages().take();
     if let Some(first) = messages.first() {
         bail!("Validation reported {} messages; the first: {first}", messages.len());

@@ -1,0 +1,138 @@
+//! `sgs ablate`: variants over seeds, their table, and going on after whatever stopped it.
+
+use serde_json::Value;
+use sgs_tests::Place;
+use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
+use sgs_tests::rooms::{Room, write_json};
+use std::time::SystemTime;
+
+/// The runs of two seeds that a room with priors of normals has.
+const RUNS: [&str; 4] = ["rgb_seed5", "normal_seed5", "rgb_seed6", "normal_seed6"];
+
+fn room() -> Place {
+    Place::new(Room { priors: true, truth: true, ..Room::default() })
+}
+
+fn arguments(place: &Place, steps: &str, more: &[&str]) -> Vec<String> {
+    let (scene, table) = (place.text("scene"), place.text("table"));
+    let fixed = ["ablate", &scene, "-o", &table, "--seed", "5", "--seeds", "2", "--geometry-steps", steps];
+    fixed.iter().chain(more).map(|s| (*s).to_owned()).collect()
+}
+
+fn ablate(place: &Place, more: &[&str]) -> Finished {
+    sgs(&arguments(place, "3", &[&["--no-densify"], more].concat()))
+}
+
+fn json(place: &Place, name: &str) -> Value {
+    serde_json::from_slice(&place.read(name)).unwrap()
+}
+
+/// When the splats of each run were written.
+fn trained(place: &Place) -> Vec<SystemTime> {
+    RUNS.iter()
+        .map(|run| place.path(&format!("table/{run}/scene.ply")).metadata().unwrap().modified().unwrap())
+        .collect()
+}
+
+#[test]
+fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
+    let place = room();
+    let said = ablate(&place, &["-q"]).ok().stdout;
+    assert_eq!(said.as_bytes(), place.read("table/ablation.md"));
+    let table = json(&place, "table/ablation.json");
+    assert_eq!(ablate(&place, &["--json", "-q"]).ok().json(), table);
+    assert_eq!(table["steps"], 3);
+    for (i, variant) in ["rgb", "normal"].into_iter().enumerate() {
+        let row = &table["variants"][i];
+        assert_eq!(row["name"], variant);
+        let measured: Vec<Value> =
+            [5, 6].map(|seed| json(&place, &format!("table/{variant}_seed{seed}/metrics.json"))).to_vec();
+        let values = |path: &str| [0, 1].map(|k| measured[k].pointer(path).unwrap().as_f64().unwrap());
+        for (key, path) in [("psnr", "/test/mean/nvs/psnr"), ("normal_mae_deg", "/test/mean/normal_mae_deg")] {
+            let [a, b] = values(path);
+            let near = |found: &Value, expected: f64| assert!((found.as_f64().unwrap() - expected).abs() < 1e-9);
+            near(&row["mean"][key], 0.5 * (a + b));
+            near(&row["deviation"][key], (a - b).abs() / 2.0_f64.sqrt());
+            assert!(a != b, "seeds make no difference to {key}");
+        }
+        let rate = values("/steps_per_second");
+        let seconds = row["runs"][0]["seconds_per_step"].as_f64().unwrap();
+        assert!((seconds * rate[0] - 1.0).abs() < 1e-9 && row["mean"]["accuracy"].is_null());
+        assert_eq!(row["runs"][1]["folder"], format!("{variant}_seed6"));
+        assert!(said.lines().any(|l| l.starts_with(&format!("| {variant}: ")) && l.contains(" ± ")), "{said}");
+    }
+    // The variants differ by what they use, and are what training alone would give.
+    let rgb = place.read("table/rgb_seed5/scene.ply");
+    assert_ne!(rgb, place.read("table/normal_seed5/scene.ply"));
+    let fixed = ["--geometry-steps", "3", "--no-densify", "--seed", "5", "--set", "geometry.normals=false"];
+    sgs(&[&["train", &place.text("scene"), "-o", &place.text("alone")], &fixed[..]].concat()).ok();
+    assert!(rgb == place.read("alone/scene.ply"), "the run is not that of the same settings");
+}
+
+#[test]
+fn what_is_done_is_not_done_again() {
+    let place = room();
+    ablate(&place, &["-q"]).ok();
+    let table = place.read("table/ablation.json");
+    let first = trained(&place);
+    assert_eq!(ablate(&place, &[]).ok().stderr, "", "something was done again");
+    assert!(trained(&place) == first && place.read("table/ablation.json") == table);
+    // Not measured: only that is made up for. Another file of settings or none: that run is trained again.
+    std::fs::remove_file(place.path("table/rgb_seed5/metrics.json")).unwrap();
+    ablate(&place, &["-q"]).ok();
+    assert!(trained(&place) == first && place.read("table/ablation.json") == table);
+    std::fs::remove_file(place.path("table/normal_seed5/config.toml")).unwrap();
+    ablate(&place, &["-q"]).ok();
+    let again: Vec<bool> = trained(&place).iter().zip(&first).map(|(a, b)| a != b).collect();
+    assert_eq!(again, [false, true, false, false]);
+    // A variant alone leaves the others in the table; other settings leave nothing.
+    ablate(&place, &["-q", "--only", "rgb"]).ok();
+    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 2);
+    ablate(&place, &["-q", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
+    let table = json(&place, "table/ablation.json");
+    assert_eq!(table["variants"].as_array().unwrap().len(), 1);
+    assert_eq!(table["variants"][0]["runs"].as_array().unwrap().len(), 2);
+    let config = String::from_utf8(place.read("table/rgb_seed6/config.toml")).unwrap();
+    assert!(config.contains("l1 = 0.5") && config.contains("seed = 6") && config.contains("normals = false"));
+}
+
+#[test]
+fn an_interrupted_table_is_gone_on_with() {
+    let place = room();
+    let more = ["--seeds", "1", "--no-densify", "--set", "geometry.checkpoint_interval=10"];
+    let long: Vec<String> =
+        arguments(&place, "60", &more[2..]).into_iter().map(|a| if a == "2" { "1".to_owned() } else { a }).collect();
+    let mut child = start(&long);
+    let reached = until(&mut child, || place.logged("table/normal_seed5").last().is_some_and(|s| *s >= 20));
+    signal(&child, "INT");
+    let stopped = wait(child);
+    assert!(reached && stopped.status == Some(1), "{stopped:?}");
+    assert!(stopped.stderr.contains("stopped in") && stopped.stderr.contains("normal_seed5"), "{stopped:?}");
+    let half = json(&place, "table/ablation.json");
+    assert_eq!(half["variants"].as_array().unwrap().len(), 1, "what is done is in the table");
+    sgs(&long).ok();
+    let logged = place.logged("table/normal_seed5");
+    assert!(logged.contains(&10) && logged.last() == Some(&60), "{logged:?}");
+    let whole = ["train", &place.text("scene"), "-o", &place.text("whole"), "--config"].map(str::to_owned);
+    sgs(&[&whole[..], &[place.text("table/normal_seed5/config.toml")]].concat()).ok();
+    place.assert_same("table/normal_seed5", "whole");
+}
+
+#[test]
+fn tables_that_make_no_sense_are_refused() {
+    let place = Place::new(Room::default());
+    ablate(&place, &["--only", "rgb,magic"]).refused(&["no variant \"magic\"", "there are rgb, normal"]);
+    ablate(&place, &["--only", "normal"]).refused(&["\"normal\" needs priors/normal", "does not have"]);
+    ablate(&place, &["--set", "geometry.stepz=1"]).refused(&["geometry.steps"]);
+    assert!(!place.path("table").exists(), "a refused table leaves nothing");
+    assert_eq!(sgs(&arguments(&place, "3", &["--seeds", "0"])).status, Some(2));
+    // Without priors the photographs alone remain.
+    let left = ablate(&place, &["--seed", "7"]);
+    assert_eq!(left.status, Some(2), "a seed twice");
+    let left = ablate(&place, &[]).ok();
+    assert!(left.stderr.contains("\"normal\" is left out") && left.stderr.contains("priors/normal"), "{left:?}");
+    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 1);
+    let split = serde_json::json!({"train": ["000", "001", "002"], "test": []});
+    write_json(&place.path("scene/split.json"), &split);
+    ablate(&place, &[]).refused(&["no test views", "split.json"]);
+}
