@@ -172,13 +172,17 @@ fn cameras_of_pseudo_views_are_written() {
         assert_eq!((&a.name, a.width, a.fx, a.cy), (&b.name, b.width, b.fx, b.cy));
         assert!((a.position() - b.position()).length() < 1e-9);
     }
-    let options = ["--poses", "2", "--neighbors", "test", "--position", "cubic", "--lambda-r", "0.5"];
+    let set = ["poses=2", "neighbors=test", "position=cubic", "lambda_r=0.5"].map(|s| format!("geometry.pseudo.{s}"));
+    let options: Vec<&str> = set.iter().flat_map(|s| ["--set", s]).collect();
     sgs(&[&["pseudo", &scene, "-o", &file][..], &options].concat()).ok();
     let found = Camera::read_transforms(&place.path("pseudo.json")).unwrap();
     assert_eq!((found.len(), found[2].name.as_str()), (16, "000_1_00"));
     let test = &open(&place).views[1].camera;
     assert!((found[2].position() - test.position()).length() < 1e-9);
-    sgs(&["pseudo", &scene, "-o", &file, "--poses", "0"]).refused(&["poses is 0"]);
-    sgs(&["pseudo", &scene, "-o", &file, "--lambda-t", "nan"]).refused(&["lambda_t is NaN"]);
+    let refused = |set: &str, words: &str| {
+        sgs(&["pseudo", &scene, "-o", &file, "--set", set]).refused(&[words]);
+    };
+    refused("geometry.pseudo.poses=0", "geometry.pseudo.poses is 0");
+    refused("geometry.pseudo.lambda_t=nan", "geometry.pseudo.lambda_t is NaN");
     sgs(&["pseudo", &place.text("none"), "-o", &file]).refused(&["none"]);
 }

@@ -118,7 +118,7 @@ impl PseudoViews {
         let cameras = |list: &[usize]| -> Result<Vec<Camera>> {
             list.iter().map(|&i| Ok(scene.view(i)?.camera.clone())).collect()
         };
-        options.check("pseudo.")?;
+        options.check("geometry.pseudo.")?;
         let test = cameras(&scene.split.test)?;
         if options.neighbors == Neighbors::Test && test.is_empty() {
             tracing::warn!("there are no test views; pseudo-views lie between training views alone");
