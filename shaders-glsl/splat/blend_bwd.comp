@@ -1,4 +1,4 @@
-// Backward of blend: lanes are pixels, sums over them are reduced once for each splat and tile, in fixed order.
+// Backward of blend: lanes are pixels, sums over them are taken once for each splat and tile, in a fixed order.
 // Gradients go to the entry of that splat and tile; nothing is accumulated atomically.
 #version 460
 #include "common.glsl"
@@ -14,8 +14,10 @@ layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0; // 1: also the sum of blending weights
 layout(local_size_x_id = 0) in;
+#include "lane_sums.glsl"
 
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS;
+const uint PARTS = (GRADIENTS + SUBGROUP - 1u) / SUBGROUP;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);
@@ -52,81 +54,66 @@ void main() {
         uint count = min(SUBGROUP, end - batch);
         uint mine = min(batch + gl_SubgroupInvocationID, end - 1u);
         uint entry = sorted_entries[mine];
-        float total[MOMENTS];
-        float total_color[CHANNELS];
-        float total_weight = 0.0;
-        [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) total[j] = 0.0;
-        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) total_color[c] = 0.0;
         float best = -1.0;
         [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) best = max(best, T[k]);
-        // Once every pixel has stopped the rest of the entries still get their zeros.
-        if (!subgroupAll(best < 0.0)) {
-            uint v = entry_splats[entry];
-            Splat s = splats[v];
-            float f[CHANNELS];
-            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) f[c] = features[v * CHANNELS + c];
-            for (uint i = 0u; i < count; ++i) {
-                float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
-                float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
-                float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
-                float color[CHANNELS];
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
-                float sum[MOMENTS];
-                float sum_color[CHANNELS];
-                float sum_weight = 0.0;
-                [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) sum[j] = 0.0;
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) sum_color[c] = 0.0;
-                float dx = px - mx;
-                [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                    float dy = py + float(k * tile.step_y) - my;
-                    float p = u11 * dx + u12 * dy;
-                    float q = u22 * dy;
-                    float raw = opacity * exp2(-(p * p + q * q));
-                    float alpha = min(ALPHA_MAX, raw);
-                    alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
-                    float next = T[k] - alpha * T[k];
-                    bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
-                    float w = stop ? 0.0 : alpha * T[k];
-                    float s_dot_g = 0.0;
-                    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
-                        sum_color[c] += w * g[k * CHANNELS + c];
-                        s_dot_g += color[c] * g[k * CHANNELS + c];
-                    }
-                    if (WEIGHTS > 0u) sum_weight += w;
-                    R[k] -= w * s_dot_g;
-                    // -ln2 alpha dL/dalpha: zero where alpha is cut off, and where the pixel stops.
-                    float h = w > 0.0 && raw <= ALPHA_MAX
-                        ? -0.69314718055994531 * alpha * (T[k] * s_dot_g - R[k] / (1.0 - alpha)) : 0.0;
-                    float hp = h * p;
-                    float hy = h * dy;
-                    sum[0] += h;
-                    sum[1] += hp;
-                    sum[2] += hp * dx;
-                    sum[3] += hp * dy;
-                    sum[4] += hy;
-                    sum[5] += hy * dy;
-                    T[k] = stop ? -T[k] : next;
-                }
-                bool owner = gl_SubgroupInvocationID == i;
-                [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) {
-                    float all_lanes = subgroupAdd(sum[j]);
-                    total[j] = owner ? all_lanes : total[j];
-                }
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
-                    float all_lanes = subgroupAdd(sum_color[c]);
-                    total_color[c] = owner ? all_lanes : total_color[c];
-                }
-                if (WEIGHTS > 0u) {
-                    float all_lanes = subgroupAdd(sum_weight);
-                    total_weight = owner ? all_lanes : total_weight;
-                }
+        if (subgroupAll(best < 0.0)) {
+            // Once every pixel has stopped the rest of the entries still get their zeros.
+            if (gl_SubgroupInvocationID < count) {
+                [[unroll]] for (uint j = 0u; j < GRADIENTS; ++j) entry_gradients[entry * GRADIENTS + j] = 0.0;
             }
+            continue;
         }
-        if (gl_SubgroupInvocationID < count) {
-            uint at = entry * GRADIENTS;
-            [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) entry_gradients[at + j] = total[j];
-            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) entry_gradients[at + MOMENTS + c] = total_color[c];
-            if (WEIGHTS > 0u) entry_gradients[at + MOMENTS + CHANNELS] = total_weight;
+        uint v = entry_splats[entry];
+        Splat s = splats[v];
+        float f[CHANNELS];
+        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) f[c] = features[v * CHANNELS + c];
+        for (uint i = 0u; i < count; ++i) {
+            float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
+            float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
+            float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
+            float color[CHANNELS];
+            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
+            float sum[PARTS * SUBGROUP];
+            [[unroll]] for (uint j = 0u; j < PARTS * SUBGROUP; ++j) sum[j] = 0.0;
+            uint at_entry = subgroupShuffle(entry, i);
+            float dx = px - mx;
+            [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+                float dy = py + float(k * tile.step_y) - my;
+                float p = u11 * dx + u12 * dy;
+                float q = u22 * dy;
+                float raw = opacity * exp2(-(p * p + q * q));
+                float alpha = min(ALPHA_MAX, raw);
+                alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
+                float next = T[k] - alpha * T[k];
+                bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
+                float w = stop ? 0.0 : alpha * T[k];
+                float s_dot_g = 0.0;
+                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
+                    sum[MOMENTS + c] += w * g[k * CHANNELS + c];
+                    s_dot_g += color[c] * g[k * CHANNELS + c];
+                }
+                if (WEIGHTS > 0u) sum[MOMENTS + CHANNELS] += w;
+                R[k] -= w * s_dot_g;
+                // -ln2 alpha dL/dalpha: zero where alpha is cut off, and where the pixel stops.
+                float h = w > 0.0 && raw <= ALPHA_MAX
+                    ? -0.69314718055994531 * alpha * (T[k] * s_dot_g - R[k] / (1.0 - alpha)) : 0.0;
+                float hp = h * p;
+                float hy = h * dy;
+                sum[0] += h;
+                sum[1] += hp;
+                sum[2] += hp * dx;
+                sum[3] += hp * dy;
+                sum[4] += hy;
+                sum[5] += hy * dy;
+                T[k] = stop ? -T[k] : next;
+            }
+            [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
+                float lane_sum[SUBGROUP];
+                [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) lane_sum[j] = sum[part * SUBGROUP + j];
+                LANE_SUMS(lane_sum)
+                uint j = part * SUBGROUP + gl_SubgroupInvocationID;
+                if (j < GRADIENTS) entry_gradients[at_entry * GRADIENTS + j] = lane_sum[0];
+            }
         }
     }
 }

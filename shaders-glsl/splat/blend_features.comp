@@ -1,5 +1,6 @@
 // Blends raw features of the Gaussians (semantics) at the pixels where somebody wants them, with the weights that blend
-// gives to everything else. Elsewhere the picture of features is not written.
+// gives to everything else. Elsewhere the picture of features is not written. A tile has a workgroup for every SPAN pixels
+// that it may have to do.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,7 +11,10 @@ layout(constant_id = 1) const uint PER_LANE = 2; // wanted pixels of a lane at a
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint FEATURES = 32;
+layout(constant_id = 5) const uint SPAN = 64;    // wanted pixels of a workgroup
 layout(local_size_x_id = 0) in;
+
+const uint SPANS = (TILE_WIDTH * TILE_HEIGHT + SPAN - 1u) / SPAN; // of a tile
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);
@@ -27,12 +31,12 @@ OUT(float, feature_image); // [pixels * FEATURES], where wanted
 
 void main() {
     Camera camera = params.step.camera;
-    uint tile = folded_workgroup();
+    uint tile = folded_workgroup() / SPANS, first = folded_workgroup() % SPANS * SPAN;
     if (tile >= camera.tiles.x * camera.tiles.y) return;
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
     uint pixels = list_wanted(corner, camera.size);
     uint begin = tile_ranges[2u * tile], end = tile_ranges[2u * tile + 1u];
-    for (uint from = 0u; from < pixels; from += SUBGROUP * PER_LANE) {
+    for (uint from = first; from < min(first + SPAN, pixels); from += SUBGROUP * PER_LANE) {
         uint at[PER_LANE];
         vec2 center[PER_LANE];
         float T[PER_LANE];

@@ -2,7 +2,7 @@
 //
 // Gradients of opacity and footprint are linear in the gradients of the channels, so those that come through features are
 // worked out here by themselves and added to the others' where the entries of a splat are summed. An entry that shows at
-// no wanted pixel is not written; its flag stays down.
+// no wanted pixel is not written; its flag stays down. One dispatch does the SPAN wanted pixels of every tile from `first` on.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -14,7 +14,10 @@ layout(constant_id = 1) const uint PER_LANE = 2;
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint FEATURES = 32;
+layout(constant_id = 5) const uint SPAN = 256;
 layout(local_size_x_id = 0) in;
+
+layout(push_constant, scalar) uniform Push { uint first; } push;
 
 const uint GRADIENTS = MOMENTS + FEATURES;
 const uint PARTS = (GRADIENTS + SUBGROUP - 1u) / SUBGROUP;
@@ -43,7 +46,7 @@ void main() {
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
     uint pixels = list_wanted(corner, camera.size);
     uint begin = tile_ranges[2u * tile], end = tile_ranges[2u * tile + 1u];
-    for (uint from = 0u; from < pixels; from += SUBGROUP * PER_LANE) {
+    for (uint from = push.first; from < min(push.first + SPAN, pixels); from += SUBGROUP * PER_LANE) {
         vec2 center[PER_LANE];
         float T[PER_LANE];
         float R[PER_LANE];

@@ -23,6 +23,38 @@ use sgs_shaders::{blend_features as forward, blend_features_bwd as backward, fea
 /// Wanted pixels that a lane has at a time: 64 sums in registers.
 const PER_LANE: u32 = 2;
 
+/// What the kernels that go through tiles bind alike.
+macro_rules! of_tiles {
+    ($kernel:ident, ($screen:ident, $gaussians:ident, $visible:ident, $entries:ident, $wanted:ident), $($more:tt)*) => {
+        $kernel::Bindings {
+            params: $screen.step.into(),
+            tile_ranges: $entries.tile_ranges.into(),
+            sorted_entries: $entries.sorted,
+            entry_splats: $entries.splats.into(),
+            splats: $visible.splats.into(),
+            splat_ids: $visible.ids.into(),
+            raw_features: $gaussians.group(Group::Semantics).into(),
+            wanted: $wanted.into(),
+            $($more)*
+        }
+    };
+}
+
+/// And those that sum over the entries of a splat.
+macro_rules! of_splats {
+    ($kernel:ident, ($visible:ident, $entries:ident), $($more:tt)*) => {
+        $kernel::Bindings {
+            visible: $visible.work.slice,
+            splat_ids: $visible.ids.into(),
+            entry_starts: $entries.starts.into(),
+            tile_counts: $visible.tile_counts.into(),
+            entry_features: $entries.values.into(),
+            entry_flags: $entries.flags.into(),
+            $($more)*
+        }
+    };
+}
+
 /// What the features' gradients leave at the entries.
 #[derive(Clone, Copy, Debug)]
 pub struct EntryFeatures {
@@ -32,6 +64,11 @@ pub struct EntryFeatures {
     pub values: Buffer,
     /// `[entries]`
     pub flags: Buffer,
+}
+
+/// Pixels of a tile.
+fn pixels(screen: &Screen) -> u32 {
+    screen.tile[0] * screen.tile[1]
 }
 
 /// Words of a map of wanted pixels, a bit each, row by row.
@@ -53,27 +90,19 @@ pub fn blend_features(
     wanted: Buffer,
     into: Buffer,
 ) -> Result<(), GraphError> {
-    let bindings = forward::Bindings {
-        params: screen.step.into(),
-        tile_ranges: entries.tile_ranges.into(),
-        sorted_entries: entries.sorted,
-        entry_splats: entries.splats.into(),
-        splats: visible.splats.into(),
-        splat_ids: visible.ids.into(),
-        raw_features: gaussians.group(Group::Semantics).into(),
-        wanted: wanted.into(),
-        feature_image: into.into(),
-    };
+    let bindings = of_tiles!(forward, (screen, gaussians, visible, entries, wanted), feature_image: into.into(),);
+    let span = 2 * PER_LANE * t.subgroup_size;
     let specs = forward::Specs {
         subgroup: t.subgroup_size,
         per_lane: PER_LANE,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
+        span,
     };
     stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
-        .dispatch(groups(u64::from(screen.tiles()), 1))
+        .dispatch(groups(u64::from(screen.tiles()) * u64::from(pixels(screen).div_ceil(span)), 1))
 }
 
 /// Backward of [`blend_features`].
@@ -95,33 +124,34 @@ pub fn blend_features_bwd(
     let values = g.transient("entry_features", 4 * u64::from(6 + features) * u64::from(entries.capacity));
     let flags = g.transient("entry_flags", 4 * u64::from(entries.capacity));
     g.fill("clear_entry_flags", flags, 0)?;
-    let bindings = backward::Bindings {
-        params: screen.step.into(),
-        tile_ranges: entries.tile_ranges.into(),
-        sorted_entries: entries.sorted,
-        entry_splats: entries.splats.into(),
-        splats: visible.splats.into(),
-        splat_ids: visible.ids.into(),
-        raw_features: gaussians.group(Group::Semantics).into(),
-        wanted: wanted.into(),
+    let bindings = of_tiles!(backward, (screen, gaussians, visible, entries, wanted),
         feature_image: image.into(),
         grad_features: gradient.into(),
         entry_features: values.into(),
         entry_flags: flags.into(),
-    };
+    );
+    // Whole tiles, but for narrow subgroups: their parts of a tile are many, and llvmpipe leaves loops after 65535
+    // iterations, those of all loops of an invocation together.
+    let span = if t.subgroup_size < 16 { 2 * PER_LANE * t.subgroup_size } else { pixels(screen) };
     let specs = backward::Specs {
         subgroup: t.subgroup_size,
         per_lane: PER_LANE,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
+        span,
     };
-    // What the kernel adds to, it has written before: the flags say so.
-    let mut pass = stage(g, "blend_features_bwd", &backward::KERNEL, [], specs.entries(), &[]);
-    for (name, slice) in bindings.entries() {
-        pass = if name == "entry_features" { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
+    for first in (0..pixels(screen)).step_by(span as usize) {
+        let push = backward::Push { first };
+        let mut pass =
+            stage(g, "blend_features_bwd", &backward::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
+        for (name, slice) in bindings.entries() {
+            // What the kernel adds to, it has written before: the flags say so.
+            let discard = first == 0 && name == "entry_features";
+            pass = if discard { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
+        }
+        pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(u64::from(screen.tiles()), 1))?;
     }
-    pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(u64::from(screen.tiles()), 1))?;
     Ok(EntryFeatures { starts: entries.starts, values, flags })
 }
 
@@ -137,15 +167,7 @@ pub fn features_bwd(
     entries: &EntryFeatures,
     into: Buffer,
 ) -> Result<(), GraphError> {
-    let bindings = kernel::Bindings {
-        visible: visible.work.slice,
-        splat_ids: visible.ids.into(),
-        entry_starts: entries.starts.into(),
-        tile_counts: visible.tile_counts.into(),
-        entry_features: entries.values.into(),
-        entry_flags: entries.flags.into(),
-        grad_features: into.into(),
-    };
+    let bindings = of_splats!(kernel, (visible, entries), grad_features: into.into(),);
     let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
     stage(g, "features_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
@@ -176,19 +198,13 @@ pub fn features_bwd_adam(
     entries: &EntryFeatures,
     a: &FeatureAdam,
 ) -> Result<(), GraphError> {
-    let bindings = fused::Bindings {
+    let bindings = of_splats!(fused, (visible, entries),
         params: a.step.into(),
-        visible: visible.work.slice,
         flags: a.flags.into(),
-        splat_ids: visible.ids.into(),
-        entry_starts: entries.starts.into(),
-        tile_counts: visible.tile_counts.into(),
-        entry_features: entries.values.into(),
-        entry_flags: entries.flags.into(),
         seen: a.seen.unwrap_or(visible.ids).into(),
         parameters: gaussians.group(Group::Semantics).into(),
         moments: a.moments.into(),
-    };
+    );
     let specs = fused::Specs { workgroup: t.workgroup, features: Group::Semantics.width(), dense: a.seen.is_some() };
     stage(g, "features_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

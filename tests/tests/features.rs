@@ -1,0 +1,233 @@
+//! Wide features: the picture of them and their gradients where splats are hard, and their update fused with Adam.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::pipeline::Step;
+use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::blend::{Blended, render};
+use sgs_passes::reference::project::Gaussians;
+use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES};
+use sgs_passes::splat::{FeatureAdam, features_bwd, features_bwd_adam};
+use sgs_tests::feature_view::{View, declare, gaussian_inputs, wants};
+use sgs_tests::scenes::{self, Rng};
+use sgs_tests::{Gpu, Tolerance, assert_close};
+
+const WIDE: usize = SEMANTIC_FEATURES as usize;
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// The picture of features and the gradients of the Gaussians' features.
+fn run(gpu: &Gpu, scene: &Gaussians, view: &View) -> (Vec<f32>, Vec<f32>) {
+    let n = scene.len();
+    let mut g = Graph::new("features");
+    let degree = (0..4).rev().find(|b| !scene.sh[*b].is_empty()).unwrap_or(0) as u32;
+    let model = Model { sh_degree: degree, semantics: true, ..Default::default() };
+    let handles = Layout { model, capacity: n as u32, training: false, statistics: false }.declare(&mut g, false);
+    let flags = g.external("flags", 4);
+    let d = declare(gpu, &mut g, view, &handles, flags, Step::default());
+    let into = g.external("grad_semantics", 4 * (WIDE * n) as u64);
+    features_bwd(&mut g, &gpu.tuning(), &d.visible, &d.features, into).unwrap();
+    let mut inputs = gaussian_inputs(scene, &handles);
+    inputs.extend(d.inputs);
+    inputs.extend([(flags, vec![0; 4]), (into, vec![0; 4 * WIDE * n])]);
+    let out = gpu.run(g, &inputs);
+    assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
+    (out.get(d.image), out.get(into))
+}
+
+/// What is off most in a picture of features, where features are wanted and the twin has no doubt.
+fn largest(found: &[f32], twin: &Blended) -> f64 {
+    let mut largest = 0.0_f64;
+    for (p, pixel) in found.chunks_exact(WIDE).enumerate().filter(|(p, _)| wants(*p) && !twin.doubtful[*p]) {
+        let expected = &twin.image[p * (3 + WIDE) + 3..][..WIDE];
+        for (x, y) in pixel.iter().zip(expected) {
+            let difference = (f64::from(*x) - y).abs();
+            largest = if difference.is_nan() { f64::INFINITY } else { largest.max(difference) };
+        }
+    }
+    largest
+}
+
+/// Needles, giants, specks and the rest: pictures agree with the twin, nothing is written where nothing is wanted, and the
+/// gradients are the weights of the twin (the picture is linear in the features).
+#[test]
+fn features_of_hard_splats_agree_with_the_twin() {
+    let gpu = Gpu::new();
+    for (seed, size) in [(1, [50, 37]), (2, [64, 48]), (3, [9, 50])] {
+        let scene = scenes::with_semantics(scenes::hard(seed), seed + 7);
+        let mut view = View::new(size, 0.0, seed + 3);
+        let truth = render(&scene, &view.camera, 3, false, [0.0; 3]);
+        for (p, weights) in view.weights.chunks_exact_mut(WIDE).enumerate() {
+            if truth.doubtful[p] {
+                weights.fill(0.0);
+            }
+        }
+        let (image, gradient) = run(&gpu, &scene, &view);
+        let off = largest(&image, &truth);
+        println!("seed {seed}: largest {off:.2e}");
+        assert!(off < 2e-3, "seed {seed}: largest difference {off}");
+        for (p, pixel) in image.chunks_exact(WIDE).enumerate() {
+            let written = pixel.iter().any(|x| x.to_bits() != u32::MAX);
+            assert_eq!(written, wants(p), "pixel {p}");
+        }
+        let mut expected = Vec::new();
+        let mut one = scene.clone();
+        for i in 0..scene.len() {
+            // One Gaussian's first feature is one, all else zero: the picture is its weights.
+            one.semantics.fill(0.0);
+            one.semantics[i * WIDE] = 1.0;
+            let weights = render(&one, &view.camera, 3, false, [0.0; 3]).image;
+            let mut sum = [0.0; WIDE];
+            for (p, g) in view.weights.chunks_exact(WIDE).enumerate() {
+                let w = weights[p * (3 + WIDE) + 3];
+                sum.iter_mut().zip(g).for_each(|(s, g)| *s += w * g);
+            }
+            expected.extend(sum);
+        }
+        assert!(expected.iter().filter(|x| **x != 0.0).count() > 20 * WIDE);
+        assert_close("gradients of features", &expected, &gradient, Tolerance::new(5e-3, 1e-3));
+    }
+}
+
+#[test]
+fn a_planted_error_is_caught() {
+    let scene = scenes::with_semantics(scenes::hard(1), 8);
+    let view = View::new([50, 37], 0.0, 4);
+    let image = |g: &Gaussians| render(g, &view.camera, 3, false, [0.0; 3]);
+    let mut moved = scene.clone();
+    moved.semantics.iter_mut().step_by(WIDE).for_each(|x| *x += 0.02);
+    let found: Vec<f32> = image(&moved).image.chunks_exact(3 + WIDE).flat_map(|p| &p[3..]).map(|x| *x as f32).collect();
+    assert!(largest(&found, &image(&scene)) > 2e-3);
+}
+
+/// The update of features fused with the sum of their gradients.
+struct Fused {
+    scene: Gaussians,
+    view: View,
+    moments: Vec<[f32; 2]>,
+    /// Dense Adam: which Gaussians are not left to another pass.
+    seen: Option<Vec<u32>>,
+    flag: u32,
+}
+
+impl Fused {
+    fn new(seed: u64, dense: bool) -> Fused {
+        let scene = scenes::with_semantics(scenes::ordinary(90, 0, false, seed), seed);
+        let mut view = View::new([23, 30], 0.3, seed);
+        // Features 5 and 6 are never asked for, and the upper pixels of all of them are not.
+        let weights = view.weights.iter_mut().enumerate();
+        weights.filter(|(i, _)| [5, 6].contains(&(i % WIDE)) || i / WIDE < 200).for_each(|(_, w)| *w = 0.0);
+        let n = scene.len();
+        let mut r = Rng::new(seed);
+        let mut moments: Vec<[f32; 2]> = (0..WIDE * n)
+            .map(|_| {
+                let (m, v) = (r.between(-0.1, 0.1) as f32, r.between(0.01, 0.2) as f32);
+                [m, m * m + v * v]
+            })
+            .collect();
+        moments.iter_mut().step_by(7).for_each(|m| *m = [0.0; 2]);
+        let seen = dense.then(|| (0..n as u32).map(|i| i % 4 / 2).collect());
+        Fused { scene, view, moments, seen, flag: 0 }
+    }
+
+    /// Runs and compares with Adam on the gradients; returns how many scalars moved, and how many had no gradient.
+    fn check(&self, gpu: &Gpu, halved: bool) -> [usize; 2] {
+        let t = gpu.tuning();
+        let n = self.scene.len();
+        let rates = twin::Rates::at(2e-3, 4);
+        let mut g = Graph::new("fused");
+        let model = Model { semantics: true, ..Default::default() };
+        let layout = Layout { model, capacity: n as u32 + 2, training: true, statistics: false };
+        let handles = layout.declare(&mut g, true);
+        let flags = g.external("flags", 4);
+        let values = Step {
+            lr_semantics: rates.lr as f32,
+            correction1: rates.correction1 as f32,
+            correction2: rates.correction2 as f32,
+            lr_means: f32::NAN,
+            ..Default::default()
+        };
+        let d = declare(gpu, &mut g, &self.view, &handles, flags, values);
+        let into = g.external("grad_semantics", 4 * (WIDE * n) as u64);
+        features_bwd(&mut g, &t, &d.visible, &d.features, into).unwrap();
+        let raised = g.input("raised", 4);
+        let seen = self.seen.as_ref().map(|_| g.input("seen", 4 * n as u64));
+        let moments = handles.moments.unwrap()[Group::Semantics as usize];
+        let a = FeatureAdam { step: d.screen.step, flags: raised, moments, seen };
+        features_bwd_adam(&mut g, &t, &handles, &d.visible, &d.features, &a).unwrap();
+        let mut inputs = gaussian_inputs(&self.scene, &handles);
+        inputs.extend(d.inputs);
+        inputs.extend([(flags, vec![0; 4]), (into, vec![0; 4 * WIDE * n]), (raised, bytes(&[self.flag]))]);
+        inputs.push((moments, bytes(&self.moments)));
+        inputs.extend(seen.zip(self.seen.as_ref()).map(|(b, s)| (b, bytes(s))));
+        let out = gpu.run(g, &inputs);
+        assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
+
+        let gradients = out.get::<f32>(into);
+        let found = &out.get::<f32>(handles.group(Group::Semantics))[..WIDE * n];
+        let found_moments = &out.get::<[f32; 2]>(moments)[..WIDE * n];
+        let data = scenes::data(&self.scene);
+        let visible = sgs_passes::reference::project::project(&self.scene, &self.view.camera, 0, false);
+        let mut is_visible = vec![false; n];
+        visible.iter().for_each(|s| is_visible[s.id] = true);
+        let mut counts = [0; 2];
+        let (mut expected, mut expected_moments) = (Vec::new(), Vec::new());
+        for (j, gradient) in gradients.iter().enumerate() {
+            let (p, m) = (data.group(Group::Semantics)[j], self.moments[j]);
+            let moves = match &self.seen {
+                Some(seen) => is_visible[j / WIDE] && seen[j / WIDE] != 0,
+                None => *gradient != 0.0,
+            };
+            let gradient = f64::from(*gradient) * if halved { 0.5 } else { 1.0 };
+            counts[1] += usize::from(gradient == 0.0);
+            if self.flag != 0 || !moves || gradient.is_nan() {
+                assert!((found[j], found_moments[j]) == (p, m), "scalar {j} was touched");
+                expected.push(f64::from(p));
+                expected_moments.extend(m.map(f64::from));
+            } else {
+                let (p, m) = twin::adam(f64::from(p), m.map(f64::from), gradient, rates);
+                counts[0] += 1;
+                expected.push(p);
+                expected_moments.extend(m);
+            }
+        }
+        assert_close("moments", &expected_moments, found_moments.as_flattened(), Tolerance::new(1e-7, 1e-5));
+        assert_close("features", &expected, found, Tolerance::new(1e-4 * rates.lr, 2e-7));
+        counts
+    }
+}
+
+#[test]
+fn the_fused_update_of_features_is_adam_on_their_gradients() {
+    let gpu = Gpu::new();
+    for dense in [false, true] {
+        let [moved, still] = Fused::new(11, dense).check(&gpu, false);
+        assert!(moved > 300 && still > 300, "{moved} moved, {still} had no gradient");
+    }
+}
+
+#[test]
+fn a_raised_flag_leaves_features_as_they_are() {
+    let gpu = Gpu::new();
+    for dense in [false, true] {
+        Fused { flag: 4, ..Fused::new(12, dense) }.check(&gpu, false);
+    }
+}
+
+#[test]
+fn features_whose_gradients_are_not_finite_stay_as_they_are() {
+    let gpu = Gpu::new();
+    for dense in [false, true] {
+        let mut case = Fused::new(13, dense);
+        case.view.weights[400 * WIDE..].iter_mut().step_by(WIDE * 20).for_each(|w| *w = f64::NAN);
+        let [moved, _] = case.check(&gpu, false);
+        assert!(moved > 300);
+    }
+}
+
+#[test]
+#[should_panic(expected = "moments: element")]
+fn a_lost_half_of_the_gradient_is_noticed() {
+    Fused::new(11, false).check(&Gpu::new(), true);
+}
