@@ -4,9 +4,11 @@
 use half::f16;
 use sgs_engine::{Device, DeviceOptions};
 use sgs_passes::scene::{EMBEDDING, Group};
+use sgs_provider::Fallback;
 use sgs_scene::{Scene, SceneOptions, write_ids, write_npy_f16};
 use sgs_tests::cli::sgs;
 use sgs_tests::meaning::{Meaning, WALLS};
+use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Progress, Settings, evaluate_classes};
@@ -206,4 +208,45 @@ fn bad_priors_are_left_out_or_refused_by_name() {
         &["000.png"],
     );
     assert_eq!(WALLS.len(), 6);
+}
+
+/// A process says where the region is; what happens when it does not is the user's choice.
+#[test]
+fn a_provider_of_masks_is_asked_while_training() {
+    let place = place(Room::default(), Meaning::default());
+    let (device, scene) = (device(), open(&place));
+    let asked = |what: &str, on_failure: Fallback| {
+        let mut s = settings(9, 5);
+        s.provider.command = provider(what);
+        (s.provider.on_failure, s.provider.answer_seconds) = (on_failure, 5.0);
+        s
+    };
+    let stand_in = format!("'stand-in={}'", place.text("scene"));
+    let s = asked(&stand_in, Fallback::Stop);
+    let (training, losses) = train(&device, &scene, &s);
+    let compared = losses.iter().filter(|(_, l)| l[2] > 0.0).map(|(step, _)| *step).collect::<Vec<u32>>();
+    assert!(compared.len() >= 3 && compared.iter().all(|step| *step >= 5), "{losses:?}");
+    // The same questions have the same answers: with room for one entry, and gone on with.
+    let mut again = s.clone();
+    again.geometry.entry_capacity = 1;
+    let mut second = Geometry::new(&device, &scene, &again, None).unwrap();
+    second.train(6, |_| {}, || true).unwrap();
+    second.save(&place.path("state")).unwrap();
+    let mut third = Geometry::new(&device, &scene, &s, None).unwrap();
+    third.restore(&place.path("state")).unwrap();
+    third.train(9, |_| {}, || true).unwrap();
+    assert!(third.splats().unwrap() == training.splats().unwrap(), "resumed with a provider, splats differ");
+
+    let error = |s: &Settings| match Geometry::new(&device, &scene, s, None) {
+        Err(error) => error.to_string(),
+        Ok(mut training) => training.train(9, |_| {}, || true).unwrap_err().to_string(),
+    };
+    for what in ["misbehave=crash", "misbehave=bool-two"] {
+        let said = error(&asked(what, Fallback::Stop));
+        assert!(said.ends_with('.') && !said.contains('\n'), "{what}: {said}");
+        let (training, losses) = train(&device, &scene, &asked(what, Fallback::GoOn));
+        assert!(training.step() == 9 && losses.iter().all(|(_, l)| l[2] == 0.0), "{what}: {losses:?}");
+    }
+    let none = asked("misbehave=no-such-way", Fallback::Stop);
+    assert!(!error(&none).contains('\n'));
 }

@@ -2,22 +2,32 @@
 //!
 //! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
 
+use crate::asked::Asked;
 use crate::convert::camera;
 use crate::error::Result;
-use crate::pseudo::{PseudoOptions, PseudoViews};
+use crate::pseudo::PseudoViews;
 use crate::regions::{PseudoMaps, RegionMaps};
 use crate::semantics::SemanticData;
+use crate::settings::Settings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::{Inputs, Masks, PSEUDO_VIEWS, Step};
-use sgs_scene::Scene;
+use sgs_passes::scene::Gaussians;
+use sgs_scene::{Camera, Scene};
 
 /// Pseudo-views and regions of a scene, on the device.
 pub(crate) struct Correspondence {
     pseudo: PseudoViews,
-    regions: RegionMaps,
-    ids: DeviceBuffer,
-    /// Regions of pseudo-views, segmented outside.
-    given: Option<(PseudoMaps, DeviceBuffer)>,
+    /// The training views.
+    views: Vec<Camera>,
+    regions: Regions,
+}
+
+/// Who says what a region is.
+enum Regions {
+    /// Numbers of the training views' pixels, and perhaps of the pseudo-views'.
+    Numbered { maps: RegionMaps, ids: DeviceBuffer, pseudo: Option<(PseudoMaps, DeviceBuffer)> },
+    /// A network.
+    Asked(Box<Asked>),
 }
 
 impl Correspondence {
@@ -26,10 +36,16 @@ impl Correspondence {
         device: &Device,
         scene: &Scene,
         semantic: &SemanticData,
-        options: &PseudoOptions,
+        settings: &Settings,
+        largest: [u32; 2],
     ) -> Result<Option<Correspondence>> {
-        let Some(regions) = RegionMaps::load(device, scene, Some(semantic))? else { return Ok(None) };
-        let pseudo = PseudoViews::new(scene, options)?;
+        let pseudo = PseudoViews::new(scene, &settings.geometry.pseudo)?;
+        let views = scene.split.train.iter().map(|&i| scene.views[i].camera.clone()).collect();
+        if !settings.provider.command.trim().is_empty() {
+            let asked = Asked::start(device, largest, &settings.provider)?;
+            return Ok(asked.map(|a| Correspondence { pseudo, views, regions: Regions::Asked(Box::new(a)) }));
+        }
+        let Some(maps) = RegionMaps::load(device, scene, Some(semantic))? else { return Ok(None) };
         let given = match PseudoMaps::load(scene, &pseudo)? {
             Some(maps) => {
                 let memory = maps.upload(device)?;
@@ -37,45 +53,84 @@ impl Correspondence {
             }
             None => None,
         };
-        let ids = regions.upload(device)?;
-        Ok(Some(Correspondence { pseudo, regions, ids, given }))
+        let ids = maps.upload(device)?;
+        Ok(Some(Correspondence { pseudo, views, regions: Regions::Numbered { maps, ids, pseudo: given } }))
     }
 
     /// What says where a region is in pseudo-views.
     pub fn masks(&self) -> Masks {
-        if self.given.is_some() { Masks::Numbered } else { Masks::Carried }
+        match &self.regions {
+            Regions::Numbered { pseudo: None, .. } => Masks::Carried,
+            Regions::Numbered { .. } => Masks::Numbered,
+            Regions::Asked(_) => Masks::Given,
+        }
+    }
+
+    /// Whether a step can only be made up when those before it are done.
+    pub fn looks(&self) -> bool {
+        matches!(self.regions, Regions::Asked(_))
     }
 
     /// Adds what a step is bound to.
     pub fn bind<'a>(&'a self, inputs: &mut Inputs<'a>) {
-        inputs.regions = Some(&self.ids);
-        inputs.pseudo_regions = self.given.as_ref().map(|(_, memory)| memory);
+        match &self.regions {
+            Regions::Numbered { ids, pseudo, .. } => {
+                inputs.regions = Some(ids);
+                inputs.pseudo_regions = pseudo.as_ref().map(|(_, memory)| memory);
+            }
+            Regions::Asked(asked) => inputs.regions = Some(&asked.masks),
+        }
     }
 
-    /// Chooses the region of a step, and makes the uniforms of its pseudo-views.
-    pub fn steps(&self, seed: u64, view: usize, values: &mut Step) -> [Step; PSEUDO_VIEWS] {
-        values.region = self.regions.draw(view, seed, values.step);
-        let drawn = self.pseudo.draw(seed, values.step);
-        let mut which = 0;
-        drawn.map(|index| {
-            let mut step = Step {
-                camera: camera(&self.pseudo.camera(view, which, index)),
-                step: values.step,
-                region: values.region,
-                weight_correspondence: values.weight_correspondence,
-                inverse_temperature: values.inverse_temperature,
-                ..Step::default()
-            };
-            if let Some((maps, _)) = &self.given {
-                step.target_offset = maps.first(view, which, index);
+    /// Chooses the region of a step, and makes the uniforms of its pseudo-views. None if there is nobody to ask any more.
+    /// `look`: degree of the harmonics and background of what a network is shown.
+    pub fn steps(
+        &mut self,
+        device: &Device,
+        gaussians: &Gaussians,
+        look: (u32, [f32; 3]),
+        seed: u64,
+        view: usize,
+        values: &mut Step,
+    ) -> Result<Option<[Step; PSEUDO_VIEWS]>> {
+        let [first, second] = self.pseudo.draw(seed, values.step);
+        let drawn = [(0, first), (1, second)];
+        let cameras = drawn.map(|(which, index)| self.pseudo.camera(view, which, index));
+        let mut steps = cameras.each_ref().map(|c| Step {
+            camera: camera(c),
+            step: values.step,
+            weight_correspondence: values.weight_correspondence,
+            inverse_temperature: values.inverse_temperature,
+            ..Step::default()
+        });
+        match &mut self.regions {
+            Regions::Numbered { maps, pseudo, .. } => {
+                values.region = maps.draw(view, seed, values.step);
+                for (step, (which, index)) in steps.iter_mut().zip(drawn) {
+                    step.region = values.region;
+                    step.target_offset = pseudo.as_ref().map_or(0, |(maps, _)| maps.first(view, which, index));
+                }
             }
-            which += 1;
-            step
-        })
+            Regions::Asked(asked) => {
+                let [a, b] = cameras;
+                let frames = [a, self.views[view].clone(), b];
+                if !asked.ask(device, gaussians, &frames, look, seed, values.step)? {
+                    return Ok(None);
+                }
+                values.mask_offset = asked.words;
+                steps[1].mask_offset = 2 * asked.words;
+            }
+        }
+        Ok(Some(steps))
     }
 
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
-        self.ids.bytes() + self.given.as_ref().map_or(0, |(_, memory)| memory.bytes())
+        match &self.regions {
+            Regions::Numbered { ids, pseudo, .. } => {
+                ids.bytes() + pseudo.as_ref().map_or(0, |(_, memory)| memory.bytes())
+            }
+            Regions::Asked(asked) => asked.masks.bytes(),
+        }
     }
 }

@@ -11,6 +11,9 @@ pub enum TrainError {
     /// The scene cannot be used.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),
+    /// A network that was asked failed.
+    #[error("{0}.")]
+    Provider(#[from] sgs_provider::ProviderError),
     /// Two images cannot be compared.
     #[error(transparent)]
     Metric(#[from] crate::metrics::MetricError),

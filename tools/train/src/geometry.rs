@@ -18,8 +18,8 @@ use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{BudgetSource, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, OpacityReset, Status, Step,
-    StepReport,
+    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, OpacityReset, PSEUDO_VIEWS, Status,
+    Step, StepReport,
 };
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
@@ -144,7 +144,7 @@ impl Geometry {
             None => None,
         };
         let correspondence = match &semantics {
-            Some((data, _)) if wants_views => Correspondence::load(device, scene, data, &g.pseudo)?,
+            Some((data, _)) if wants_views => Correspondence::load(device, scene, data, settings, options.largest)?,
             _ => None,
         };
         needs.regions = correspondence.as_ref().map_or(0, Correspondence::bytes);
@@ -242,18 +242,34 @@ impl Geometry {
             self.rebuild()?;
         }
         let mut values = self.values(step);
-        match &self.correspondence {
-            Some(c) if due => {
-                let view = self.schedule.view(step);
-                let pseudo = c.steps(self.settings.seed, view, &mut values);
-                self.exec()?.submit_views(&values, &pseudo)?;
-            }
-            _ => {
-                self.exec()?.submit(&values)?;
-            }
+        if !due || self.correspondence.is_none() {
+            self.exec()?.submit(&values)?;
+        } else {
+            let pseudo = self.pseudo_views(&mut values)?;
+            match pseudo {
+                Some(pseudo) => self.exec()?.submit_views(&values, &pseudo)?,
+                None => {
+                    // Nobody says any more where regions are.
+                    self.correspondence = None;
+                    return self.submit_next();
+                }
+            };
         }
         self.submitted = step;
         Ok(())
+    }
+
+    /// The uniforms of a step's pseudo-views.
+    fn pseudo_views(&mut self, values: &mut Step) -> Result<Option<[Step; PSEUDO_VIEWS]>> {
+        let (view, seed) = (self.schedule.view(values.step), self.settings.seed);
+        let look = (values.sh_degree, self.settings.geometry.background);
+        if self.correspondence.as_ref().is_some_and(Correspondence::looks) {
+            self.exec()?.finish()?;
+        }
+        match &mut self.correspondence {
+            Some(c) => c.steps(&self.device, &self.gaussians, look, seed, view, values),
+            None => Ok(None),
+        }
     }
 
     /// The uniform of a step.

@@ -3,6 +3,7 @@
 //! Knows datasets and schedules; never Vulkan calls. The command line is a thin shell around this crate.
 
 pub mod ablate;
+mod asked;
 mod checkpoint;
 mod classify;
 mod convert;
@@ -37,4 +38,6 @@ pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView
 pub use run::{RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
-pub use settings::{Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, Rates, Settings};
+pub use settings::{
+    Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, ProviderSettings, Rates, Settings,
+};

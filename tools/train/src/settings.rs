@@ -3,6 +3,7 @@
 use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;
 use serde::{Deserialize, Serialize};
+use sgs_provider::{Fallback, ProviderOptions};
 use std::path::PathBuf;
 
 /// All settings of a run.
@@ -25,6 +26,8 @@ pub struct Settings {
     pub random_points: usize,
     /// Memory of the device.
     pub memory: MemorySettings,
+    /// A network that is asked while training.
+    pub provider: ProviderSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
 }
@@ -40,6 +43,7 @@ impl Default for Settings {
             masks: true,
             random_points: 20_000,
             memory: MemorySettings::default(),
+            provider: ProviderSettings::default(),
             geometry: GeometrySettings::default(),
         }
     }
@@ -51,6 +55,33 @@ impl Default for Settings {
 pub struct MemorySettings {
     /// Most bytes that training may take, all in; 0 for what the device or its driver has.
     pub budget: u64,
+}
+
+/// A network that lives in another process (docs/PRIORS.md).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProviderSettings {
+    /// Its command line, split as a shell would; empty for none. It is asked where the step's region is in training view
+    /// and pseudo-views.
+    pub command: String,
+    /// Whether its failure stops training (`stop`), or ends what it is asked for (`go-on`).
+    pub on_failure: Fallback,
+    /// Seconds to wait for its start.
+    pub start_seconds: f64,
+    /// Seconds to wait for each answer.
+    pub answer_seconds: f64,
+}
+
+impl Default for ProviderSettings {
+    fn default() -> Self {
+        let o = ProviderOptions::default();
+        ProviderSettings {
+            command: String::new(),
+            on_failure: Fallback::default(),
+            start_seconds: o.start_seconds,
+            answer_seconds: o.answer_seconds,
+        }
+    }
 }
 
 /// The geometry stage.
@@ -328,6 +359,13 @@ impl Settings {
         }
         if i64::try_from(self.memory.budget).is_err() {
             return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
+        }
+        for (name, value) in
+            [("start_seconds", self.provider.start_seconds), ("answer_seconds", self.provider.answer_seconds)]
+        {
+            if !(value > 0.0 && value.is_finite()) {
+                return fail(format!("provider.{name} is {value}, but must be a finite number above 0."));
+            }
         }
         if g.sh_degree > 3 {
             return fail(format!("geometry.sh_degree is {}, but must be 0 to 3.", g.sh_degree));

@@ -1,0 +1,103 @@
+//! Masks of a region from a network: three rendered frames of a step are shown to a provider, which says where the thing at
+//! a point of the first one is in each of them (SGS-Intrinsic, stage I: SAM 2 over pseudo-view, training view,
+//! pseudo-view).
+//!
+//! The frames show the Gaussians as they are before the step, so the step waits for all before it: asking costs what the
+//! network costs, and this. The point is drawn from seed and step.
+
+use crate::convert::camera;
+use crate::error::{Result, TrainError};
+use crate::schedule::hash;
+use crate::settings::ProviderSettings;
+use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_passes::Tuning;
+use sgs_passes::loss::pack_mask;
+use sgs_passes::pipeline::Renderer;
+use sgs_passes::scene::Gaussians;
+use sgs_passes::splat::{Channels, wanted_words};
+use sgs_provider::{Encoding, Helper, Picture, ProviderOptions};
+use sgs_scene::{Camera, Image};
+
+/// Frames of a question: a pseudo-view, the training view, the other pseudo-view.
+pub(crate) const FRAMES: usize = 3;
+
+/// A provider of masks.
+pub(crate) struct Asked {
+    helper: Helper,
+    renderer: Option<Renderer>,
+    /// Bits of the three frames, one behind the other.
+    pub masks: DeviceBuffer,
+    /// Words of a frame.
+    pub words: u32,
+}
+
+impl Asked {
+    /// Starts the provider; none if it fails and training may go on without.
+    pub fn start(device: &Device, largest: [u32; 2], s: &ProviderSettings) -> Result<Option<Asked>> {
+        let options = ProviderOptions {
+            command: s.command.clone(),
+            start_seconds: s.start_seconds,
+            answer_seconds: s.answer_seconds,
+            ..ProviderOptions::default()
+        };
+        let mut helper = Helper::start(&options, s.on_failure)?;
+        // One that answers other questions alone is said before training, not in the middle of it.
+        let offers = helper.ask(|p| Ok((p.offers("masks"), p.about().list())))?;
+        match offers {
+            None => return Ok(None),
+            Some((true, _)) => {}
+            Some((false, list)) => {
+                return Err(TrainError::Setting(format!(
+                    "The provider answers no questions about masks, but about {list}; choose another, or leave \
+                     provider.command empty to carry regions by depth."
+                )));
+            }
+        }
+        let words = wanted_words(u64::from(largest[0]) * u64::from(largest[1]));
+        let masks = device.buffer("asked_masks", 4 * words * FRAMES as u64, Location::Device)?;
+        Ok(Some(Asked { helper, renderer: None, masks, words: words as u32 }))
+    }
+
+    /// Renders the frames, asks, and leaves the masks in [`Asked::masks`]. False if there is nobody to ask any more.
+    pub fn ask(
+        &mut self,
+        device: &Device,
+        gaussians: &Gaussians,
+        cameras: &[Camera; FRAMES],
+        look: (u32, [f32; 3]),
+        seed: u64,
+        step: u32,
+    ) -> Result<bool> {
+        if self.renderer.is_none() {
+            let size = [cameras[0].width, cameras[0].height];
+            let tuning = Tuning::for_device(device.info());
+            self.renderer = Some(Renderer::new(device, tuning, gaussians, size, Channels::default())?);
+        }
+        let Some(renderer) = &mut self.renderer else { return Ok(false) };
+        let mut images = Vec::new();
+        for c in cameras {
+            let picture = renderer.render(gaussians, &camera(c), look.0, look.1)?;
+            let data = picture.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+            images.push(Image { width: c.width, height: c.height, channels: 3, data });
+        }
+        let frame = |i: usize| Picture {
+            image: &images[i],
+            encoding: Encoding::Srgb,
+            // Only the training view is a view of the scene.
+            view: (i == 1).then_some(cameras[i].name.as_str()),
+            camera: Some(&cameras[i]),
+        };
+        let frames = [frame(0), frame(1), frame(2)];
+        let at = |axis: u64, size: u32| {
+            (hash(seed ^ (0x706f_696e_7400 + axis), u64::from(step)) % u64::from(size)) as f64 + 0.5
+        };
+        let point = [at(0, cameras[0].width), at(1, cameras[0].height)];
+        let Some(answer) = self.helper.ask(|p| p.masks(&frames, Some(point)))? else { return Ok(false) };
+        for (i, mask) in answer.frames.iter().enumerate() {
+            let bits = pack_mask(mask);
+            let words = u64::from(self.words);
+            device.upload(&self.masks, 4 * words * i as u64, bytemuck::cast_slice(&bits))?;
+        }
+        Ok(true)
+    }
+}
