@@ -241,7 +241,7 @@ fn a_provider_of_masks_is_asked_while_training() {
         Err(error) => error.to_string(),
         Ok(mut training) => training.train(9, |_| {}, || true).unwrap_err().to_string(),
     };
-    for what in ["misbehave=crash", "misbehave=bool-two"] {
+    for what in ["misbehave=exit", "misbehave=bool-two"] {
         let said = error(&asked(what, Fallback::Stop));
         assert!(said.ends_with('.') && !said.contains('\n'), "{what}: {said}");
         let (training, losses) = train(&device, &scene, &asked(what, Fallback::GoOn));
