@@ -247,6 +247,6 @@ fn a_provider_of_masks_is_asked_while_training() {
         let (training, losses) = train(&device, &scene, &asked(what, Fallback::GoOn));
         assert!(training.step() == 9 && losses.iter().all(|(_, l)| l[2] == 0.0), "{what}: {losses:?}");
     }
-    let none = asked("misbehave=no-such-way", Fallback::Stop);
+    let none = asked("misbehave=cannot-load", Fallback::Stop);
     assert!(!error(&none).contains('\n'));
 }
