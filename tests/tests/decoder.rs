@@ -260,3 +260,50 @@ fn semantic_priors_of_a_scene_reach_the_device() {
     std::fs::remove_file(folder.join("text_embeddings.npy")).unwrap();
     assert!(SemanticData::load(device, &open()).unwrap().is_none());
 }
+
+/// Wanted pixels are those that a sample is interpolated from with some weight, and those of the region.
+#[test]
+fn features_are_wanted_where_samples_and_regions_are() {
+    use sgs_passes::loss::{pack_mask, wanted_samples};
+    use sgs_passes::splat::{Screen, wanted_words};
+    let gpu = Gpu::new();
+    // How much a sample of `n` along an axis of `pixels` has of pixel `at`, first and last on each other.
+    let weight = |i: usize, n: usize, at: usize, pixels: usize| {
+        let place = if n > 1 { i as f64 * (pixels - 1) as f64 / (n - 1) as f64 } else { 0.0 };
+        (1.0 - (place - at as f64).abs()).max(0.0)
+    };
+    for (size, map, region) in [
+        ([20, 15], [5, 4], false),
+        ([20, 15], [5, 4], true),
+        ([33, 7], [33, 7], false),
+        ([9, 11], [30, 2], false),
+        ([64, 3], [1, 1], false),
+        ([1, 40], [3, 5], false),
+        ([13, 5], [0, 0], true),
+        ([13, 5], [0, 0], false),
+    ] {
+        let largest = [size[0] as u32 + 3, size[1] as u32];
+        let mut g = Graph::new("wanted");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest, tile: gpu.tuning().tile };
+        let words = wanted_words(screen.pixels()) as usize;
+        let (mask, wanted) = (g.input("mask", 4 * (words as u64 + 2)), g.external("wanted", 4 * words as u64));
+        wanted_samples(&mut g, gpu.tuning(), &screen, region.then_some(mask), mask, wanted).unwrap();
+        let mut values = Step { mask_offset: 2, semantic_size: map.map(|n| n as u32), ..Step::default() };
+        values.camera.size = size.map(|n| n as u32);
+        let pixels: usize = size[0] * size[1];
+        let mut rng = Pcg::new(pixels as u32);
+        let inside: Vec<bool> = (0..pixels).map(|_| rng.next_u32().is_multiple_of(5)).collect();
+        let bits: Vec<u32> = [vec![u32::MAX; 2], pack_mask(&inside), vec![0; words]].concat()[..words + 2].to_vec();
+        let out = gpu.run(g, &[(step, bytes(&[values])), (mask, bytes(&bits))]);
+        let found = out.get::<u32>(wanted);
+        for p in 0..pixels.next_multiple_of(32) {
+            let (x, y) = (p % size[0], p / size[0]);
+            let sampled = (0..map[1]).any(|j| weight(j, map[1], y, size[1]) > 1e-9)
+                && (0..map[0]).any(|i| weight(i, map[0], x, size[0]) > 1e-9);
+            let expected = p < pixels && (sampled || (region && inside[p]));
+            let is = found[p / 32] >> (p % 32) & 1 == 1;
+            assert_eq!(is, expected, "pixel {x}, {y} of {size:?}, map {map:?}, region {region}");
+        }
+    }
+}
