@@ -3,6 +3,7 @@
 
 use crate::process::cpu_seconds;
 use crate::workload::Workload;
+use anyhow::Context;
 use sgs_engine::graph::Plan;
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Activity, Device};
@@ -10,7 +11,8 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
 use sgs_passes::scene::Gaussians;
 use sgs_passes::splat::{BackwardKernel, Channels};
-use sgs_train::Schedule;
+use sgs_train::{Correspondence, Schedule};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
 /// Replays in flight, as in training.
@@ -70,15 +72,19 @@ impl<'w> Trainer<'w> {
         let gaussians = Gaussians::with(device, workload.model, capacity, true, densify)?;
         gaussians.upload(device, &workload.start)?;
         let tuning = Tuning::for_device(device.info());
+        let masks = match &workload.correspondence {
+            Some(c) => Some(locked(c)?.masks()),
+            None => None,
+        };
         let options = GeometryOptions {
             largest: workload.largest,
             entry_capacity,
-            channels: Channels { normals: workload.model.normals, depth: workload.model.normals },
+            channels: Channels { normals: workload.model.normals, depth: workload.model.normals || masks.is_some() },
             statistics: densify,
             dense_adam: false,
             backward,
             semantic_geometry: true,
-            pseudo: None,
+            pseudo: masks,
             timestamps: false,
             frames_in_flight: IN_FLIGHT as usize,
         };
@@ -183,7 +189,14 @@ impl<'w> Trainer<'w> {
         if let Some((data, _)) = self.workload.semantics.as_deref() {
             data.views[view].fill(&mut values);
         }
-        self.exec.submit(&values)?;
+        let Some(c) = &self.workload.correspondence else {
+            self.exec.submit(&values)?;
+            return Ok(());
+        };
+        let look = (values.sh_degree, values.background);
+        let (mut c, seed) = (locked(c)?, self.workload.settings.seed);
+        let pseudo = c.steps(&self.device, &self.gaussians, look, seed, view, &mut values)?;
+        self.exec.submit_views(&values, &pseudo.context("Nobody says where regions are.")?)?;
         Ok(())
     }
 
@@ -224,7 +237,19 @@ fn build(
     status: &Status,
     options: GeometryOptions,
 ) -> anyhow::Result<GeometryStep> {
-    Ok(GeometryStep::new(device, tuning, gaussians, &workload.inputs(), status, options)?)
+    let guard = match &workload.correspondence {
+        Some(c) => Some(locked(c)?),
+        None => None,
+    };
+    let mut inputs = workload.inputs();
+    if let Some(c) = guard.as_deref() {
+        c.bind(&mut inputs);
+    }
+    Ok(GeometryStep::new(device, tuning, gaussians, &inputs, status, options)?)
+}
+
+fn locked(c: &Mutex<Correspondence>) -> anyhow::Result<MutexGuard<'_, Correspondence>> {
+    c.lock().map_err(|_| anyhow::anyhow!("A measurement has panicked."))
 }
 
 /// Room for tile entries before anything is measured, as training has it.

@@ -47,6 +47,9 @@ pub struct Args {
     /// With the semantic loss; the scene must have the priors.
     #[arg(long, requires = "scene")]
     pub semantics: bool,
+    /// With two pseudo-views, and a region that is compared.
+    #[arg(long, requires = "semantics")]
+    pub pseudo: bool,
     /// Degree of the spherical harmonics.
     #[arg(long, value_name = "D", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3))]
     pub sh_degree: u32,
@@ -103,7 +106,7 @@ impl Args {
             Some(path) => directory(
                 device,
                 path,
-                Priors { normals: self.normals, semantics: self.semantics },
+                Priors { normals: self.normals, semantics: self.semantics, pseudo: self.pseudo },
                 self.densify,
                 self.sh_degree,
             )?,
@@ -126,6 +129,7 @@ impl Args {
         report.setting("degree", self.sh_degree);
         report.setting("normals", self.normals);
         report.setting("semantics", self.semantics);
+        report.setting("pseudo", self.pseudo);
         report.setting("densify", self.densify);
         report.setting("backward", format!("{:?}", self.backward).to_lowercase());
         Ok(workload)
@@ -325,6 +329,7 @@ fn shallow(w: &Workload) -> Workload {
         targets: w.targets.clone(),
         normals: w.normals.clone(),
         semantics: w.semantics.clone(),
+        correspondence: w.correspondence.clone(),
         views: w.views.clone(),
         settings: w.settings.clone(),
         ..*w

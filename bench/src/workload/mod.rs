@@ -10,9 +10,9 @@ use sgs_passes::pipeline::{Camera, Inputs};
 use sgs_passes::reference::project as twin;
 use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
 use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_train::{SemanticData, Settings, TrainingData, gaussian_data};
+use sgs_train::{Correspondence, SemanticData, Settings, TrainingData, gaussian_data};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 /// A scene, ready to be trained on.
 pub struct Workload {
@@ -28,6 +28,8 @@ pub struct Workload {
     pub normals: Option<DeviceBuffer>,
     /// Semantic priors and the decoder.
     pub semantics: Option<Arc<(SemanticData, Decoder)>>,
+    /// Pseudo-views and their regions.
+    pub correspondence: Option<Arc<Mutex<Correspondence>>>,
     /// Cameras, and the first pixel of each one's photograph.
     pub views: Vec<(Camera, u32)>,
     /// Columns and rows that no view exceeds.
@@ -55,6 +57,8 @@ pub struct Priors {
     pub normals: bool,
     /// Semantic features.
     pub semantics: bool,
+    /// Pseudo-views beside these.
+    pub pseudo: bool,
 }
 
 impl Workload {
@@ -90,6 +94,13 @@ pub fn directory(
         Some(maps) => Some(Arc::new((maps, Decoder::new(device, 0, true)?))),
         None => None,
     };
+    let settings = settings(densify, sh_degree);
+    let correspondence = match semantics.as_deref().filter(|_| priors.pseudo) {
+        Some((maps, _)) => Correspondence::load(device, &scene, maps, &settings, data.largest)?,
+        None => None,
+    };
+    anyhow::ensure!(!priors.pseudo || correspondence.is_some(), "\"{}\" has no regions.", path.display());
+    let correspondence = correspondence.map(|c| Arc::new(Mutex::new(c)));
     let model = Model { sh_degree, normals: data.normals.is_some(), semantics: semantics.is_some() };
     let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
     Ok(Workload {
@@ -99,10 +110,11 @@ pub fn directory(
         targets: data.targets,
         normals: data.normals,
         semantics,
+        correspondence,
         views: data.views,
         largest: data.largest,
         extent: scene.extent(),
-        settings: settings(densify, sh_degree),
+        settings,
     })
 }
 

@@ -68,6 +68,7 @@ pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
         targets,
         normals,
         semantics: None,
+        correspondence: None,
         views: views.into_iter().enumerate().map(|(i, c)| (c, i as u32 * pixels)).collect(),
         largest: s.size,
         extent: 1.1 * RING,

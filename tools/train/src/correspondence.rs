@@ -15,7 +15,7 @@ use sgs_passes::scene::Gaussians;
 use sgs_scene::{Camera, Scene};
 
 /// Pseudo-views and regions of a scene, on the device.
-pub(crate) struct Correspondence {
+pub struct Correspondence {
     pseudo: PseudoViews,
     /// The training views.
     views: Vec<Camera>,
@@ -31,7 +31,10 @@ enum Regions {
 }
 
 impl Correspondence {
-    /// None where nothing says what a region is.
+    /// None where nothing says what a region is. `largest`: columns and rows that no view exceeds.
+    ///
+    /// # Errors
+    /// If a file cannot be used, the provider of the settings fails, or memory runs out.
     pub fn load(
         device: &Device,
         scene: &Scene,
@@ -84,6 +87,9 @@ impl Correspondence {
 
     /// Chooses the region of a step, and makes the uniforms of its pseudo-views. None if there is nobody to ask any more.
     /// `look`: degree of the harmonics and background of what a network is shown.
+    ///
+    /// # Errors
+    /// If the provider fails and training may not go on without.
     pub fn steps(
         &mut self,
         device: &Device,

@@ -18,8 +18,8 @@ use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{BudgetSource, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, OpacityReset, PSEUDO_VIEWS, Status,
-    Step, StepReport,
+    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
+    Status, Step, StepReport,
 };
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
@@ -147,7 +147,10 @@ impl Geometry {
             Some((data, _)) if wants_views => Correspondence::load(device, scene, data, settings, options.largest)?,
             _ => None,
         };
-        needs.regions = correspondence.as_ref().map_or(0, Correspondence::bytes);
+        if let Some(c) = &correspondence {
+            needs = needs.with_views(&tuning, &layout, &inputs, &options, c)?;
+            needs.check(&allowed(device, settings))?;
+        }
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
@@ -186,6 +189,16 @@ impl Geometry {
     /// Steps that are done.
     pub fn step(&self) -> u32 {
         self.done
+    }
+
+    /// The classes, if there are semantic priors.
+    pub fn classes(&self) -> Option<&[String]> {
+        self.semantics.as_ref().map(|(data, _)| data.text.labels.as_slice())
+    }
+
+    /// What says where regions are in pseudo-views, if there will be any.
+    pub fn masks(&self) -> Option<Masks> {
+        self.correspondence.as_ref().map(Correspondence::masks)
     }
 
     /// The device.

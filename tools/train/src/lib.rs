@@ -24,6 +24,7 @@ mod settings;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use convert::{camera, gaussian_data, splats};
+pub use correspondence::Correspondence;
 pub use data::TrainingData;
 pub use error::{Result, TrainError};
 pub use evaluate::{

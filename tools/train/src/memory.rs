@@ -3,6 +3,7 @@
 //! Promises that the sum is the one of the buffers that the first step has, byte for byte, plus the staging memory of an
 //! upload. Leaves room for growth to densification, which stops where the budget ends.
 
+use crate::correspondence::Correspondence;
 use crate::error::{Result, TrainError};
 use crate::settings::Settings;
 use serde::Serialize;
@@ -30,6 +31,8 @@ pub struct Needs {
     pub statistics: u64,
     /// Transients of a step.
     pub arena: u64,
+    /// More of them from when on there are pseudo-views.
+    pub pseudo_arena: u64,
     /// Transients of densification, where they do not fit into those of a step.
     pub densify_arena: u64,
     /// Uniforms and reports.
@@ -60,10 +63,28 @@ impl Needs {
             moments: layout.moment_bytes(),
             statistics: layout.statistics_bytes(),
             arena: plan.arena_bytes,
+            pseudo_arena: 0,
             densify_arena: if densify > plan.arena_bytes { densify } else { 0 },
             small: options.frames_in_flight as u64 * uniform + Status::BYTES + 16,
             staging: STAGING_BYTES,
         })
+    }
+
+    /// Adds what comparing regions between views takes later.
+    pub(crate) fn with_views(
+        mut self,
+        tuning: &Tuning,
+        layout: &Layout,
+        inputs: &InputSizes,
+        options: &GeometryOptions,
+        correspondence: &Correspondence,
+    ) -> Result<Needs> {
+        self.regions = correspondence.bytes();
+        let inputs = InputSizes { regions: Some(self.regions), ..*inputs };
+        let options = GeometryOptions { pseudo: Some(correspondence.masks()), ..*options };
+        let plan = GeometryStep::plan(tuning, layout, &inputs, &options)?;
+        self.pseudo_arena = plan.arena_bytes.saturating_sub(self.arena);
+        Ok(self)
     }
 
     /// All of it.
@@ -72,7 +93,7 @@ impl Needs {
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 11] {
+    pub fn parts(&self) -> [(&'static str, u64); 12] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
@@ -82,6 +103,7 @@ impl Needs {
             ("moments", self.moments),
             ("statistics", self.statistics),
             ("arena", self.arena),
+            ("arena of pseudo-views", self.pseudo_arena),
             ("arena of densification", self.densify_arena),
             ("uniforms and reports", self.small),
             ("staging", self.staging),

@@ -5,6 +5,7 @@ use crate::common::Common;
 use anyhow::Context;
 use sgs_engine::BudgetSource;
 use sgs_engine::graph::{Plan, dump};
+use sgs_passes::pipeline::Masks;
 use sgs_train::Geometry;
 use std::path::{Path, PathBuf};
 
@@ -85,6 +86,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "capacity": capacity,
             "sh_degree": model.sh_degree,
             "normals": model.normals,
+            "semantics": model.semantics,
+            "classes": training.classes(),
+            "pseudo_views": training.masks().is_some(),
             "gaussian_bytes": gaussian_bytes,
             "arena_bytes": plan.arena_bytes,
             "arena_unaliased_bytes": plan.arena_unaliased_bytes,
@@ -123,6 +127,27 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         "left out: no normal priors, or they are switched off"
     };
     println!("normals     {} ({why})", if model.normals { "one a Gaussian" } else { "none" });
+    match training.classes() {
+        Some(classes) => {
+            println!("semantics   32 features a Gaussian, {} classes (the scene has semantic priors)", classes.len())
+        }
+        None => println!("semantics   none (left out: no semantic priors, or they are switched off)"),
+    }
+    if training.classes().is_some() {
+        let from = s.geometry.correspondence_from;
+        match training.masks() {
+            Some(Masks::Carried) => println!("pseudo      two views from step {from} on, regions carried by depth"),
+            Some(Masks::Numbered) => {
+                println!("pseudo      two views from step {from} on, regions of priors/masks/pseudo")
+            }
+            Some(Masks::Given) => {
+                println!("pseudo      two views from step {from} on, regions asked of provider.command")
+            }
+            None => println!(
+                "pseudo      none (left out: switched off, after the last step, or nothing says what a region is)"
+            ),
+        }
+    }
     println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
     println!(
         "a step      {} passes in {} groups, {} barriers",
