@@ -16,16 +16,18 @@ IN(float, entry_features); // [entries * (6 + FEATURES)], moments first
 IN(uint, entry_flags);
 INOUT(float, grad_features); // [Gaussians * FEATURES]; those that are not visible stay as they are
 
+#include "entry_features.glsl"
+
 void main() {
-    // A workgroup does WORKGROUP splats, lanes side by side on the features of one.
+    // A workgroup does WORKGROUP splats; lanes have four of a splat's features each, side by side.
+    const uint quads = FEATURES / 4u;
     uint first = folded_workgroup() * WORKGROUP;
-    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * FEATURES; item += WORKGROUP) {
-        uint v = first + item / FEATURES, c = item % FEATURES;
+    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * quads; item += WORKGROUP) {
+        uint v = first + item / quads, c = item % quads * 4u;
         if (v >= visible[0].count) break;
-        float sum = 0.0;
-        uint begin = entry_starts[v], end = begin + tile_counts[v];
-        for (uint e = begin; e < end; ++e)
-            if (entry_flags[e] != 0u) sum += entry_features[e * (6u + FEATURES) + 6u + c];
-        grad_features[splat_ids[v] * FEATURES + c] += sum;
+        vec4 sum = entry_sum(v, c);
+        if (sum == vec4(0.0)) continue;
+        uint at = splat_ids[v] * FEATURES + c;
+        [[unroll]] for (uint k = 0u; k < 4u; ++k) grad_features[at + k] += sum[k];
     }
 }

@@ -23,23 +23,28 @@ IN(uint, seen);
 INOUT(float, parameters);
 INOUT(vec2, moments);
 
+#include "entry_features.glsl"
+
 void main() {
     if (flags[0] != 0u) return;
+    // Lanes have four of a splat's features each, side by side.
+    const uint quads = FEATURES / 4u;
     uint first = folded_workgroup() * WORKGROUP;
-    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * FEATURES; item += WORKGROUP) {
-        uint v = first + item / FEATURES, c = item % FEATURES;
+    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * quads; item += WORKGROUP) {
+        uint v = first + item / quads, c = item % quads * 4u;
         if (v >= visible[0].count) break;
         uint i = splat_ids[v];
         if (DENSE && seen[i] == 0u) continue;
-        float sum = 0.0;
-        uint begin = entry_starts[v], end = begin + tile_counts[v];
-        for (uint e = begin; e < end; ++e)
-            if (entry_flags[e] != 0u) sum += entry_features[e * (6u + FEATURES) + 6u + c];
-        if (!DENSE && sum == 0.0) continue;
-        float parameter = parameters[i * FEATURES + c];
-        vec2 m = moments[i * FEATURES + c];
-        adam(parameter, m, sum, params.step.lr_semantics, params.step.correction1, params.step.correction2);
-        parameters[i * FEATURES + c] = parameter;
-        moments[i * FEATURES + c] = m;
+        vec4 sum = entry_sum(v, c);
+        if (!DENSE && sum == vec4(0.0)) continue;
+        [[unroll]] for (uint k = 0u; k < 4u; ++k) {
+            if (!DENSE && sum[k] == 0.0) continue;
+            uint at = i * FEATURES + c + k;
+            float parameter = parameters[at];
+            vec2 m = moments[at];
+            adam(parameter, m, sum[k], params.step.lr_semantics, params.step.correction1, params.step.correction2);
+            parameters[at] = parameter;
+            moments[at] = m;
+        }
     }
 }
