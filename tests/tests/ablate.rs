@@ -3,6 +3,7 @@
 use serde_json::Value;
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
+use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::{Room, write_json};
 use std::time::SystemTime;
 
@@ -69,6 +70,36 @@ fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
     assert!(rgb == place.read("alone/scene.ply"), "the run is not that of the same settings");
 }
 
+/// All that the method has, on a room with all priors: each variant is a training of its own, and classes are measured.
+#[test]
+fn every_part_of_the_method_is_a_variant() {
+    let room = Room { priors: true, truth: true, ..Room::default() };
+    let place = Place::new(room);
+    Meaning::default().write(&room, &place.path("scene"));
+    let (scene, out) = (place.text("scene"), place.text("table"));
+    let fixed = ["ablate", &scene, "-o", &out, "--seeds", "1", "--geometry-steps", "6", "--no-densify", "-q"];
+    let from = |step: u32| format!("geometry.correspondence_from={step}");
+    // Never begun, it would be the variant before it.
+    let said = sgs(&[&fixed[..8], &["--no-densify", "--set", &from(7)]].concat()).ok();
+    assert!(said.stderr.contains("\"correspondence\" is left out: it begins at step 7 of 6"), "{}", said.stderr);
+    let only = ["--only", "correspondence", "--set", &from(7)];
+    sgs(&[&fixed[..], &only[..]].concat()).refused(&["\"correspondence\" would differ from no other", "step 7 of 6"]);
+    std::fs::remove_dir_all(place.path("table")).unwrap();
+    sgs(&[&fixed[..], &["--set", &from(3)]].concat()).ok();
+    let table = json(&place, "table/ablation.json");
+    let names: Vec<_> = table["variants"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["rgb", "normal", "semantic", "correspondence"]);
+    for (i, name) in names.into_iter().enumerate() {
+        let accuracy = &table["variants"][i]["mean"]["accuracy"];
+        assert_eq!(accuracy.is_f64(), i >= 2, "{name}: {accuracy}");
+        let ply = |name: &str| place.read(&format!("table/{name}_seed0/scene.ply"));
+        let others = ["rgb", "normal", "semantic", "correspondence"].into_iter().filter(|other| *other != name);
+        others.for_each(|other| assert!(ply(name) != ply(other), "{name} and {other} are the same"));
+    }
+    let text = String::from_utf8(place.read("table/ablation.md")).unwrap();
+    assert!(text.contains("labels right") && text.contains("| rgb: photographs alone | 1 |"), "{text}");
+}
+
 #[test]
 fn what_is_done_is_not_done_again() {
     let place = room();
@@ -123,7 +154,7 @@ fn an_interrupted_table_is_gone_on_with() {
 fn tables_that_make_no_sense_are_refused() {
     let place = Place::new(Room::default());
     ablate(&place, &["--only", "rgb,magic"]).refused(&["no variant \"magic\"", "there are rgb, normal"]);
-    ablate(&place, &["--only", "normal"]).refused(&["\"normal\" needs priors/normal", "does not have"]);
+    ablate(&place, &["--only", "normal"]).refused(&["\"normal\" would differ from no other", "no priors/normal"]);
     ablate(&place, &["--set", "geometry.stepz=1"]).refused(&["geometry.steps"]);
     assert!(!place.path("table").exists(), "a refused table leaves nothing");
     assert_eq!(sgs(&arguments(&place, "3", &["--seeds", "0"])).status, Some(2));

@@ -528,7 +528,9 @@ mod tests {
             "\"geometry.step\" is not a setting; did you mean \"geometry.steps\"?"
         );
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
-        assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.decoder, geometry.rates.factor"));
+        assert!(
+            fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.decoder, geometry.rates.factor")
+        );
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = -4"), "geometry.steps is -4, but must be at least 0.");

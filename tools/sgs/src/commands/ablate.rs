@@ -20,8 +20,8 @@ pub struct Args {
     /// Directory for a run of each variant and seed, and for ablation.md and ablation.json.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Variants: rgb, normal, semantic, correspondence; each uses what those before it use. All that the scene has priors
-    /// for by default.
+    /// Variants: rgb, normal, semantic, correspondence; each uses what those before it use. By default all that differ on
+    /// this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
     /// How many seeds, from --seed on.
@@ -38,7 +38,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if scene.split.test.is_empty() {
         bail!("\"{}\" has no test views to compare variants at; name some in split.json.", a.scene.display());
     }
-    let wanted = possible(wanted, &scene, a)?;
+    let wanted = possible(wanted, &scene, &base, a)?;
     let Some(last) = base.seed.checked_add(a.seeds - 1) else {
         bail!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
     };
@@ -49,12 +49,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
     // Seed by seed, so that an early look compares all variants. One that was measured before stays in the table.
     for seed in base.seed..=last {
-        for variant in Variant::all()? {
-            let Some(mut asked) = variant.settings(&base)? else { continue };
+        for variant in Variant::all() {
+            let mut asked = variant.settings(&base);
             asked.seed = seed;
             let root = a.output.join(variant.folder(seed));
-            match come_to(common, &variant, asked, &root, wanted.contains(&variant), &stop)? {
-                Came::To(device, measures) => table.add(&variant, seed, device, measures),
+            match come_to(common, variant, asked, &root, wanted.contains(variant), &stop)? {
+                Came::To(device, measures) => table.add(variant, seed, device, measures),
                 Came::Nowhere => continue,
                 Came::Stopped => {
                     eprintln!("stopped in {}; the same command goes on from there", root.display());
@@ -70,17 +70,17 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The variants that the scene has priors for. Who asks for another by name is told.
-fn possible(variants: Vec<Variant>, scene: &Scene, a: &Args) -> anyhow::Result<Vec<Variant>> {
+/// The variants that differ from the others on this scene. Who asks for another by name is told.
+fn possible(variants: Vec<Variant>, scene: &Scene, base: &Settings, a: &Args) -> anyhow::Result<Vec<Variant>> {
     let mut kept = Vec::new();
     for variant in variants {
-        match variant.lacks(scene)? {
+        match variant.lacks(scene, base)? {
             None => kept.push(variant),
             Some(lacking) if a.only.is_empty() => {
-                tracing::warn!("The variant \"{}\" is left out: the scene has no {lacking}.", variant.name);
+                tracing::warn!("The variant \"{}\" is left out: {lacking}.", variant.name);
             }
             Some(lacking) => {
-                bail!("The variant \"{}\" needs {lacking}, which the scene does not have.", variant.name);
+                bail!("The variant \"{}\" would differ from no other: {lacking}.", variant.name);
             }
         }
     }

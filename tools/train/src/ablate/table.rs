@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(spread(&[]), (None, None));
         assert_eq!(spread(&[3.0]), (Some(3.0), None));
         assert_eq!(spread(&[1.0, 2.0, 3.0, 6.0]), (Some(3.0), Some((14.0_f64 / 3.0).sqrt())));
-        let variants = Variant::all().unwrap();
+        let variants = Variant::all();
         let mut table = Ablation { scene: "room".into(), steps: 9, ..Default::default() };
         let measures = |psnr: f64, normal: Option<f64>| {
             let mut m = Measures::default();

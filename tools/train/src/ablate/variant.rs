@@ -12,19 +12,6 @@ enum Part {
     Correspondence,
 }
 
-impl Part {
-    const ALL: [Part; 3] = [Part::Normals, Part::Semantics, Part::Correspondence];
-
-    /// The switch, in `[geometry]`.
-    fn switch(self) -> &'static str {
-        match self {
-            Part::Normals => "normals",
-            Part::Semantics => "semantics",
-            Part::Correspondence => "correspondence",
-        }
-    }
-}
-
 /// A variant of training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Variant {
@@ -39,7 +26,11 @@ const ALL: [Variant; 4] = [
     Variant { name: "rgb", about: "photographs alone", on: &[] },
     Variant { name: "normal", about: "and priors of normals", on: &[Part::Normals] },
     Variant { name: "semantic", about: "and semantic priors", on: &[Part::Normals, Part::Semantics] },
-    Variant { name: "correspondence", about: "and regions compared with pseudo-views", on: &Part::ALL },
+    Variant {
+        name: "correspondence",
+        about: "and regions compared with pseudo-views",
+        on: &[Part::Normals, Part::Semantics, Part::Correspondence],
+    },
 ];
 
 /// Where a variant of this name stands in the method.
@@ -48,14 +39,9 @@ pub(super) fn place(name: &str) -> usize {
 }
 
 impl Variant {
-    /// Every variant that there are settings for, in the order of the method.
-    ///
-    /// # Errors
-    /// If settings cannot be written as a table.
-    pub fn all() -> Result<Vec<Variant>> {
-        let settings = Settings::default();
-        let known = |v: &Variant| Ok(v.settings(&settings)?.is_some().then_some(*v));
-        ALL.iter().filter_map(|v| known(v).transpose()).collect()
+    /// Every variant, in the order of the method: each uses what those before it use.
+    pub fn all() -> &'static [Variant] {
+        &ALL
     }
 
     /// Those of these names, in the order of the method; all if there are no names.
@@ -63,47 +49,43 @@ impl Variant {
     /// # Errors
     /// If a name is not one of a variant; the sentence lists them.
     pub fn named(names: &[String]) -> Result<Vec<Variant>> {
-        let all = Variant::all()?;
-        if let Some(name) = names.iter().find(|n| all.iter().all(|v| v.name != **n)) {
-            let known = all.iter().map(|v| v.name).collect::<Vec<_>>().join(", ");
+        if let Some(name) = names.iter().find(|n| ALL.iter().all(|v| v.name != **n)) {
+            let known = ALL.map(|v| v.name).join(", ");
             return Err(TrainError::Setting(format!("There is no variant \"{name}\"; there are {known}.")));
         }
-        Ok(all.into_iter().filter(|v| names.is_empty() || names.iter().any(|n| n == v.name)).collect())
+        Ok(ALL.into_iter().filter(|v| names.is_empty() || names.iter().any(|n| n == v.name)).collect())
     }
 
-    /// Settings with the parts of this variant switched on and all others off; none if a switch does not exist.
-    ///
-    /// # Errors
-    /// If settings cannot be written as a table.
-    pub fn settings(&self, base: &Settings) -> Result<Option<Settings>> {
-        let mut table = base.to_table()?;
-        let Some(toml::Value::Table(geometry)) = table.get_mut("geometry") else { return Ok(None) };
-        for part in Part::ALL {
-            match geometry.get_mut(part.switch()) {
-                Some(switch) => *switch = toml::Value::Boolean(self.on.contains(&part)),
-                None if self.on.contains(&part) => return Ok(None),
-                None => {}
-            }
-        }
-        Settings::from_table(table).map(Some)
+    /// Settings with the parts of this variant switched on and all others off.
+    pub fn settings(&self, base: &Settings) -> Settings {
+        let mut settings = base.clone();
+        let g = &mut settings.geometry;
+        g.normals = self.on.contains(&Part::Normals);
+        g.semantics = self.on.contains(&Part::Semantics);
+        g.correspondence = self.on.contains(&Part::Correspondence);
+        settings
     }
 
-    /// The first part of it that the scene has no priors for, by name. Without them it is another variant.
+    /// Why it would be the same as another variant: what the scene or the settings lack, as an end of a sentence.
     ///
     /// # Errors
     /// If a prior cannot be read.
-    pub fn lacks(&self, scene: &Scene) -> Result<Option<&'static str>> {
+    pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
         for part in self.on {
-            let mut there = false;
-            for &view in &scene.split.train {
-                there = there
-                    || match part {
-                        Part::Normals => scene.normal_prior(view)?.is_some(),
-                        _ => scene.text_embeddings()?.is_some() && scene.semantic_prior(view)?.is_some(),
-                    };
-            }
+            let there = match part {
+                Part::Normals => any(scene, |view| Ok(scene.normal_prior(view)?.is_some()))?,
+                Part::Semantics => {
+                    scene.text_embeddings()?.is_some() && any(scene, |view| Ok(scene.semantic_prior(view)?.is_some()))?
+                }
+                Part::Correspondence => true,
+            };
             if !there {
-                return Ok(Some(if *part == Part::Normals { "priors/normal" } else { "priors/semantic" }));
+                let folder = if *part == Part::Normals { "priors/normal" } else { "priors/semantic" };
+                return Ok(Some(format!("the scene has no {folder}")));
+            }
+            let (steps, from) = (settings.geometry.steps, settings.geometry.correspondence_from);
+            if *part == Part::Correspondence && from > steps {
+                return Ok(Some(format!("it begins at step {from} of {steps} (geometry.correspondence_from)")));
             }
         }
         Ok(None)
@@ -115,6 +97,16 @@ impl Variant {
     }
 }
 
+/// Whether something holds for a training view.
+fn any(scene: &Scene, holds: impl Fn(usize) -> Result<bool>) -> Result<bool> {
+    for &view in &scene.split.train {
+        if holds(view)? {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -122,13 +114,14 @@ mod tests {
     #[test]
     fn variants_differ_in_their_switches_alone() {
         let base = Settings { seed: 5, ..Settings::default() };
-        let of = |name: &str| Variant::named(&[name.to_owned()]).unwrap()[0].settings(&base).unwrap().unwrap();
-        let (rgb, normal) = (of("rgb"), of("normal"));
-        assert!(!rgb.geometry.normals && normal.geometry.normals);
-        let mut same = rgb.clone();
-        same.geometry.normals = true;
-        assert_eq!(same, normal);
-        assert_eq!((rgb.seed, rgb.geometry.losses), (5, base.geometry.losses));
+        let switches = |s: &Settings| [s.geometry.normals, s.geometry.semantics, s.geometry.correspondence];
+        for (count, variant) in ALL.iter().enumerate() {
+            let mut settings = variant.settings(&base);
+            assert_eq!(switches(&settings), [0, 1, 2].map(|i| i < count), "{}", variant.name);
+            let g = &mut settings.geometry;
+            (g.normals, g.semantics, g.correspondence) = switches(&base).into();
+            assert_eq!(settings, base);
+        }
     }
 
     #[test]
@@ -136,9 +129,12 @@ mod tests {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let found = Variant::named(&names(&["normal", "rgb"])).unwrap();
         assert_eq!(found.iter().map(|v| v.name).collect::<Vec<_>>(), ["rgb", "normal"]);
-        assert_eq!(Variant::named(&[]).unwrap(), Variant::all().unwrap());
+        assert_eq!(Variant::named(&[]).unwrap(), ALL);
         let error = Variant::named(&names(&["rgb", "magic"])).unwrap_err().to_string();
-        assert!(error.starts_with("There is no variant \"magic\"; there are rgb, normal"), "{error}");
+        assert!(
+            error.starts_with("There is no variant \"magic\"; there are rgb, normal, semantic, correspondence."),
+            "{error}"
+        );
         assert_eq!(found[1].folder(3), "normal_seed3");
     }
 }
