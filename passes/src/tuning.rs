@@ -11,20 +11,33 @@ pub struct Tuning {
     pub workgroup: u32,
     /// Columns and rows of a tile; a subgroup is a whole number of its rows.
     pub tile: [u32; 2],
+    /// Workgroups of one subgroup that keep the device busy. Where work can be cut finer at the price of sums that
+    /// somebody must add up, it is cut into about so many pieces.
+    pub workers: u32,
 }
 
 impl Tuning {
     /// What suits a device.
     pub fn for_device(info: &DeviceInfo) -> Tuning {
-        let subgroup_size = info.subgroup_size;
+        let workers = if info.kind == "cpu" { 8 } else { 512 };
+        Tuning { workers, ..Tuning::for_subgroups(info.subgroup_size) }
+    }
+
+    /// What suits a GPU of which only the subgroup size is known.
+    pub fn for_subgroups(subgroup_size: u32) -> Tuning {
         // Eight pixels a lane (sixteen on narrow subgroups) keep the state of a tile in registers and share each splat's
         // fetch. On lavapipe tiles of 8 x 16 take the time of 8 x 8 and two thirds of the entries.
         let width = subgroup_size.min(16);
-        Tuning { subgroup_size, workgroup: 256, tile: [width, 16] }
+        Tuning { subgroup_size, workgroup: 256, tile: [width, 16], workers: 512 }
     }
 
     /// Subgroups of an ordinary workgroup.
     pub fn subgroups(&self) -> u32 {
         self.workgroup.div_ceil(self.subgroup_size)
+    }
+
+    /// Items of a lane where features lie over the lanes, so that what all share is fetched less often.
+    pub fn tiles(&self) -> u32 {
+        (16 / self.subgroup_size).max(1)
     }
 }

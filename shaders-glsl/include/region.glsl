@@ -1,7 +1,5 @@
 // How far two regions' means are apart.
 
-const float LEAST_PIXELS = 16.0; // smaller regions are no evidence
-
 // The distance; 0, and `direction` with it, where there is none or it is not a number. `counts`: whether this pair does.
 float region_distance(Region a, Region b, out float direction[FEATURES], out bool counts) {
     float largest = 0.0;

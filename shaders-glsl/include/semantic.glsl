@@ -8,6 +8,7 @@ const uint FEATURES = 32u;
 const uint AUGMENTED = FEATURES + 1u; // with the one that the bias is multiplied by
 const uint EMBEDDING = 512u;          // width of targets, text and decoder
 const uint EMBEDDING_WORDS = EMBEDDING / 2u;
+const uint PITCH = 36u;               // of rows of 33 in buffers that only kernels see
 const uint NO_LABEL = 0xffffffffu;
 
 // One sample of the targets, worked out once.
@@ -23,6 +24,8 @@ struct Region {
     uint majority;  // class of most of them
     uint unused[30]; // each region of a buffer can be bound on its own
 };
+
+const float LEAST_PIXELS = 16.0; // smaller regions are no evidence
 
 // Where sample `i` of `samples` along an axis lies between `pixels` ones if the first and last of both coincide. In whole
 // numbers, so that whoever scatters and whoever gathers agree: pixel, and weights of it and the next.

@@ -1,18 +1,16 @@
 // The correspondence loss of one pseudo-view: its region's pixels should have the class of the training view's region,
-// and its mean features should be the same. Writes the gradient of all pixels, zero outside the region.
+// and its mean features should be the same. Writes the gradient of the region's pixels; others are left alone.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 128;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const uint CHANNELS = 35;
-layout(constant_id = 4) const uint FIRST = 3;
-
-#define SUM_T float
-#include "group_sum.glsl"
+layout(constant_id = 2) const uint TILES = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint CHANNELS = 35;
+layout(constant_id = 5) const uint FIRST = 3;
 
 layout(push_constant, scalar) uniform Push { float share; } push; // of this pseudo-view in the weight
 
@@ -20,46 +18,61 @@ layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(uint, mask);
-IN(float, gram);
-IN(float, text);
+IN(float, matrices);
 IN(Region, trained); // the training view's
 IN(Region, region);  // this one's
 OUT(float, grad_image);
-INOUT(float, partials);
+OUT(float, partials);
 OUT(float, sums);    // cross-entropy by workgroup
 
-#include "semantic_chunk.glsl"
-#include "region.glsl"
+#include "semantic_sums.glsl"
+#include "fetch_items.glsl"
+#include "lane_region.glsl"
+
+#define MASK(word) mask[params.step.mask_offset + word]
+#include "listed_mask.glsl"
+
+float gradients[TILES * SPREAD]; // as `staged`
 
 void main() {
-    uvec2 size = params.step.camera.size;
-    uint pixels = size.x * size.y;
-    float direction[FEATURES];
-    bool counts;
-    region_distance(region[0], trained[0], direction, counts);
-    uint label = trained[0].majority;
+    uint pixels = params.step.camera.size.x * params.step.camera.size.y;
+    LANE_DIRECTION(direction, counts, region[0], trained[0])
     float weight = counts ? params.step.weight_correspondence * push.share / region[0].count : 0.0;
+    EACH_TILE(t) label[t] = trained[0].majority;
     float sum = 0.0;
-    for (uint first = gl_WorkGroupID.x * WORKGROUP; first < pixels; first += gl_NumWorkGroups.x * WORKGROUP) {
-        uint pixel = first + gl_LocalInvocationID.x;
-        float f[AUGMENTED], u[AUGMENTED], a[FEATURES];
-        float inverse = 0.0;
-        [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) f[k] = u[k] = 0.0;
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) a[k] = 0.0;
-        bool live = counts && pixel < pixels
-                 && (mask[params.step.mask_offset + pixel / 32u] >> pixel % 32u & 1u) != 0u;
-        if (live) {
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) f[k] = image[pixel * CHANNELS + FIRST + k];
-            live = decode(f, u, inverse);
-        }
-        sum += add_chunk(live, f, u, inverse, weight, label, 0.0, a);
-        if (pixel < pixels) {
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) {
-                float g = live ? fma(weight, direction[k], a[k] * f[FEATURES]) : 0.0;
-                grad_image[pixel * CHANNELS + FIRST + k] = g;
+    clear_sums();
+    uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels);
+    while (block < blocks) {
+        uint count = fill_list(block, pixels);
+        for (uint from = 0u; from < count; from += BATCH) {
+            EACH_TILE(t) {
+                live[t] = counts && from + t * SUBGROUP + gl_SubgroupInvocationID < count;
+                own[t] = 0.0;
+            }
+            FETCH_ITEMS(listed[min(from + t * SUBGROUP + lane_of(n), count - 1u)])
+            [[unroll]] for (uint k = 0u; k < TILES * SPREAD; k++) a[k] = 0.0;
+            bring();
+            measure();
+            sum += descend(weight);
+            EACH_TILE(t) EACH_ITEM(n) {
+                float by = subgroupShuffle(bias[t], lane_of(n)), w = by > 0.0 ? weight : 0.0;
+                EACH_HELD(h) {
+                    uint k = t * SPREAD + n * HELD + h;
+                    gradients[k] = fma(w, direction[h], by * a[k]);
+                }
+            }
+            SHORT for (uint t = 0u; t < TILES; t++) {
+                SHORT for (uint n = 0u; n < ACROSS; n++) {
+                    uint item = from + t * SUBGROUP + lane_of(n);
+                    if (item < count) {
+                        uint at = listed[item] * CHANNELS + FIRST + column();
+                        SHORT for (uint h = 0u; h < HELD; h++) grad_image[at + h * ACROSS] = gradients[t * SPREAD + n * HELD + h];
+                    }
+                }
             }
         }
     }
-    float total = group_sum(sum);
-    if (gl_LocalInvocationID.x == 0u) sums[gl_WorkGroupID.x] = total;
+    write_sums();
+    sum = subgroupAdd(sum);
+    if (subgroupElect()) sums[gl_WorkGroupID.x] = sum;
 }

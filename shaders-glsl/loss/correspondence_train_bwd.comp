@@ -1,10 +1,11 @@
-// What the pseudo-views' regions ask of the training view's mean features, added to the gradient of its region.
+// What the pseudo-views' regions ask of the training view's mean features, added to the gradient of its region. Lanes are
+// side by side on the features of a pixel.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CHANNELS = 35;
 layout(constant_id = 3) const uint FIRST = 3;
@@ -17,31 +18,34 @@ IN(uint, mask);
 IN(Region, regions); // the training view's, then the pseudo-views'
 INOUT(float, grad_image);
 
-#include "region.glsl"
+#include "lane_items.glsl"
+#include "lane_region.glsl"
 
-shared float wanted[FEATURES];
+#define MASK(word) mask[params.step.mask_offset + word]
+#include "listed_mask.glsl"
 
 void main() {
-    if (gl_LocalInvocationID.x == 0u) {
-        float total[FEATURES];
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) total[k] = 0.0;
-        for (uint p = 0u; p < PAIRS; p++) {
-            float direction[FEATURES];
-            bool counts;
-            region_distance(regions[0], regions[1u + p], direction, counts);
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) total[k] += direction[k];
-        }
-        float weight = params.step.weight_correspondence / (float(PAIRS) * max(regions[0].count, 1.0));
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) wanted[k] = weight * total[k];
+    uint pixels = params.step.camera.size.x * params.step.camera.size.y;
+    float wanted[HELD];
+    EACH_HELD(h) wanted[h] = 0.0;
+    for (uint p = 0u; p < PAIRS; p++) {
+        LANE_DIRECTION(direction, counts, regions[0], regions[1u + p])
+        EACH_HELD(h) wanted[h] += direction[h];
     }
-    barrier();
-    uvec2 size = params.step.camera.size;
-    uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (pixel >= size.x * size.y) return;
-    if ((mask[params.step.mask_offset + pixel / 32u] >> pixel % 32u & 1u) == 0u) return;
-    uint at = pixel * CHANNELS + FIRST;
-    bool finite = true;
-    [[unroll]] for (uint k = 0u; k < FEATURES; k++) finite = finite && finite_bits(image[at + k]);
-    if (!finite) return;
-    [[unroll]] for (uint k = 0u; k < FEATURES; k++) grad_image[at + k] += wanted[k];
+    float weight = params.step.weight_correspondence / (float(PAIRS) * max(regions[0].count, 1.0));
+    EACH_HELD(h) wanted[h] *= weight;
+    uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels), side = gl_SubgroupInvocationID / ACROSS;
+    while (block < blocks) {
+        uint count = fill_list(block, pixels);
+        for (uint from = 0u; from < count; from += SIDES) {
+            uint at = listed[min(from + side, count - 1u)] * CHANNELS + FIRST + column();
+            bool finite = true;
+            EACH_HELD(h) finite = finite && finite_bits(image[at + h * ACROSS]);
+            // A side has no more than 32 lanes, one word of the votes, and narrow subgroups have one side.
+            bool all = subgroupBallot(!finite)[side] == 0u;
+            if (from + side < count && all) {
+                EACH_HELD(h) grad_image[at + h * ACROSS] += wanted[h];
+            }
+        }
+    }
 }

@@ -1,31 +1,59 @@
-// The gradient by the decoder A: runs of sum t (s f')^T, plus T^T E plus A K, with K (33 x 33) and E (CLASSES x 33) the
-// sums that samples and pixels left. One invocation a scalar.
+// The gradient by the decoder A: runs of sum t (s f')^T, plus A K plus T^T E, with K (33 x 33) and E (CLASSES x 33) the
+// sums that samples and pixels left. A lane has a row of the gradient in each of TILES.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const uint SPLITS = 1; // runs; 0 without targets
+layout(constant_id = 2) const uint TILES = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint SPLITS = 1; // runs; 0 without targets
 
-IN(float, decoder);
-IN(float, embeddings);
-IN(float, outer);
-IN(float, accumulated); // K, then E
+IN(float, decoder);     // 512 x 33
+IN(float, embeddings);  // CLASSES x 512
+IN(float, outer);       // SPLITS x 512 rows
+IN(float, accumulated); // rows of K, then of E
 OUT(float, gradient);   // 512 x 33
 
+#include "lane_items.glsl"
+
 void main() {
-    uint at = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (at >= EMBEDDING * AUGMENTED) return;
-    uint row = at / AUGMENTED, column = at % AUGMENTED;
-    float sum = 0.0;
-    for (uint split = 0u; split < SPLITS; split++) sum += outer[split * EMBEDDING * AUGMENTED + at];
-    for (uint k = 0u; k < AUGMENTED; k++) {
-        sum = fma(decoder[row * AUGMENTED + k], accumulated[k * AUGMENTED + column], sum);
+    uint first = folded_workgroup() * SUBGROUP * TILES;
+    if (first >= EMBEDDING) return;
+    float sums[TILES * SPREAD], bias[TILES];
+    [[unroll]] for (uint n = 0u; n < TILES * SPREAD; n++) sums[n] = 0.0;
+    [[unroll]] for (uint t = 0u; t < TILES; t++) bias[t] = 0.0;
+    for (uint i = 0u; i < AUGMENTED + CLASSES; i++) {
+        float row[HELD];
+        EACH_HELD(h) row[h] = accumulated[i * PITCH + h * ACROSS + column()];
+        float last = accumulated[i * PITCH + FEATURES];
+        [[unroll]] for (uint t = 0u; t < TILES; t++) {
+            uint mine = first + t * SUBGROUP + gl_SubgroupInvocationID;
+            float factor = 0.0;
+            if (i < AUGMENTED) factor = decoder[mine * AUGMENTED + i];
+            else factor = embeddings[(i - AUGMENTED) * EMBEDDING + mine];
+            bias[t] = fma(factor, last, bias[t]);
+            EACH_ITEM(n) {
+                float s = subgroupShuffle(factor, lane_of(n));
+                uint at = t * SPREAD + n * HELD;
+                EACH_HELD(h) sums[at + h] = fma(s, row[h], sums[at + h]);
+            }
+        }
     }
-    for (uint c = 0u; c < CLASSES; c++) {
-        sum = fma(embeddings[c * EMBEDDING + row], accumulated[(AUGMENTED + c) * AUGMENTED + column], sum);
+    [[unroll]] for (uint t = 0u; t < TILES; t++) {
+        float staged[SPREAD]; // can be indexed by a variable
+        [[unroll]] for (uint n = 0u; n < SPREAD; n++) staged[n] = sums[t * SPREAD + n];
+        for (uint n = 0u; n < ACROSS; n++) {
+            uint at = first + t * SUBGROUP + lane_of(n);
+            EACH_HELD(h) {
+                float sum = staged[n * HELD + h];
+                for (uint s = 0u; s < SPLITS; s++) sum += outer[(s * EMBEDDING + at) * PITCH + h * ACROSS + column()];
+                gradient[at * AUGMENTED + h * ACROSS + column()] = sum;
+            }
+        }
+        uint mine = first + t * SUBGROUP + gl_SubgroupInvocationID;
+        for (uint s = 0u; s < SPLITS; s++) bias[t] += outer[(s * EMBEDDING + mine) * PITCH + FEATURES];
+        gradient[mine * AUGMENTED + FEATURES] = bias[t];
     }
-    gradient[at] = sum;
 }

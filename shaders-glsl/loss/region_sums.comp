@@ -1,81 +1,74 @@
-// Sums of the features over a region, and how many of its pixels have which class.
+// Sums of the features over a region, and how many of its pixels have which class, by batches of its pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 128;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const uint CHANNELS = 35;
-layout(constant_id = 4) const uint FIRST = 3;
-layout(constant_id = 5) const bool CLASSIFY = true; // false: the histogram stays as it is
+layout(constant_id = 2) const uint TILES = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint CHANNELS = 35;
+layout(constant_id = 5) const uint FIRST = 3;
+layout(constant_id = 6) const bool CLASSIFY = true; // false: the histogram stays as it is
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
-IN(uint, mask);            // a bit a pixel
-IN(float, text);           // CLASSES x 33
-OUT(float, region_sums);   // by workgroup: 32 features, number of pixels
-INOUT(uint, histogram);    // CLASSES
+IN(uint, mask);          // a bit a pixel
+IN(float, matrices);
+OUT(float, region_sums); // by workgroup: 32 features, number of pixels
+INOUT(uint, histogram);  // CLASSES
 
-shared uint counts[CLASSES];
-shared float subgroup_sums[AUGMENTED * ((WORKGROUP + 7u) / 8u)];
+#include "semantic_batch.glsl"
+#include "fetch_items.glsl"
+
+#define MASK(word) mask[params.step.mask_offset + word]
+#include "listed_mask.glsl"
 
 void main() {
-    uvec2 size = params.step.camera.size;
-    uint pixels = size.x * size.y;
-    if (CLASSIFY) {
-        for (uint c = gl_LocalInvocationID.x; c < CLASSES; c += WORKGROUP) counts[c] = 0u;
-        barrier();
-    }
-    float sums[AUGMENTED];
-    [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) sums[k] = 0.0;
-    for (uint first = gl_WorkGroupID.x * WORKGROUP; first < pixels; first += gl_NumWorkGroups.x * WORKGROUP) {
-        uint pixel = first + gl_LocalInvocationID.x;
-        if (pixel >= pixels || (mask[params.step.mask_offset + pixel / 32u] >> pixel % 32u & 1u) == 0u) continue;
-        float f[FEATURES];
-        bool finite = true;
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) {
-            f[k] = image[pixel * CHANNELS + FIRST + k];
-            finite = finite && finite_bits(f[k]);
-        }
-        if (!finite) continue;
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) sums[k] += f[k];
-        sums[FEATURES] += 1.0;
-        if (CLASSIFY) {
-            // Huge features are brought down first, so that no product overflows.
-            float largest = 1.0;
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) largest = max(largest, abs(f[k]));
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) f[k] /= largest;
-            float best = -1e38;
-            uint label = 0u;
-            for (uint c = 0u; c < CLASSES; c++) {
-                float product = text[c * AUGMENTED + FEATURES] / largest;
-                [[unroll]] for (uint k = 0u; k < FEATURES; k++) {
-                    product = fma(text[c * AUGMENTED + k], f[k], product);
-                }
-                if (product > best) {
-                    best = product;
-                    label = c;
+    uint pixels = params.step.camera.size.x * params.step.camera.size.y;
+    float sums[HELD], found = 0.0;
+    EACH_HELD(h) sums[h] = 0.0;
+    uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels);
+    while (block < blocks) {
+        uint count = fill_list(block, pixels);
+        for (uint from = 0u; from < count; from += BATCH) {
+            EACH_TILE(t) live[t] = from + t * SUBGROUP + gl_SubgroupInvocationID < count;
+            FETCH_ITEMS(listed[min(from + t * SUBGROUP + lane_of(n), count - 1u)])
+            bring();
+            EACH_TILE(t) {
+                found += live[t] ? 1.0 : 0.0;
+                EACH_ITEM(n) {
+                    bool lives = subgroupShuffle(uint(live[t]), lane_of(n)) != 0u;
+                    EACH_HELD(h) sums[h] += lives ? staged[t * SPREAD + n * HELD + h] : 0.0;
                 }
             }
-            atomicAdd(counts[label], 1u);
+            if (CLASSIFY) {
+                float best[TILES];
+                uint label[TILES];
+                EACH_TILE(t) {
+                    best[t] = -1e38;
+                    label[t] = 0u;
+                }
+                for (uint c = 0u; c < CLASSES; c++) {
+                    fetch_row(AUGMENTED + c);
+                    EACH_TILE(t) {
+                        float sum = product(t);
+                        label[t] = sum > best[t] ? c : label[t];
+                        best[t] = max(best[t], sum);
+                    }
+                }
+                EACH_TILE(t) if (live[t]) atomicAdd(histogram[label[t]], 1u);
+            }
         }
     }
-    [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) {
-        float sum = subgroupAdd(sums[k]);
-        if (subgroupElect()) subgroup_sums[k * ((WORKGROUP + 7u) / 8u) + gl_SubgroupID] = sum;
+    uint to = gl_WorkGroupID.x * AUGMENTED;
+    EACH_HELD(h) {
+        float sum = sums[h];
+        for (uint reach = ACROSS; reach < SUBGROUP; reach *= 2u) sum += subgroupShuffleXor(sum, reach);
+        if (gl_SubgroupInvocationID < ACROSS) region_sums[to + h * ACROSS + gl_SubgroupInvocationID] = sum;
     }
-    barrier();
-    for (uint k = gl_LocalInvocationID.x; k < AUGMENTED; k += WORKGROUP) {
-        float total = 0.0;
-        for (uint i = 0u; i < gl_NumSubgroups; i++) total += subgroup_sums[k * ((WORKGROUP + 7u) / 8u) + i];
-        region_sums[gl_WorkGroupID.x * AUGMENTED + k] = total;
-    }
-    if (CLASSIFY) {
-        for (uint c = gl_LocalInvocationID.x; c < CLASSES; c += WORKGROUP) {
-            if (counts[c] != 0u) atomicAdd(histogram[c], counts[c]);
-        }
-    }
+    found = subgroupAdd(found);
+    if (subgroupElect()) region_sums[to + FEATURES] = found;
 }

@@ -1,21 +1,26 @@
-// The gradient of the sampled features, back to the pixels that they were sampled from. Each pixel adds up its samples in
-// their order, so nothing is added atomically. One invocation has four of a pixel's 32 channels.
+// The gradient of the sampled features, back to the pixels that they were sampled from, at the pixels where somebody wants
+// it. Each pixel adds up its samples in their order, so nothing is added atomically.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CHANNELS = 35; // floats of a pixel of the gradient
 layout(constant_id = 3) const uint FIRST = 3;     // channel of the first feature
+layout(constant_id = 4) const uint ACROSS = 8;    // lanes of a pixel
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, grad_features); // samples x 32
-OUT(float, grad_image);   // all features' channels of every pixel
+IN(uint, wanted);         // a bit a pixel
+OUT(float, grad_image);   // all features' channels, where wanted
 
-const uint QUADS = FEATURES / 4u;
+#define MASK(word) wanted[word]
+#include "listed_mask.glsl"
+
+const uint HELD = FEATURES / ACROSS; // channels of a lane
 
 // Samples that touch pixel `at`: first, and one past the last.
 uvec2 span(uint at, uint samples, uint pixels) {
@@ -34,20 +39,28 @@ float weight_of(uint i, uint at, uint samples, uint pixels) {
 
 void main() {
     uvec2 size = params.step.camera.size, map = params.step.semantic_size;
-    uint item = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    uint pixel = item / QUADS, quad = item % QUADS * 4u;
-    if (pixel >= size.x * size.y) return;
-    uint x = pixel % size.x, y = pixel / size.x;
-    uvec2 columns = span(x, map.x, size.x), rows = span(y, map.y, size.y);
-    vec4 sum = vec4(0.0);
-    for (uint row = rows.x; row < rows.y; row++) {
-        float wy = weight_of(row, y, map.y, size.y);
-        for (uint column = columns.x; column < columns.y; column++) {
-            float w = wy * weight_of(column, x, map.x, size.x);
-            uint at = (row * map.x + column) * FEATURES + quad;
-            sum += w * vec4(grad_features[at], grad_features[at + 1u], grad_features[at + 2u], grad_features[at + 3u]);
+    uint within = gl_SubgroupInvocationID / ACROSS, channel = gl_SubgroupInvocationID % ACROSS * HELD;
+    uint block = gl_WorkGroupID.x, blocks = list_blocks(size.x * size.y);
+    while (block < blocks) {
+        uint count = fill_list(block, size.x * size.y);
+        for (uint from = 0u; from < count; from += SUBGROUP / ACROSS) {
+            uint pixel = listed[min(from + within, count - 1u)];
+            uint x = pixel % size.x, y = pixel / size.x;
+            uvec2 columns = span(x, map.x, size.x), rows = span(y, map.y, size.y);
+            float sum[HELD]; // indexed by a variable: there may be many
+            for (uint h = 0u; h < HELD; h++) sum[h] = 0.0;
+            for (uint row = rows.x; row < rows.y; row++) {
+                float wy = weight_of(row, y, map.y, size.y);
+                for (uint column = columns.x; column < columns.y; column++) {
+                    float w = wy * weight_of(column, x, map.x, size.x);
+                    uint at = (row * map.x + column) * FEATURES + channel;
+                    for (uint h = 0u; h < HELD; h++) sum[h] += w * grad_features[at + h];
+                }
+            }
+            uint to = pixel * CHANNELS + FIRST + channel;
+            if (from + within < count) {
+                for (uint h = 0u; h < HELD; h++) grad_image[to + h] = sum[h];
+            }
         }
     }
-    uint to = pixel * CHANNELS + FIRST + quad;
-    [[unroll]] for (uint k = 0u; k < 4u; k++) grad_image[to + k] = sum[k];
 }

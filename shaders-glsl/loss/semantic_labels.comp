@@ -4,51 +4,60 @@
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 128;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const uint CHANNELS = 35;
-layout(constant_id = 4) const uint FIRST = 3;
-layout(constant_id = 5) const bool COSINE = false; // relevance: the cosine; else the softmax's probability
+layout(constant_id = 2) const uint TILES = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint CHANNELS = 35;
+layout(constant_id = 5) const uint FIRST = 3;
+layout(constant_id = 6) const bool COSINE = false; // relevance: the cosine; else the softmax's probability
 
 layout(push_constant, scalar) uniform Push { uint query; } push; // class of the relevance
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
-IN(float, gram);
-IN(float, text);
+IN(float, matrices);
 OUT(uint, labels);     // NO_LABEL where a feature is not finite
 OUT(float, relevance); // 0 there
 
-#include "semantic_decode.glsl"
+#include "semantic_batch.glsl"
+#include "fetch_items.glsl"
 
 void main() {
     uvec2 size = params.step.camera.size;
-    uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (pixel >= size.x * size.y) return;
-    float f[AUGMENTED], u[AUGMENTED];
-    float inverse;
-    [[unroll]] for (uint k = 0u; k < FEATURES; k++) f[k] = image[pixel * CHANNELS + FIRST + k];
-    f[FEATURES] = 1.0;
-    bool finite = decode(f, u, inverse);
-    uint label = NO_LABEL;
-    float best = -1e38, asked = 0.0;
-    if (finite) {
-        for (uint c = 0u; c < CLASSES; c++) {
-            float product = class_product(c, f);
-            if (product > best) {
-                best = product;
-                label = c;
-            }
-        }
-        if (COSINE) {
-            asked = class_product(push.query, f) * inverse;
-        } else {
-            Softmax s = softmax_of(f, inverse * params.step.inverse_temperature, push.query);
-            asked = exp(s.chosen - s.top) / s.total;
+    uint pixels = size.x * size.y;
+    uint from = folded_workgroup() * BATCH;
+    if (from >= pixels) return;
+    EACH_TILE(t) live[t] = true;
+    FETCH_ITEMS(min(from + t * SUBGROUP + lane_of(n), pixels - 1u))
+    bring();
+    measure();
+    float best[TILES], asked[TILES];
+    uint label[TILES];
+    Softmax s[TILES];
+    EACH_TILE(t) {
+        best[t] = -1e38;
+        asked[t] = 0.0;
+        label[t] = 0u;
+        s[t] = Softmax(-1e30, 0.0);
+    }
+    for (uint c = 0u; c < CLASSES; c++) {
+        fetch_row(AUGMENTED + c);
+        EACH_TILE(t) {
+            float sum = product(t);
+            label[t] = sum > best[t] ? c : label[t];
+            best[t] = max(best[t], sum);
+            asked[t] = c == push.query ? sum * inverse[t] : asked[t];
+            if (!COSINE) add_logit(s[t], sum * inverse[t] * params.step.inverse_temperature);
         }
     }
-    labels[pixel] = label;
-    relevance[pixel] = asked;
+    EACH_TILE(t) {
+        uint pixel = from + t * SUBGROUP + gl_SubgroupInvocationID;
+        float logit = asked[t] * params.step.inverse_temperature;
+        if (pixel < pixels) {
+            labels[pixel] = live[t] ? label[t] : NO_LABEL;
+            relevance[pixel] = !live[t] ? 0.0 : COSINE ? asked[t] : exp(logit - s[t].top) / s[t].total;
+        }
+    }
 }

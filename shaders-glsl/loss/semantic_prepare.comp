@@ -1,39 +1,45 @@
-// The small matrices that stand for the decoder in a step: A^T A and T A. One workgroup a row of them.
+// The small matrices that stand for the decoder in a step: the rows of A^T A, then those of T A. Lanes are rows, PER_LANE
+// each. The 512 rows that are summed over are cut into parts; semantic_reduce adds these up.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
+layout(constant_id = 2) const uint PER_LANE = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint PARTS = 1;
 
 IN(float, decoder);    // A: 512 rows of 32 weights and a bias
 IN(float, embeddings); // T: CLASSES x 512
-OUT(float, gram);      // 33 x 33
-OUT(float, text);      // CLASSES x 33
+OUT(vec4, partials);   // PARTS x (33 + CLASSES) rows of 33
 
-const uint PARTS = 8u;
+#include "shared_rows.glsl"
 
-shared float parts[PARTS * AUGMENTED];
+const uint ROWS = AUGMENTED + CLASSES;
 
 void main() {
-    uint row = folded_workgroup();
-    if (row >= AUGMENTED + CLASSES) return;
-    bool square = row < AUGMENTED;
-    for (uint item = gl_LocalInvocationID.x; item < PARTS * AUGMENTED; item += WORKGROUP) {
-        uint column = item % AUGMENTED;
-        float sum = 0.0;
-        for (uint j = item / AUGMENTED; j < EMBEDDING; j += PARTS) {
-            float x = square ? decoder[j * AUGMENTED + row] : embeddings[(row - AUGMENTED) * EMBEDDING + j];
-            sum = fma(x, decoder[j * AUGMENTED + column], sum);
+    uint part = folded_workgroup() % PARTS;
+    uint from = folded_workgroup() / PARTS * SUBGROUP * PER_LANE, first = from + gl_SubgroupInvocationID;
+    if (from >= ROWS) return;
+    float sums[AUGMENTED * PER_LANE];
+    [[unroll]] for (uint n = 0u; n < AUGMENTED * PER_LANE; n++) sums[n] = 0.0;
+    for (uint j = part * (EMBEDDING / PARTS); j < (part + 1u) * (EMBEDDING / PARTS); j++) {
+        float factors[PER_LANE];
+        [[unroll]] for (uint r = 0u; r < PER_LANE; r++) {
+            uint i = min(first + r * SUBGROUP, ROWS - 1u);
+            float x = 0.0;
+            if (i < AUGMENTED) x = decoder[j * AUGMENTED + i];
+            else x = embeddings[(i - AUGMENTED) * EMBEDDING + j];
+            factors[r] = x;
         }
-        parts[item] = sum;
+        FETCH_ROW(row, decoder, j * AUGMENTED)
+        ADD_ROW(sums, row, factors, PER_LANE)
     }
-    barrier();
-    for (uint column = gl_LocalInvocationID.x; column < AUGMENTED; column += WORKGROUP) {
-        float sum = 0.0;
-        for (uint p = 0u; p < PARTS; p++) sum += parts[p * AUGMENTED + column];
-        if (square) gram[row * AUGMENTED + column] = sum;
-        else text[(row - AUGMENTED) * AUGMENTED + column] = sum;
+    [[unroll]] for (uint r = 0u; r < PER_LANE; r++) {
+        uint i = first + r * SUBGROUP;
+        if (i < ROWS) {
+            STORE_ROW(partials, part * ROWS + i, sums, PER_LANE, r)
+        }
     }
 }

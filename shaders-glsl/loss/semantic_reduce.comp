@@ -1,10 +1,11 @@
-// Adds the workgroups' sums to those that the decoder's gradient is made of, in a fixed order. A workgroup does 32 of
+// Adds up the sums of several workgroups, in a fixed order: to what was there, or in place of it. A workgroup does 32 of
 // them, eight invocations each.
 #version 460
 #include "common.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const bool ADD = true;
 
 layout(push_constant, scalar) uniform Push {
     uint width;  // sums of a workgroup
@@ -31,5 +32,5 @@ void main() {
     if (part != 0u || at >= push.width) return;
     float total = 0.0;
     for (uint p = 0u; p < PARTS; p++) total += parts[p * LANES + lane];
-    accumulated[at] += total;
+    accumulated[at] = ADD ? accumulated[at] + total : total;
 }

@@ -1,89 +1,146 @@
-// The semantic loss of the training view, one invocation a sample of its target map: blended features are sampled where
-// the sample lies, decoded in their small form, compared with the target and classified.
+// The semantic loss of the training view, by batches of samples of its target map: blended features are sampled where
+// the samples lie, decoded in their small form, compared with the targets and classified.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "semantic.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 128;
+layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const uint CHANNELS = 35; // floats of a pixel of the image
-layout(constant_id = 4) const uint FIRST = 3;     // channel of the first feature
+layout(constant_id = 2) const uint TILES = 1;
+layout(constant_id = 3) const uint CLASSES = 1;
+layout(constant_id = 4) const uint CHANNELS = 35; // floats of a pixel of the image
+layout(constant_id = 5) const uint FIRST = 3;     // channel of the first feature
+layout(constant_id = 6) const uint PARTS = 1;     // of the products, to be added up
 
-#define SUM_T vec3
-#include "group_sum.glsl"
+layout(push_constant, scalar) uniform Push { uint largest; } push; // samples from one part's products to the next one's
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(SemanticTarget, targets); // of all views
-IN(float, gram);
-IN(float, text);
-INOUT(float, products);      // samples x 33: the target through the decoder; afterwards s f'
+IN(float, matrices);
+INOUT(float, products);      // PARTS x largest rows: the target through the decoder; afterwards, in the first, s f'
 OUT(float, grad_features);   // samples x 32
-INOUT(float, partials);
+OUT(float, partials);
 OUT(vec3, sums);             // by workgroup: 1 - cos, cross-entropy, samples that did not count
 
-#include "semantic_chunk.glsl"
+#include "semantic_sums.glsl"
 
-void fetch(uint i, out float f[AUGMENTED]) {
+// As `staged`; one for each use, since compilers take time by the square of an array's uses.
+float staged_products[TILES * SPREAD], staged_rows[TILES * SPREAD], staged_gradients[TILES * SPREAD];
+
+// Features at the samples of a batch, into `staged`.
+void fetch(uint from, uint count) {
     uvec2 size = params.step.camera.size, map = params.step.semantic_size;
-    vec2 wx, wy;
-    uint x = aligned(i % map.x, map.x, size.x, wx), y = aligned(i / map.x, map.y, size.y, wy);
-    uint right = min(x + 1u, size.x - 1u), below = min(y + 1u, size.y - 1u);
-    uint p00 = (y * size.x + x) * CHANNELS + FIRST, p10 = (y * size.x + right) * CHANNELS + FIRST;
-    uint p01 = (below * size.x + x) * CHANNELS + FIRST, p11 = (below * size.x + right) * CHANNELS + FIRST;
-    // A neighbor without weight must not be asked: it may not be finite.
-    [[unroll]] for (uint k = 0u; k < FEATURES; k++) {
-        float v = wx.x * wy.x * image[p00 + k];
-        if (wx.y > 0.0) v += wx.y * wy.x * image[p10 + k];
-        if (wy.y > 0.0) v += wx.x * wy.y * image[p01 + k];
-        if (wx.y * wy.y > 0.0) v += wx.y * wy.y * image[p11 + k];
-        f[k] = v;
+    SHORT for (uint t = 0u; t < TILES; t++) {
+        uint i = min(from + t * SUBGROUP + gl_SubgroupInvocationID, count - 1u);
+        vec2 wx, wy;
+        uint x = aligned(i % map.x, map.x, size.x, wx), y = aligned(i / map.x, map.y, size.y, wy);
+        uint pixel = y * size.x + x;
+        SHORT for (uint n = 0u; n < ACROSS; n++) {
+            uint lane = lane_of(n);
+            vec2 across = subgroupShuffle(wx, lane), down = subgroupShuffle(wy, lane);
+            // A neighbor without weight must not be asked: it may not be finite, or not be there.
+            uint right = across.y > 0.0 ? CHANNELS : 0u, below = down.y > 0.0 ? size.x * CHANNELS : 0u;
+            uint at = subgroupShuffle(pixel, lane) * CHANNELS + FIRST + column();
+            SHORT for (uint h = 0u; h < HELD; h++) {
+                float v = across.x * down.x * image[at];
+                v += right > 0u ? across.y * down.x * image[at + right] : 0.0;
+                v += below > 0u ? across.x * down.y * image[at + below] : 0.0;
+                v += right > 0u && below > 0u ? across.y * down.y * image[at + right + below] : 0.0;
+                staged[t * SPREAD + n * HELD + h] = v;
+                at += ACROSS;
+            }
+        }
     }
-    f[FEATURES] = 1.0;
 }
 
-void main() {
-    Step s = params.step;
-    uint count = s.semantic_size.x * s.semantic_size.y;
-    vec3 sum = vec3(0.0);
-    for (uint first = gl_WorkGroupID.x * WORKGROUP; first < count; first += gl_NumWorkGroups.x * WORKGROUP) {
-        uint i = first + gl_LocalInvocationID.x;
-        SemanticTarget target = SemanticTarget(0.0, NO_LABEL);
-        float f[AUGMENTED], u[AUGMENTED], a[FEATURES];
-        float inverse = 0.0;
-        [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) f[k] = u[k] = 0.0;
-        [[unroll]] for (uint k = 0u; k < FEATURES; k++) a[k] = 0.0;
-        bool live = false;
-        if (i < count) {
-            target = targets[s.semantic_offset + i];
-            live = target.inverse_norm > 0.0;
-            if (live) {
-                fetch(i, f);
-                live = decode(f, u, inverse);
+// The products of targets and decoder, into `staged_products`.
+void fetch_products(uint from, uint count) {
+    SHORT for (uint t = 0u; t < TILES; t++) {
+        SHORT for (uint n = 0u; n < ACROSS; n++) {
+            uint at = min(from + t * SUBGROUP + lane_of(n), count - 1u) * PITCH + column();
+            SHORT for (uint h = 0u; h < HELD; h++) {
+                float x = 0.0;
+                for (uint p = 0u; p < PARTS; p++) x += products[p * push.largest * PITCH + at + h * ACROSS];
+                staged_products[t * SPREAD + n * HELD + h] = x;
             }
-            if (!live) sum.z += 1.0;
-        }
-        float along = 0.0, own = 0.0; // s, and what the cosine adds to k
-        if (live) {
-            float product = 0.0;
-            [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) product = fma(products[i * AUGMENTED + k], f[k], product);
-            float cosine = product * inverse * target.inverse_norm;
-            sum.x += 1.0 - cosine;
-            float weight = s.weight_semantic / float(max(s.semantic_valid, 1u));
-            along = -weight * target.inverse_norm * inverse;
-            own = weight * cosine * inverse * inverse;
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) a[k] = along * products[i * AUGMENTED + k];
-        }
-        float weight = s.weight_semantic_class / float(max(s.semantic_labeled, 1u));
-        sum.y += add_chunk(live, f, u, inverse, weight, target.label, own, a);
-        if (i < count) {
-            [[unroll]] for (uint k = 0u; k < AUGMENTED; k++) products[i * AUGMENTED + k] = live ? along * f[k] : 0.0;
-            [[unroll]] for (uint k = 0u; k < FEATURES; k++) grad_features[i * FEATURES + k] = a[k] * f[FEATURES];
         }
     }
-    vec3 total = group_sum(sum);
-    if (gl_LocalInvocationID.x == 0u) sums[gl_WorkGroupID.x] = total;
+}
+
+// Writes a staged array by sample.
+#define WRITE_STAGED(buffer_, pitch, array_)                                                                          \
+    SHORT for (uint t_ = 0u; t_ < TILES; t_++) {                                                               \
+        SHORT for (uint n_ = 0u; n_ < ACROSS; n_++) {                                                          \
+            uint i_ = from + t_ * SUBGROUP + lane_of(n_);                                                      \
+            if (i_ < count) {                                                                                  \
+                SHORT for (uint h_ = 0u; h_ < HELD; h_++)                                                      \
+                    buffer_[i_ * pitch + h_ * ACROSS + column()] = array_[t_ * SPREAD + n_ * HELD + h_];       \
+            }                                                                                                  \
+        }                                                                                                      \
+    }
+
+void main() {
+    uint count = params.step.semantic_size.x * params.step.semantic_size.y;
+    float weight = params.step.weight_semantic / float(max(params.step.semantic_valid, 1u));
+    float class_weight = params.step.weight_semantic_class / float(max(params.step.semantic_labeled, 1u));
+    vec3 sum = vec3(0.0);
+    clear_sums();
+    for (uint from = gl_WorkGroupID.x * BATCH; from < count; from += gl_NumWorkGroups.x * BATCH) {
+        float inverse_target[TILES], product_bias[TILES];
+        EACH_TILE(t) {
+            uint i = from + t * SUBGROUP + gl_SubgroupInvocationID, at = min(i, count - 1u);
+            SemanticTarget target = targets[params.step.semantic_offset + at];
+            inverse_target[t] = target.inverse_norm;
+            label[t] = target.label;
+            live[t] = i < count && target.inverse_norm > 0.0;
+            product_bias[t] = 0.0;
+            for (uint p = 0u; p < PARTS; p++) product_bias[t] += products[(p * push.largest + at) * PITCH + FEATURES];
+        }
+        fetch(from, count);
+        bring();
+        measure();
+        fetch_products(from, count);
+        [[unroll]] for (uint k = 0u; k < TILES * SPREAD; k++) a[k] = staged_products[k];
+        float along[TILES]; // s
+        EACH_TILE(t) {
+            DOT_ITEMS(product, a[AT_(t)], f[AT_(t)], t)
+            product = fma(product_bias[t], bias[t], product);
+            float cosine = product * inverse[t] * inverse_target[t];
+            along[t] = live[t] ? -weight * inverse_target[t] * inverse[t] : 0.0;
+            own[t] = weight * cosine * inverse[t] * inverse[t];
+            bool counted = from + t * SUBGROUP + gl_SubgroupInvocationID < count;
+            sum.x += live[t] ? 1.0 - cosine : 0.0;
+            sum.z += counted && !live[t] ? 1.0 : 0.0;
+            EACH_ITEM(n) {
+                float s = subgroupShuffle(along[t], lane_of(n));
+                bool lives = subgroupShuffle(uint(live[t]), lane_of(n)) != 0u;
+                EACH_HELD(h) {
+                    uint k = t * SPREAD + n * HELD + h;
+                    // What does not count may be anything.
+                    a[k] = lives ? s * a[k] : 0.0;
+                }
+            }
+        }
+        sum.y += descend(class_weight);
+        EACH_TILE(t) {
+            EACH_ITEM(n) {
+                float s = subgroupShuffle(along[t], lane_of(n));
+                EACH_HELD(h) staged_rows[t * SPREAD + n * HELD + h] = s * f[t * SPREAD + n * HELD + h];
+            }
+            uint i = from + t * SUBGROUP + gl_SubgroupInvocationID;
+            if (i < count) products[i * PITCH + FEATURES] = along[t] * bias[t];
+        }
+        WRITE_STAGED(products, PITCH, staged_rows)
+        EACH_TILE(t) EACH_ITEM(n) {
+            float by = subgroupShuffle(bias[t], lane_of(n));
+            EACH_HELD(h) staged_gradients[t * SPREAD + n * HELD + h] = by * a[t * SPREAD + n * HELD + h];
+        }
+        WRITE_STAGED(grad_features, FEATURES, staged_gradients)
+    }
+    write_sums();
+    sum = subgroupAdd(sum);
+    if (subgroupElect()) sums[gl_WorkGroupID.x] = sum;
 }

@@ -113,17 +113,20 @@ fn run(gpu: &Gpu, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
     semantic_sum(&mut g, tuning, train.step, None, Some((&left, &shared)), stats).unwrap();
     let out = gpu.run(g, &inputs);
     let mut found: Vec<Vec<f32>> = Vec::new();
-    for (i, ((size, _), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
+    for (i, ((size, picture), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
         let mut features = Vec::new();
         for (p, pixel) in out.get::<f32>(*buffer).chunks(CHANNELS).enumerate() {
-            let mine = p < size[0] * size[1];
+            let inside = p < size[0] * size[1];
+            let mine = inside && picture.mask[p];
             for (c, x) in pixel.iter().enumerate() {
                 let untouched = if i == 0 { *x == BEFORE } else { x.to_bits() == u32::MAX };
                 let feature = (FIRST..FIRST + FEATURES).contains(&c);
                 assert!(mine && feature || untouched, "channel {c} of pixel {p} of picture {i} was written");
             }
-            if mine {
-                features.extend(pixel[FIRST..FIRST + FEATURES].iter().map(|x| if i == 0 { x - BEFORE } else { *x }));
+            if inside {
+                // Nothing is asked of others: the reference says zero.
+                let gradient = |&x: &f32| if !mine { 0.0 } else if i == 0 { x - BEFORE } else { x };
+                features.extend(pixel[FIRST..FIRST + FEATURES].iter().map(gradient));
             }
         }
         found.push(features);

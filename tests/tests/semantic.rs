@@ -3,8 +3,8 @@
 use half::f16;
 use sgs_engine::graph::Graph;
 use sgs_passes::loss::{
-    Head, NO_LABEL, SemanticLoss, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings,
-    semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
+    Head, NO_LABEL, SemanticLoss, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings, pack_mask,
+    sampled_pixels, semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
 };
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic as twin;
@@ -108,6 +108,16 @@ fn run_steps(
         work: g.input("work", size_of::<Work>() as u64),
     };
     let (flags, skipped) = (g.input("flags", 4), g.external("skipped", 4));
+    // What samples touch, and some more.
+    let touched = sampled_pixels(v.size.map(|n| n as u32), v.map.map(|n| n as u32));
+    let wanted: Vec<bool> = touched.iter().enumerate().map(|(p, &t)| t || p % 5 == 2).collect();
+    let mut wanted_words = pack_mask(&wanted);
+    // Bits past the picture say nothing.
+    let spare = wanted.len() % 32;
+    if let Some(last) = wanted_words.last_mut().filter(|_| spare > 0) {
+        *last |= u32::MAX << spare;
+    }
+    let wanted_buffer = g.input("wanted", 4 * wanted_words.len() as u64);
     let targets = g.external("targets", all * size_of::<SemanticTarget>() as u64);
     let grad_image = g.external("grad_image", 4 * image.len() as u64);
     let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
@@ -126,6 +136,7 @@ fn run_steps(
         largest,
         // As if another view's map were larger.
         targets: SemanticTargets { features: feature_buffer, targets, largest: samples as u32 + 70 },
+        wanted: wanted_buffer,
     };
     let sums = semantic_loss(&mut g, tuning, &a, &on_gpu, &prepared, grad_image).unwrap();
     decoder_gradient(&mut g, tuning, &on_gpu, &prepared, Some(&sums), gradient).unwrap();
@@ -155,6 +166,7 @@ fn run_steps(
         (image_buffer, bytes(&image)),
         (feature_buffer, bytes(&features)),
         (label_buffer, bytes(&labels)),
+        (wanted_buffer, bytes(&wanted_words)),
         (embeddings, wide(&h.text)),
         (decoder, wide(&h.decoder)),
         (stats, bytes(&[LossStats::default()])),
@@ -169,11 +181,12 @@ fn run_steps(
     let mut image = Vec::new();
     for (p, pixel) in out.get::<f32>(grad_image).chunks(CHANNELS).enumerate() {
         for (c, x) in pixel.iter().enumerate() {
-            let mine = p < pixels && (FIRST..FIRST + FEATURES).contains(&c);
+            let mine = p < pixels && wanted[p] && (FIRST..FIRST + FEATURES).contains(&c);
             assert!(mine || x.to_bits() == u32::MAX, "channel {c} of pixel {p} was written");
         }
         if p < pixels {
-            image.extend_from_slice(&pixel[FIRST..FIRST + FEATURES]);
+            // Nothing is asked of others: the reference says zero.
+            image.extend(pixel[FIRST..FIRST + FEATURES].iter().map(|&x| if wanted[p] { x } else { 0.0 }));
         }
     }
     let (stats, learned) = (out.get::<LossStats>(stats)[0], out.get(decoder));

@@ -123,7 +123,7 @@ mod tests {
         let mut g = Graph::new("sort");
         let n = 1 << 20;
         let keys = g.input("keys", 4 * n);
-        let tuning = Tuning { subgroup_size: 32, workgroup: 256, tile: [16, 16] };
+        let tuning = Tuning::for_subgroups(32);
         let sorted = radix_sort(&mut g, tuning, "sort", keys, None, 0..32, true, Count::Host(n as u32)).unwrap();
         let out = g.external("out", 4 * n);
         g.copy("out", sorted.values, out).unwrap();

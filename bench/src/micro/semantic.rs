@@ -9,7 +9,8 @@ use half::f16;
 use sgs_engine::graph::Graph;
 use sgs_passes::loss::{
     Head, Pictured, SemanticLoss, SemanticTargets, correspondence_bwd, correspondence_train_bwd, decoder_gradient,
-    normalize_embeddings, pack_mask, region, regions, semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
+    normalize_embeddings, pack_mask, region, regions, sampled_pixels, semantic_loss, semantic_prepare, semantic_sum,
+    semantic_targets,
 };
 use sgs_passes::reference::correspondence as region_twin;
 use sgs_passes::reference::rng::Pcg;
@@ -78,7 +79,9 @@ fn values(size: [u32; 2]) -> Step {
 /// The training view's loss.
 pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let size = c.workload.largest;
-    let map = [0, 1].map(|k| (size[k] / 4).clamp(1, LARGEST_MAP[k]));
+    // As networks' maps are.
+    let map = [0, 1].map(|k| (size[k] / 8).clamp(1, LARGEST_MAP[k]));
+    let touched = sampled_pixels(size, map);
     let [pixels, samples] = [size, map].map(|[w, h]| (w * h) as usize);
     let h = head();
     let mut rng = Pcg::new(9);
@@ -100,6 +103,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let features = g.input("features", 2 * halves.len() as u64);
     let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
     let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
+    let wanted = g.input("wanted", 4 * pack_mask(&touched).len() as u64);
     let targets = g.external("targets", (samples * size_of::<SemanticTarget>()) as u64);
     let grad_image = g.external("grad_image", floats);
     let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
@@ -115,6 +119,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         first: FIRST as u32,
         largest: size,
         targets: SemanticTargets { features, targets, largest: samples as u32 },
+        wanted,
     };
     let sums = semantic_loss(&mut g, c.tuning, &a, &on_gpu, &prepared, grad_image)?;
     decoder_gradient(&mut g, c.tuning, &on_gpu, &prepared, Some(&sums), gradient)?;
@@ -126,6 +131,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         (step, bytes(&[values])),
         (image, bytes(&interleaved(&view.image))),
         (features, bytes(&halves)),
+        (wanted, bytes(&pack_mask(&touched))),
         (embeddings, bytes(&narrow(&h.text))),
         (decoder, bytes(&narrow(&h.decoder))),
     ];
@@ -155,12 +161,12 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
     let picture = |seed: u32| {
         let mut rng = Pcg::new(seed);
         let image = (0..pixels * FEATURES).map(|_| f64::from((1.0 + rng.normal()) as f32)).collect();
-        // A third of the columns and of the rows.
-        let third = |p: usize| {
+        // Four tenths of the columns and of the rows.
+        let within = |p: usize| {
             let (x, y) = (p as u32 % size[0], p as u32 / size[0]);
-            3 * x >= size[0] && 3 * x < 2 * size[0] && 3 * y >= size[1] && 3 * y < 2 * size[1]
+            10 * x >= 3 * size[0] && 10 * x < 7 * size[0] && 10 * y >= 3 * size[1] && 10 * y < 7 * size[1]
         };
-        region_twin::Picture { image, mask: (0..pixels).map(third).collect() }
+        region_twin::Picture { image, mask: (0..pixels).map(within).collect() }
     };
     let pictures = [picture(1), picture(2)];
     let mut g = Graph::new("correspondence");

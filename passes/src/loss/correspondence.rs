@@ -19,9 +19,9 @@
 //! `correspondence_bwd`: 128 bytes a pixel, and 128 and about 5000 + 270 C operations a pixel in the mask;
 //! `correspondence_train_bwd`: 384 bytes a pixel in the mask.
 
-use super::semantic::{Head, Prepared, SAMPLES, partials, reduce, sample_groups};
+use super::semantic::{Head, Prepared, batch_groups, partials, reduce};
 use crate::Tuning;
-use crate::kernel::{groups, stage};
+use crate::kernel::stage;
 use crate::scene::AUGMENTED;
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::structs::Region;
@@ -81,8 +81,9 @@ fn slice(regions: &Regions, picture: u32) -> Slice {
     regions.buffer.slice(u64::from(picture) * REGION, REGION)
 }
 
-fn pixels(p: &Pictured) -> u64 {
-    u64::from(p.largest[0]) * u64::from(p.largest[1])
+/// Workgroups that share the words of a mask.
+fn list_groups(tuning: Tuning, p: &Pictured) -> u32 {
+    batch_groups(tuning, u64::from(p.largest[0]) * u64::from(p.largest[1]), 32 * tuning.subgroup_size)
 }
 
 /// Adds the passes that work out the region of a picture: 0 is the training view, others are pseudo-views.
@@ -98,26 +99,30 @@ pub fn region(
     picture: u32,
 ) -> Result<(), GraphError> {
     let name = |what: &str| format!("region{picture}.{what}");
-    let count = sample_groups(pixels(p));
+    let count = list_groups(prepared.tuning, p);
     let sums = g.transient(name("sums"), u64::from(count) * 4 * AUGMENTED as u64);
     let histogram = g.transient(name("histogram"), 4 * u64::from(head.classes));
     g.fill(name("clear"), histogram, 0)?;
+    let subgroup = prepared.tuning.subgroup_size;
     let bindings = region_sums::Bindings {
         params: p.step.into(),
         image: p.image.into(),
         mask: p.mask.into(),
-        text: prepared.text.into(),
+        matrices: prepared.matrices.into(),
         region_sums: sums.into(),
         histogram: histogram.into(),
     };
     let specs = region_sums::Specs {
-        workgroup: SAMPLES,
+        subgroup,
+        tiles: prepared.tuning.tiles(),
         classes: head.classes,
         channels: p.channels,
         first: p.first,
         classify: picture == 0,
     };
-    stage(g, &name("sum"), &region_sums::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([count, 1, 1])?;
+    stage(g, &name("sum"), &region_sums::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(subgroup))
+        .dispatch([count, 1, 1])?;
     let bindings =
         region_finish::Bindings { region_sums: sums.into(), histogram: histogram.into(), region: slice(into, picture) };
     let specs = region_finish::Specs { workgroup: 64, classes: head.classes };
@@ -140,32 +145,38 @@ pub fn correspondence_bwd(
     prepared: &Prepared,
     from: &Regions,
 ) -> Result<Correspondence, GraphError> {
-    let count = pictures.iter().map(|(p, _)| sample_groups(pixels(p))).max().unwrap_or(1);
+    let count = pictures.iter().map(|(p, _)| list_groups(tuning, p)).max().unwrap_or(1);
     // Each pseudo-view's sums are bound on their own, which asks for some alignment.
     let pitch = count.next_multiple_of(64);
     let bytes = 4 * u64::from(pitch);
     let sums = g.transient("correspondence.sums", bytes * pictures.len().max(1) as u64);
     for (i, (p, grad_image)) in pictures.iter().enumerate() {
         let name = format!("correspondence{i}");
-        let partials = partials(g, &name, head.classes, count)?;
+        let partials = partials(g, &name, head.classes, count);
         let bindings = pseudo::Bindings {
             params: p.step.into(),
             image: p.image.into(),
             mask: p.mask.into(),
-            gram: prepared.gram.into(),
-            text: prepared.text.into(),
-            trained: slice(from, 0),
+            matrices: prepared.matrices.into(),
+                trained: slice(from, 0),
             region: slice(from, 1 + i as u32),
             grad_image: (*grad_image).into(),
             partials: partials.into(),
             sums: sums.slice(i as u64 * bytes, bytes),
         };
-        let specs = pseudo::Specs { workgroup: SAMPLES, classes: head.classes, channels: p.channels, first: p.first };
+        let specs = pseudo::Specs {
+            subgroup: tuning.subgroup_size,
+            tiles: tuning.tiles(),
+            classes: head.classes,
+            channels: p.channels,
+            first: p.first,
+            };
         let push = pseudo::Push { share: 1.0 / pictures.len() as f32 };
         let bytes = bytemuck::bytes_of(&push);
         stage(g, &format!("{name}.bwd"), &pseudo::KERNEL, bindings.entries(), specs.entries(), bytes)
+            .subgroup_size(Some(tuning.subgroup_size))
             .dispatch([count, 1, 1])?;
-        reduce(g, tuning, &name, partials, prepared.accumulated, head.classes, count)?;
+        reduce(g, tuning, &name, partials, prepared, count)?;
     }
     Ok(Correspondence { sums, count, pitch })
 }
@@ -188,9 +199,11 @@ pub fn correspondence_train_bwd(
         regions: from.buffer.into(),
         grad_image: grad_image.into(),
     };
-    let specs = train::Specs { workgroup: tuning.workgroup, channels: p.channels, first: p.first, pairs: from.pairs };
+    let subgroup = tuning.subgroup_size;
+    let specs = train::Specs { subgroup, channels: p.channels, first: p.first, pairs: from.pairs };
     stage(g, "correspondence_train_bwd", &train::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(pixels(p), tuning.workgroup))
+        .subgroup_size(Some(subgroup))
+        .dispatch([list_groups(tuning, p), 1, 1])
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photo
 pub use region_mask::{CarryOptions, Seen, carry_mask, pack_regions, region_mask};
 pub use semantic::{
     Head, Prepared, SemanticLoss, SemanticSums, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings,
-    semantic_loss, semantic_prepare, semantic_targets,
+    sampled_pixels, semantic_loss, semantic_prepare, semantic_targets,
 };
 pub use semantic_labels::{NO_LABEL, Relevance, SemanticLabels, semantic_labels};
 pub use semantic_sum::semantic_sum;

@@ -30,14 +30,17 @@ use sgs_shaders::{
     semantic_project, semantic_reduce, semantic_samples, semantic_target,
 };
 
-/// Most workgroups that sum up for the decoder; each leaves (33 + C) x 33 sums.
+/// Most workgroups that sum up for the decoder; each leaves (33 + C) rows of sums.
 const MOST_GROUPS: u64 = 256;
 
-/// Samples and pixels of a workgroup.
-pub(super) const SAMPLES: u32 = 128;
+/// Bytes of a row of 33 numbers, padded.
+const ROW: u64 = 144;
 
-/// Samples of a run of `semantic_outer`.
-const SPLIT: u32 = 2048;
+/// Fewest rows of a part of the decoder.
+const LEAST_ROWS: u64 = 16;
+
+/// Fewest samples of a run of `semantic_outer`.
+const LEAST_RUN: u32 = 64;
 
 /// The decoder and the classes.
 #[derive(Clone, Copy, Debug)]
@@ -53,12 +56,14 @@ pub struct Head {
 /// What stands for the decoder in a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Prepared {
-    /// `[33 * 33]`: AᵀA.
-    pub gram: Buffer,
-    /// `[classes * 33]`: T A.
-    pub text: Buffer,
-    /// `[(33 + classes) * 33]`, zero at first: the sums that `decoder_gradient` makes of; losses add to them.
+    /// Rows of 33 numbers, padded to 36: the 33 of AᵀA, then those of T A by class.
+    pub matrices: Buffer,
+    /// Rows likewise, zero at first: the sums that `decoder_gradient` makes of; losses add to them.
     pub accumulated: Buffer,
+    /// How many classes.
+    pub classes: u32,
+    /// Kernel sizes that it was made with.
+    pub tuning: Tuning,
 }
 
 /// The targets of all views, one behind the other.
@@ -88,6 +93,8 @@ pub struct SemanticLoss {
     pub largest: [u32; 2],
     /// What the features should become.
     pub targets: SemanticTargets,
+    /// A bit a pixel: where somebody wants the gradient. Pixels that samples touch must be among them.
+    pub wanted: Buffer,
 }
 
 /// What the loss leaves.
@@ -97,7 +104,7 @@ pub struct SemanticSums {
     pub sums: Buffer,
     /// Number of workgroups.
     pub count: u32,
-    /// `[runs * 512 * 33]`: the part of the decoder's gradient that needs the targets.
+    /// By run, 512 padded rows of 33: the part of the decoder's gradient that needs the targets.
     pub outer: Buffer,
     /// Number of runs.
     pub runs: u32,
@@ -152,40 +159,56 @@ pub fn semantic_targets(
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn semantic_prepare(g: &mut Graph, tuning: Tuning, head: &Head) -> Result<Prepared, GraphError> {
-    let row = 4 * AUGMENTED as u64;
+    let bytes = count_rows(head.classes) * ROW;
     let prepared = Prepared {
-        gram: g.transient("semantic.gram", AUGMENTED as u64 * row),
-        text: g.transient("semantic.text", u64::from(head.classes) * row),
-        accumulated: g.transient("semantic.accumulated", rows(head.classes) * row),
+        matrices: g.transient("semantic.matrices", bytes),
+        accumulated: g.transient("semantic.accumulated", bytes),
+        classes: head.classes,
+        tuning,
     };
+    let subgroup = tuning.subgroup_size;
+    let per_lane = rows_per_lane(tuning);
+    let blocks = count_rows(head.classes).div_ceil(u64::from(per_lane * subgroup));
+    let parts = decoder_parts(tuning, blocks);
+    let partials = g.transient("semantic.parts", u64::from(parts) * bytes);
     let bindings = prepare_kernel::Bindings {
         decoder: head.decoder.into(),
         embeddings: head.embeddings.into(),
-        gram: prepared.gram.into(),
-        text: prepared.text.into(),
+        partials: partials.into(),
     };
-    let specs = prepare_kernel::Specs { workgroup: tuning.workgroup, classes: head.classes };
+    let specs = prepare_kernel::Specs { subgroup, per_lane, classes: head.classes, parts };
     stage(g, "semantic_prepare", &prepare_kernel::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(rows(head.classes), 1))?;
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(blocks * u64::from(parts), 1))?;
+    sum_parts(g, tuning, "semantic_prepare", partials, prepared.matrices, bytes / 4, parts, false)?;
     g.fill("semantic.clear", prepared.accumulated, 0)?;
     Ok(prepared)
 }
 
 /// Rows of the sums that become the decoder's gradient.
-fn rows(classes: u32) -> u64 {
+fn count_rows(classes: u32) -> u64 {
     AUGMENTED as u64 + u64::from(classes)
 }
 
-/// Workgroups for so many samples, each of which may take several rounds.
-pub(super) fn sample_groups(count: u64) -> u32 {
-    count.div_ceil(u64::from(SAMPLES)).clamp(1, MOST_GROUPS) as u32
+/// Rows of 33 numbers that a lane has in registers where not much else is there.
+fn rows_per_lane(tuning: Tuning) -> u32 {
+    (32 / tuning.subgroup_size).max(2)
 }
 
-/// Sums of `groups` workgroups, zero at first.
-pub(super) fn partials(g: &mut Graph, name: &str, classes: u32, groups: u32) -> Result<Buffer, GraphError> {
-    let buffer = g.transient(format!("{name}.partials"), u64::from(groups) * rows(classes) * 4 * AUGMENTED as u64);
-    g.fill(format!("{name}.clear"), buffer, 0)?;
-    Ok(buffer)
+/// Workgroups for so many items, `batch` at a time; each may take several rounds.
+pub(super) fn batch_groups(tuning: Tuning, items: u64, batch: u32) -> u32 {
+    items.div_ceil(u64::from(batch)).clamp(1, MOST_GROUPS.min(u64::from(tuning.workers))) as u32
+}
+
+/// Into how many parts the decoder's rows are cut where so many workgroups would each go through all of them: about as
+/// many as keep the device busy.
+fn decoder_parts(tuning: Tuning, blocks: u64) -> u32 {
+    1 << (u64::from(tuning.workers) / blocks.max(1)).clamp(1, EMBEDDING as u64 / LEAST_ROWS).ilog2()
+}
+
+/// Sums of `groups` workgroups.
+pub(super) fn partials(g: &mut Graph, name: &str, classes: u32, groups: u32) -> Buffer {
+    g.transient(format!("{name}.partials"), u64::from(groups) * count_rows(classes) * ROW)
 }
 
 /// Adds the workgroups' sums to those of the step.
@@ -194,20 +217,35 @@ pub(super) fn reduce(
     tuning: Tuning,
     name: &str,
     partials: Buffer,
-    accumulated: Buffer,
-    classes: u32,
+    prepared: &Prepared,
     count: u32,
 ) -> Result<(), GraphError> {
-    let width = rows(classes) * AUGMENTED as u64;
-    let bindings = semantic_reduce::Bindings { partials: partials.into(), accumulated: accumulated.into() };
-    let specs = semantic_reduce::Specs { workgroup: tuning.workgroup };
-    let push = semantic_reduce::Push { width: width as u32, groups: count };
-    let name = format!("{name}.reduce");
-    stage(g, &name, &semantic_reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-        .dispatch(groups(width, tuning.workgroup / 8))
+    sum_parts(g, tuning, name, partials, prepared.accumulated, count_rows(prepared.classes) * ROW / 4, count, true)
 }
 
-/// Adds the loss of a training view: writes the feature channels of `grad_image`, and adds to `prepared.accumulated`.
+/// Adds the pass that adds up `count` runs of `width` sums: to what is in `into`, or in place of it.
+fn sum_parts(
+    g: &mut Graph,
+    tuning: Tuning,
+    name: &str,
+    parts: Buffer,
+    into: Buffer,
+    width: u64,
+    count: u32,
+    add: bool,
+) -> Result<(), GraphError> {
+    let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add };
+    let push = semantic_reduce::Push { width: width as u32, groups: count };
+    let name = format!("{name}.reduce");
+    let pass = stage(g, &name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
+    let pass = pass.bind("partials", parts);
+    // What is replaced is not read.
+    let pass = if add { pass.bind("accumulated", into) } else { pass.bind_discard("accumulated", into) };
+    pass.dispatch(groups(width, tuning.workgroup / 8))
+}
+
+/// Adds the loss of a training view: writes the feature channels of `grad_image` at the wanted pixels, and adds to
+/// `prepared.accumulated`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -219,61 +257,105 @@ pub fn semantic_loss(
     prepared: &Prepared,
     grad_image: Buffer,
 ) -> Result<SemanticSums, GraphError> {
+    let subgroup = tuning.subgroup_size;
     let samples = u64::from(a.targets.largest);
-    let products = g.transient("semantic.products", samples * 4 * AUGMENTED as u64);
+    let per_lane = rows_per_lane(tuning);
+    let blocks = samples.div_ceil(u64::from(subgroup * per_lane)).max(1);
+    let parts = decoder_parts(tuning, blocks);
+    let products = g.transient("semantic.products", u64::from(parts) * samples * ROW);
     let bindings = semantic_project::Bindings {
         params: a.step.into(),
         features: a.targets.features.into(),
         decoder: head.decoder.into(),
         products: products.into(),
     };
-    let specs = semantic_project::Specs { workgroup: 96 };
-    stage(g, "semantic_project", &semantic_project::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(samples, 64))?;
+    let specs = semantic_project::Specs { subgroup, per_lane, parts };
+    let push = semantic_project::Push { largest: a.targets.largest };
+    let bytes = bytemuck::bytes_of(&push);
+    stage(g, "semantic_project", &semantic_project::KERNEL, bindings.entries(), specs.entries(), bytes)
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(blocks * u64::from(parts), 1))?;
 
-    let count = sample_groups(samples);
+    let tiles = tuning.tiles();
+    let count = batch_groups(tuning, samples, subgroup * tiles);
     let grad_features = g.transient("semantic.grad_features", samples * 4 * FEATURES as u64);
     let sums = g.transient("semantic.sums", u64::from(count) * 12);
-    let partials = partials(g, "semantic", head.classes, count)?;
+    let partials = partials(g, "semantic", head.classes, count);
     let bindings = semantic_samples::Bindings {
         params: a.step.into(),
         image: a.image.into(),
         targets: a.targets.targets.into(),
-        gram: prepared.gram.into(),
-        text: prepared.text.into(),
+        matrices: prepared.matrices.into(),
         products: products.into(),
         grad_features: grad_features.into(),
         partials: partials.into(),
         sums: sums.into(),
     };
-    let specs =
-        semantic_samples::Specs { workgroup: SAMPLES, classes: head.classes, channels: a.channels, first: a.first };
-    stage(g, "semantic_samples", &semantic_samples::KERNEL, bindings.entries(), specs.entries(), &[])
+    let specs = semantic_samples::Specs {
+        subgroup,
+        tiles,
+        classes: head.classes,
+        channels: a.channels,
+        first: a.first,
+        parts,
+    };
+    let push = semantic_samples::Push { largest: a.targets.largest };
+    let bytes = bytemuck::bytes_of(&push);
+    stage(g, "semantic_samples", &semantic_samples::KERNEL, bindings.entries(), specs.entries(), bytes)
+        .subgroup_size(Some(subgroup))
         .dispatch([count, 1, 1])?;
-    reduce(g, tuning, "semantic", partials, prepared.accumulated, head.classes, count)?;
+    reduce(g, tuning, "semantic", partials, prepared, count)?;
+    gather(g, tuning, a, grad_features, grad_image)?;
+    let (outer, runs) = outer(g, tuning, a, products)?;
+    Ok(SemanticSums { sums, count, outer, runs })
+}
 
+/// The gradient of sampled features, back to pixels.
+fn gather(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &SemanticLoss,
+    grad_features: Buffer,
+    grad_image: Buffer,
+) -> Result<(), GraphError> {
     let bindings = semantic_gather::Bindings {
         params: a.step.into(),
         grad_features: grad_features.into(),
+        wanted: a.wanted.into(),
         grad_image: grad_image.into(),
     };
-    let specs = semantic_gather::Specs { workgroup: tuning.workgroup, channels: a.channels, first: a.first };
-    let items = u64::from(a.largest[0]) * u64::from(a.largest[1]) * FEATURES as u64 / 4;
+    let subgroup = tuning.subgroup_size;
+    // Many lanes have the pixels of several side by side; few have more to do in each.
+    let across = if subgroup > 8 { 8 } else { 1 };
+    let specs = semantic_gather::Specs { subgroup, channels: a.channels, first: a.first, across };
+    let blocks = (u64::from(a.largest[0]) * u64::from(a.largest[1])).div_ceil(u64::from(32 * subgroup)).max(1);
     stage(g, "semantic_gather", &semantic_gather::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(items, tuning.workgroup))?;
+        .subgroup_size(Some(subgroup))
+        .dispatch([blocks.min(4 * u64::from(tuning.workers)) as u32, 1, 1])
+}
 
-    let runs = a.targets.largest.div_ceil(SPLIT).max(1);
-    let outer = g.transient("semantic.outer", u64::from(runs) * 4 * (EMBEDDING * AUGMENTED) as u64);
+/// The sums over samples of t (s f')ᵀ, by runs of samples; how many runs.
+fn outer(g: &mut Graph, tuning: Tuning, a: &SemanticLoss, rows: Buffer) -> Result<(Buffer, u32), GraphError> {
+    // Rows of a lane are pairs; see rows_per_lane().
+    let words = rows_per_lane(tuning);
+    let stripes = EMBEDDING as u32 / (2 * words * tuning.subgroup_size);
+    let most = (tuning.workers / stripes).max(1);
+    let split = a.targets.largest.div_ceil(most).max(LEAST_RUN);
+    let runs = a.targets.largest.div_ceil(split).max(1);
+    let outer = g.transient("semantic.outer", u64::from(runs) * EMBEDDING as u64 * ROW);
     let bindings = semantic_outer::Bindings {
         params: a.step.into(),
         features: a.targets.features.into(),
-        rows: products.into(),
+        rows: rows.into(),
         outer: outer.into(),
     };
-    let specs = semantic_outer::Specs { workgroup: 96, split: SPLIT, splits: runs };
-    stage(g, "semantic_outer", &semantic_outer::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(u64::from(runs) * EMBEDDING as u64 / 64, 1))?;
-    Ok(SemanticSums { sums, count, outer, runs })
+    let specs = semantic_outer::Specs { subgroup: tuning.subgroup_size, words, splits: runs };
+    let push = semantic_outer::Push { split };
+    let push = bytemuck::bytes_of(&push);
+    stage(g, "semantic_outer", &semantic_outer::KERNEL, bindings.entries(), specs.entries(), push)
+        .subgroup_size(Some(tuning.subgroup_size))
+        .dispatch(groups(u64::from(runs * stripes), 1))?;
+    Ok((outer, runs))
 }
 
 /// Adds the pass that writes `gradient`, `[512 * 33]` floats, from what all losses left. `sums`: of the training view, if
@@ -296,13 +378,31 @@ pub fn decoder_gradient(
         accumulated: prepared.accumulated.into(),
         gradient: gradient.into(),
     };
-    let specs = gradient_kernel::Specs {
-        workgroup: tuning.workgroup,
-        classes: head.classes,
-        splits: sums.map_or(0, |s| s.runs),
-    };
+    let (subgroup, tiles) = (tuning.subgroup_size, tuning.tiles());
+    let splits = sums.map_or(0, |s| s.runs);
+    let specs = gradient_kernel::Specs { subgroup, tiles, classes: head.classes, splits };
     stage(g, "decoder_gradient", &gradient_kernel::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups((EMBEDDING * AUGMENTED) as u64, tuning.workgroup))
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(EMBEDDING as u64, tiles * subgroup))
+}
+
+/// The pixels of a picture of that size that the samples of a map touch, row by row.
+pub fn sampled_pixels(size: [u32; 2], map: [u32; 2]) -> Vec<bool> {
+    // As in semantic.glsl: first and last pixel and sample coincide.
+    let axis = |k: usize| {
+        let mut touched = vec![false; size[k] as usize];
+        let steps = map[k].max(2) - 1;
+        for i in 0..map[k] {
+            let across = i * if map[k] > 1 { size[k] - 1 } else { 0 };
+            touched[(across / steps) as usize] = true;
+            if across % steps > 0 {
+                touched[(across / steps + 1) as usize] = true;
+            }
+        }
+        touched
+    };
+    let [columns, rows] = [axis(0), axis(1)];
+    rows.iter().flat_map(|&y| columns.iter().map(move |&x| x && y)).collect()
 }
 
 /// How many of a map's samples say something, and how many have a class: the step's `semantic_valid` and

@@ -7,7 +7,7 @@
 //!
 //! Cost a pixel: 128 bytes read, 8 written, about 2300 + 140 C operations.
 
-use super::semantic::{Prepared, SAMPLES};
+use super::semantic::Prepared;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::semantic_labels as kernel;
@@ -56,16 +56,17 @@ pub fn semantic_labels(
     labels: Buffer,
     relevance: Buffer,
 ) -> Result<(), GraphError> {
+    let (subgroup, tiles) = (prepared.tuning.subgroup_size, prepared.tuning.tiles());
     let bindings = kernel::Bindings {
         params: a.step.into(),
         image: a.image.into(),
-        gram: prepared.gram.into(),
-        text: prepared.text.into(),
+        matrices: prepared.matrices.into(),
         labels: labels.into(),
         relevance: relevance.into(),
     };
     let specs = kernel::Specs {
-        workgroup: SAMPLES,
+        subgroup,
+        tiles,
         classes: a.classes,
         channels: a.channels,
         first: a.first,
@@ -74,5 +75,6 @@ pub fn semantic_labels(
     let push = kernel::Push { query: a.query.min(a.classes.saturating_sub(1)) };
     let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
     stage(g, "semantic_labels", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-        .dispatch(groups(pixels, SAMPLES))
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(pixels, subgroup * tiles))
 }

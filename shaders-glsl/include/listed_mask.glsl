@@ -1,0 +1,38 @@
+// The pixels of a map of bits, listed: lanes side by side on the list cost what it has, and no more. A workgroup, which is
+// one subgroup, goes through every so many of the map's words, and returns to its work when the list is nearly full.
+//
+// Needs SUBGROUP and MASK(word), the map's words.
+
+const uint BLOCK = 32u * SUBGROUP; // pixels whose words the lanes fetch at once
+const uint ROOM = BLOCK + 768u;
+
+shared uint listed[ROOM];
+
+uint list_blocks(uint pixels) { return (pixels + BLOCK - 1u) / BLOCK; }
+
+// Fills the list with pixels of `block` and following ones, in order; returns its length.
+uint fill_list(inout uint block, uint pixels) {
+    uint blocks = list_blocks(pixels), count = 0u;
+    // Somebody may still read the list.
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
+    while (block < blocks && count <= ROOM - BLOCK) {
+        uint first = block * BLOCK + gl_SubgroupInvocationID * 32u;
+        uint bits = 0u, left = pixels - min(first, pixels);
+        if (left > 0u) bits = MASK(first / 32u);
+        if (left < 32u) bits &= (1u << left) - 1u;
+        uint mine = bitCount(bits);
+        uint at = count + subgroupExclusiveAdd(mine), most = subgroupMax(mine);
+        count += subgroupAdd(mine);
+        for (uint n = 0u; n < most; n++) {
+            if (bits != 0u) {
+                listed[at + n] = first + findLSB(bits);
+                bits &= bits - 1u;
+            }
+        }
+        block += gl_NumWorkGroups.x;
+    }
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
+    return count;
+}

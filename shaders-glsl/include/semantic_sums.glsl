@@ -1,0 +1,116 @@
+// The part that semantic_samples and correspondence_bwd share: the gradient of a batch by its features, and what it adds to
+// the sums that the decoder's gradient is made of. With v = A f', n = |v|, the loss's derivative is
+//     by v:  s t + sum_c e_c T_c + k v
+//     by f:  s (W^T t) + sum_c e_c (T W)_c + k (A^T A f')
+//     by A:  sum s t f'^T  +  T^T (sum e f'^T)  +  A (sum k f' f'^T)
+// and the two sums in parentheses are what is added up here, by workgroup, which is one subgroup. Needs the buffer
+// `partials`, rows by workgroup.
+#include "semantic_batch.glsl"
+
+float a[TILES * SPREAD];  // the gradient by features, before the division by what they were divided by
+float kept[ROWS * HELD];  // the sums, columns over lanes; indexed by a variable
+float ending[ROWS];       // their last column, what this lane's own items add
+float weights[TILES];     // of items, for absorb()
+uint label[TILES];        // for descend(): the items' classes, and
+float own[TILES];         // what k has before the cross-entropy
+
+void clear_sums() {
+    for (uint i = 0u; i < ROWS * HELD; i++) kept[i] = 0.0;
+    for (uint i = 0u; i < ROWS; i++) ending[i] = 0.0;
+}
+
+// Adds weight times f' of each item to row i of the sums, and weight times the current row of `matrices` to its gradient.
+void absorb(uint i) {
+    float sum[HELD], end = 0.0;
+    EACH_HELD(h) sum[h] = 0.0;
+    EACH_TILE(t) {
+        EACH_ITEM(n) {
+            float s = subgroupShuffle(weights[t], lane_of(n));
+            uint at = t * SPREAD + n * HELD;
+            EACH_HELD(h) {
+                a[at + h] = fma(s, row[h], a[at + h]);
+                sum[h] = fma(s, f[at + h], sum[h]);
+            }
+        }
+        end = fma(weights[t], bias[t], end);
+    }
+    EACH_HELD(h) kept[i * HELD + h] += sum[h];
+    ending[i] += end;
+}
+
+// Adds the gradient of the cross-entropy to `label`, times `weight`, and of k, which is `own` and what comes from the
+// cross-entropy, to `a` and the sums. Returns the lane's cross-entropies.
+float descend(float weight) {
+    float scale[TILES], chosen[TILES];
+    Softmax s[TILES];
+    EACH_TILE(t) {
+        scale[t] = inverse[t] * params.step.inverse_temperature;
+        s[t] = Softmax(-1e30, 0.0);
+        chosen[t] = 0.0;
+    }
+    for (uint c = 0u; c < CLASSES; c++) {
+        fetch_row(AUGMENTED + c);
+        EACH_TILE(t) {
+            float logit = product(t) * scale[t];
+            chosen[t] = c == label[t] ? logit : chosen[t];
+            add_logit(s[t], logit);
+        }
+    }
+    for (uint c = 0u; c < CLASSES; c++) {
+        fetch_row(AUGMENTED + c);
+        EACH_TILE(t) {
+            float logit = product(t) * scale[t];
+            float g = weight * (exp(logit - s[t].top) / s[t].total - float(c == label[t]));
+            g = live[t] && label[t] < CLASSES ? g : 0.0;
+            own[t] = fma(-g * logit, inverse[t] * inverse[t], own[t]);
+            weights[t] = g * scale[t];
+        }
+        absorb(AUGMENTED + c);
+    }
+    float factor[TILES * ACROSS];
+    EACH_TILE(t) {
+        float k = live[t] ? own[t] : 0.0;
+        weights[t] = k * bias[t];
+        EACH_ITEM(n) {
+            factor[t * ACROSS + n] = subgroupShuffle(k, lane_of(n));
+            uint at = t * SPREAD + n * HELD;
+            EACH_HELD(h) a[at + h] = fma(factor[t * ACROSS + n], u[at + h], a[at + h]);
+        }
+    }
+    for (uint j = 0u; j < ACROSS; j++) {
+        EACH_HELD(g) {
+            float sum[HELD];
+            EACH_HELD(h) sum[h] = 0.0;
+            EACH_TILE(t) EACH_ITEM(n) {
+                uint at = t * SPREAD + n * HELD;
+                float s = subgroupShuffle(f[at + g], lane_of(j)) * factor[t * ACROSS + n];
+                EACH_HELD(h) sum[h] = fma(s, f[at + h], sum[h]);
+            }
+            EACH_HELD(h) kept[(g * ACROSS + j) * HELD + h] += sum[h];
+        }
+    }
+    EACH_HELD(h) row[h] = 0.0;
+    absorb(FEATURES);
+    float entropy = 0.0;
+    EACH_TILE(t) entropy += live[t] && label[t] < CLASSES ? log(s[t].total) + s[t].top - chosen[t] : 0.0;
+    return entropy;
+}
+
+// Writes the sums of the workgroup. The last column of the square part is its last row.
+void write_sums() {
+    for (uint i = 0u; i < ROWS; i++) {
+        uint to = (gl_WorkGroupID.x * ROWS + i) * PITCH;
+        EACH_HELD(h) {
+            float sum = kept[i * HELD + h];
+            for (uint reach = ACROSS; reach < SUBGROUP; reach *= 2u) sum += subgroupShuffleXor(sum, reach);
+            if (gl_SubgroupInvocationID < ACROSS) {
+                partials[to + h * ACROSS + gl_SubgroupInvocationID] = sum;
+                uint mirror = (gl_WorkGroupID.x * ROWS + h * ACROSS + gl_SubgroupInvocationID) * PITCH + FEATURES;
+                if (i == FEATURES) partials[mirror] = sum;
+            }
+        }
+        float end = subgroupAdd(ending[i]);
+        if (i >= FEATURES && subgroupElect()) partials[to + FEATURES] = end;
+        if (gl_SubgroupInvocationID < PITCH - AUGMENTED) partials[to + AUGMENTED + gl_SubgroupInvocationID] = 0.0;
+    }
+}
