@@ -14,13 +14,15 @@ pub struct Tuning {
     /// Workgroups of one subgroup that keep the device busy. Where work can be cut finer at the price of sums that
     /// somebody must add up, it is cut into about so many pieces.
     pub workers: u32,
+    /// Rounds of all loops of an invocation together: llvmpipe leaves loops silently after 65535.
+    pub rounds: u32,
 }
 
 impl Tuning {
     /// What suits a device.
     pub fn for_device(info: &DeviceInfo) -> Tuning {
-        let workers = if info.kind == "cpu" { 8 } else { 512 };
-        Tuning { workers, ..Tuning::for_subgroups(info.subgroup_size) }
+        let gpu = Tuning::for_subgroups(info.subgroup_size);
+        if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), ..gpu } } else { gpu }
     }
 
     /// What suits a GPU of which only the subgroup size is known.
@@ -28,7 +30,7 @@ impl Tuning {
         // Eight pixels a lane (sixteen on narrow subgroups) keep the state of a tile in registers and share each splat's
         // fetch. On lavapipe tiles of 8 x 16 take the time of 8 x 8 and two thirds of the entries.
         let width = subgroup_size.min(16);
-        Tuning { subgroup_size, workgroup: 256, tile: [width, 16], workers: 512 }
+        Tuning { subgroup_size, workgroup: 256, tile: [width, 16], workers: 512, rounds: u32::MAX }
     }
 
     /// Subgroups of an ordinary workgroup.

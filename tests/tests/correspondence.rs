@@ -125,7 +125,15 @@ fn run(gpu: &Gpu, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
             }
             if inside {
                 // Nothing is asked of others: the reference says zero.
-                let gradient = |&x: &f32| if !mine { 0.0 } else if i == 0 { x - BEFORE } else { x };
+                let gradient = |&x: &f32| {
+                    if !mine {
+                        0.0
+                    } else if i == 0 {
+                        x - BEFORE
+                    } else {
+                        x
+                    }
+                };
                 features.extend(pixel[FIRST..FIRST + FEATURES].iter().map(gradient));
             }
         }

@@ -6,6 +6,8 @@ use super::{Cost, Counts, Stage};
 const FEATURES: f64 = 32.0;
 const AUGMENTED: f64 = 33.0;
 const EMBEDDING: f64 = 512.0;
+/// Numbers of a row of 33 where only kernels see it.
+const PITCH: f64 = 36.0;
 const DECODER_BYTES: f64 = 4.0 * EMBEDDING * AUGMENTED;
 
 /// One sample: the product with the Gram matrix and its square's share of the decoder's sums; lengths and scaling.
@@ -21,20 +23,29 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let text = 4.0 * classes * EMBEDDING;
     let target = 2.0 * EMBEDDING;
     // What a sample or pixel leaves for the decoder is added up by workgroup; that is memory of its own.
-    let small = 4.0 * AUGMENTED * (AUGMENTED + classes);
+    let small = 4.0 * PITCH * (AUGMENTED + classes);
+    // Pixels that samples touch.
+    let touched = p.min(4.0 * m);
     let (bytes, operations) = match s.kernel {
         "semantic_target" => ((target + 8.0) * m + text, 2.0 * EMBEDDING * (1.0 + classes) * m),
-        "semantic_prepare" => (DECODER_BYTES + text + small, 2.0 * EMBEDDING * AUGMENTED * (AUGMENTED + classes)),
-        "semantic_project" => ((target + 4.0 * AUGMENTED) * m + DECODER_BYTES, 2.0 * EMBEDDING * AUGMENTED * m),
+        "semantic_prepare" => {
+            let operations = 2.0 * EMBEDDING * AUGMENTED * (AUGMENTED + classes);
+            (DECODER_BYTES + text + small * spec("PARTS"), operations)
+        }
+        "semantic_project" => {
+            let products = 4.0 * PITCH * spec("PARTS");
+            ((target + products) * m + DECODER_BYTES, 2.0 * EMBEDDING * AUGMENTED * m)
+        }
         "semantic_outer" => {
-            ((target + 4.0 * AUGMENTED) * m + DECODER_BYTES * spec("SPLITS"), 2.0 * EMBEDDING * AUGMENTED * m)
+            let sums = 4.0 * EMBEDDING * PITCH * spec("SPLITS");
+            ((target + 4.0 * AUGMENTED) * m + sums, 2.0 * EMBEDDING * AUGMENTED * m)
         }
         // A sample reads the features of up to four pixels, its target's products, and writes those and a gradient.
         "semantic_samples" => {
-            let read = 4.0 * FEATURES * p.min(4.0 * m) + (8.0 + 4.0 * AUGMENTED) * m;
-            (read + 4.0 * (AUGMENTED + FEATURES) * m + 2.0 * small * s.groups, (SAMPLE + CLASS * classes) * m)
+            let read = 4.0 * FEATURES * touched + (8.0 + 4.0 * AUGMENTED * spec("PARTS")) * m;
+            (read + 4.0 * (AUGMENTED + FEATURES) * m + small * s.groups, (SAMPLE + CLASS * classes) * m)
         }
-        "semantic_gather" => (4.0 * FEATURES * (m + p), 8.0 * FEATURES * m + 10.0 * FEATURES * p),
+        "semantic_gather" => (4.0 * FEATURES * (m + touched) + p / 8.0, 8.0 * FEATURES * m + 20.0 * touched),
         "semantic_reduce" => {
             let (width, groups) = ((s.push)(0), (s.push)(1));
             (4.0 * width * (groups + 2.0), width * groups)
@@ -50,7 +61,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "region_finish" => (4.0 * AUGMENTED * (s.push)(0), AUGMENTED * (s.push)(0)),
         "correspondence_bwd" => {
-            let bytes = 4.0 * FEATURES * (c.masked + p) + p / 8.0 + 2.0 * small * s.groups;
+            let bytes = 8.0 * FEATURES * c.masked + p / 8.0 + small * s.groups;
             (bytes, (SAMPLE + CLASS * classes) * c.masked)
         }
         "correspondence_train_bwd" => (12.0 * FEATURES * c.masked + p / 8.0, 2.0 * FEATURES * c.masked),

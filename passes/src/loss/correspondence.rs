@@ -11,12 +11,14 @@
 //! mean is over all p nevertheless. Pixels with features that are not finite belong to no region.
 //!
 //! In two stages, so that a pipeline can render between them: [`region`] for every picture, then the gradients.
-//! `correspondence_bwd` writes all feature channels of a pseudo-view's gradient; `correspondence_train_bwd` adds to those
-//! of the training view, which must have been written ([`super::semantic_loss`]). Both without float atomics; the classes
-//! of pixels are counted with whole ones.
+//! `correspondence_bwd` writes the feature channels of a pseudo-view's gradient at the pixels of its mask, and nowhere else:
+//! nobody reads others ([`crate::splat::blend_features_bwd`] with the mask as what is wanted). `correspondence_train_bwd`
+//! adds to those of the training view's mask, which must have been written ([`super::semantic_loss`] with the mask among
+//! what is wanted). Both without float atomics; the classes of pixels are counted with whole ones. All go through lists of
+//! the masks' pixels, so the cost follows the region's size.
 //!
 //! Cost. `region_sums`: 128 bytes and 32 (and 66 C in the training view) operations a pixel in the mask;
-//! `correspondence_bwd`: 128 bytes a pixel, and 128 and about 5000 + 270 C operations a pixel in the mask;
+//! `correspondence_bwd`: 256 bytes and about 5000 + 270 C operations a pixel in the mask;
 //! `correspondence_train_bwd`: 384 bytes a pixel in the mask.
 
 use super::semantic::{Head, Prepared, batch_groups, partials, reduce};
@@ -82,8 +84,9 @@ fn slice(regions: &Regions, picture: u32) -> Slice {
 }
 
 /// Workgroups that share the words of a mask.
-fn list_groups(tuning: Tuning, p: &Pictured) -> u32 {
-    batch_groups(tuning, u64::from(p.largest[0]) * u64::from(p.largest[1]), 32 * tuning.subgroup_size)
+fn list_groups(tuning: Tuning, p: &Pictured, classes: u32) -> u32 {
+    let pixels = u64::from(p.largest[0]) * u64::from(p.largest[1]);
+    batch_groups(tuning, pixels, 32 * tuning.subgroup_size, classes)
 }
 
 /// Adds the passes that work out the region of a picture: 0 is the training view, others are pseudo-views.
@@ -99,7 +102,7 @@ pub fn region(
     picture: u32,
 ) -> Result<(), GraphError> {
     let name = |what: &str| format!("region{picture}.{what}");
-    let count = list_groups(prepared.tuning, p);
+    let count = list_groups(prepared.tuning, p, head.classes);
     let sums = g.transient(name("sums"), u64::from(count) * 4 * AUGMENTED as u64);
     let histogram = g.transient(name("histogram"), 4 * u64::from(head.classes));
     g.fill(name("clear"), histogram, 0)?;
@@ -145,7 +148,7 @@ pub fn correspondence_bwd(
     prepared: &Prepared,
     from: &Regions,
 ) -> Result<Correspondence, GraphError> {
-    let count = pictures.iter().map(|(p, _)| list_groups(tuning, p)).max().unwrap_or(1);
+    let count = pictures.iter().map(|(p, _)| list_groups(tuning, p, head.classes)).max().unwrap_or(1);
     // Each pseudo-view's sums are bound on their own, which asks for some alignment.
     let pitch = count.next_multiple_of(64);
     let bytes = 4 * u64::from(pitch);
@@ -158,7 +161,7 @@ pub fn correspondence_bwd(
             image: p.image.into(),
             mask: p.mask.into(),
             matrices: prepared.matrices.into(),
-                trained: slice(from, 0),
+            trained: slice(from, 0),
             region: slice(from, 1 + i as u32),
             grad_image: (*grad_image).into(),
             partials: partials.into(),
@@ -170,7 +173,7 @@ pub fn correspondence_bwd(
             classes: head.classes,
             channels: p.channels,
             first: p.first,
-            };
+        };
         let push = pseudo::Push { share: 1.0 / pictures.len() as f32 };
         let bytes = bytemuck::bytes_of(&push);
         stage(g, &format!("{name}.bwd"), &pseudo::KERNEL, bindings.entries(), specs.entries(), bytes)
@@ -203,7 +206,7 @@ pub fn correspondence_train_bwd(
     let specs = train::Specs { subgroup, channels: p.channels, first: p.first, pairs: from.pairs };
     stage(g, "correspondence_train_bwd", &train::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
-        .dispatch([list_groups(tuning, p), 1, 1])
+        .dispatch([list_groups(tuning, p, 0), 1, 1])
 }
 
 #[cfg(test)]

@@ -12,13 +12,18 @@
 //! gradient. Features may have any size: they are divided by their largest first. A sample whose features are not finite
 //! adds nothing and is counted.
 //!
-//! Promises: every feature channel of every pixel's gradient is written, by a gather, without atomics; the same bits from
-//! run to run on a device. Leaves to the caller: adding other gradients of these channels afterwards, and Adam
+//! Promises: at wanted pixels every feature channel of the gradient is written, by a gather, without atomics, and nowhere
+//! else; the same bits from run to run on a device. Leaves to the caller: adding other gradients of these channels afterwards, and Adam
 //! ([`crate::scene::decoder_step`]).
 //!
-//! Cost, of M samples and C classes. `semantic_project`: 1024 + 132 bytes and 33 792 operations a sample, `semantic_outer`
+//! What many need is fetched by lanes together and handed round: rows of the decoder, and in `semantic_samples`, where the
+//! 32 features of an item lie over the lanes, rows of the small matrices. That suits processors too, on which a number
+//! from memory costs a subgroup as much as sixty multiply-adds.
+//!
+//! Cost, of M samples and C classes. `semantic_project`: 1024 + 144 bytes and 33 792 operations a sample, `semantic_outer`
 //! the same; `semantic_samples`: 912 bytes and about 6900 + 270 C operations; `semantic_gather`: 128 bytes a sample and a
-//! pixel. The memory is 260 bytes a sample, whatever the size of the picture.
+//! pixel that it touches, a bit a pixel. The memory is 272 bytes a sample and 72 KiB a run of samples, whatever the size
+//! of the picture.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -195,9 +200,12 @@ fn rows_per_lane(tuning: Tuning) -> u32 {
     (32 / tuning.subgroup_size).max(2)
 }
 
-/// Workgroups for so many items, `batch` at a time; each may take several rounds.
-pub(super) fn batch_groups(tuning: Tuning, items: u64, batch: u32) -> u32 {
-    items.div_ceil(u64::from(batch)).clamp(1, MOST_GROUPS.min(u64::from(tuning.workers))) as u32
+/// Workgroups for so many items that come in pieces of `piece`: each may take several of them, in batches.
+pub(super) fn batch_groups(tuning: Tuning, items: u64, piece: u32, classes: u32) -> u32 {
+    let batch = u64::from(tuning.subgroup_size * tuning.tiles());
+    let rounds = items.div_ceil(batch) * (512 + 4 * u64::from(classes));
+    let enough = MOST_GROUPS.min(u64::from(tuning.workers)).max(rounds.div_ceil(u64::from(tuning.rounds) / 2));
+    items.div_ceil(u64::from(piece)).clamp(1, enough) as u32
 }
 
 /// Into how many parts the decoder's rows are cut where so many workgroups would each go through all of them: about as
@@ -277,7 +285,7 @@ pub fn semantic_loss(
         .dispatch(groups(blocks * u64::from(parts), 1))?;
 
     let tiles = tuning.tiles();
-    let count = batch_groups(tuning, samples, subgroup * tiles);
+    let count = batch_groups(tuning, samples, subgroup * tiles, head.classes);
     let grad_features = g.transient("semantic.grad_features", samples * 4 * FEATURES as u64);
     let sums = g.transient("semantic.sums", u64::from(count) * 12);
     let partials = partials(g, "semantic", head.classes, count);
@@ -291,14 +299,8 @@ pub fn semantic_loss(
         partials: partials.into(),
         sums: sums.into(),
     };
-    let specs = semantic_samples::Specs {
-        subgroup,
-        tiles,
-        classes: head.classes,
-        channels: a.channels,
-        first: a.first,
-        parts,
-    };
+    let specs =
+        semantic_samples::Specs { subgroup, tiles, classes: head.classes, channels: a.channels, first: a.first, parts };
     let push = semantic_samples::Push { largest: a.targets.largest };
     let bytes = bytemuck::bytes_of(&push);
     stage(g, "semantic_samples", &semantic_samples::KERNEL, bindings.entries(), specs.entries(), bytes)
@@ -331,7 +333,7 @@ fn gather(
     let blocks = (u64::from(a.largest[0]) * u64::from(a.largest[1])).div_ceil(u64::from(32 * subgroup)).max(1);
     stage(g, "semantic_gather", &semantic_gather::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
-        .dispatch([blocks.min(4 * u64::from(tuning.workers)) as u32, 1, 1])
+        .dispatch([blocks.min(1 << 15) as u32, 1, 1])
 }
 
 /// The sums over samples of t (s f')ᵀ, by runs of samples; how many runs.

@@ -216,7 +216,7 @@ fn meaning(
     let prepared = semantic_prepare(g, *t, &s.head)?;
     let gradient = g.transient("grad_feature_image", FEATURE_BYTES * screen.pixels());
     let channels = Group::Semantics.width();
-    let loss = SemanticLoss { step, image, channels, first: 0, largest: screen.largest, targets: s.targets };
+    let loss = SemanticLoss { step, image, channels, first: 0, largest: screen.largest, targets: s.targets, wanted };
     let sums = semantic_loss(g, *t, &loss, &s.head, &prepared, gradient)?;
     let mut left = None;
     if let Some(region) = region {
