@@ -179,8 +179,10 @@ fn relevance_is_the_probability_of_the_class() {
     let unit: Vec<f64> = normalize_embeddings(&head().text.data).into_iter().map(f64::from).collect();
     let text = |c: usize| &unit[c * EMBEDDING..][..EMBEDDING];
     let cosine = |a: usize, b: usize| text(a).iter().zip(text(b)).map(|(x, y)| x * y).sum::<f64>();
-    let logit = |wall: usize, c: usize| (cosine(wall, c) / f64::from(TEMPERATURE)).exp();
-    let probability = |wall: usize, c: usize| logit(wall, c) / (0..CLASSES.len()).map(|k| logit(wall, k)).sum::<f64>();
+    let probability_at = |t: f64, wall: usize, c: usize| {
+        1.0 / (0..CLASSES.len()).map(|k| ((cosine(wall, k) - cosine(wall, c)) / t).exp()).sum::<f64>()
+    };
+    let probability = |wall: usize, c: usize| probability_at(f64::from(TEMPERATURE), wall, c);
     let mut compared = 0;
     for (query, name) in [(4, "floor"), (5, "right%2Fwall")] {
         for view in 0..5 {
@@ -188,8 +190,14 @@ fn relevance_is_the_probability_of_the_class() {
             let relevance = known.exr(&format!("{view:03}_semantic_{name}.exr")).data;
             let shown = pixels::<2>(&known.0.path(&format!("out/{view:03}_semantic_{name}.png")));
             for (at, (&r, gray)) in relevance.iter().zip(&shown).enumerate() {
-                let expected = if r == -1.0 { [0, 0] } else { [(r * 255.0 + 0.5) as u8, 255] };
-                assert_eq!(*gray, expected);
+                if r == -1.0 {
+                    assert_eq!(*gray, [0, 0]);
+                } else {
+                    // Black at chance, white where the decoded text is the class's own.
+                    let chance = 1.0 / CLASSES.len() as f64;
+                    let shown = (f64::from(r) - chance) / (probability(query, query) - chance) * 255.0;
+                    assert!((f64::from(gray[0]) - shown.clamp(0.0, 255.0)).abs() < 0.51 && gray[1] == 255);
+                }
                 if inside(&truth, at) && truth.ids[at] as usize != CEILING {
                     let expected = probability(truth.ids[at] as usize, query);
                     assert!((f64::from(r) - expected).abs() < 5e-3, "{name}, view {view}, pixel {at}: {r} {expected}");
@@ -199,6 +207,16 @@ fn relevance_is_the_probability_of_the_class() {
         }
     }
     assert!(compared > 1000, "{compared}");
+    // Another temperature than that of training.
+    known.render("run", &["--query", "floor", "--temperature", "1", "--format", "exr"]).ok();
+    let (truth, relevance) = (known.truth(0), known.exr("000_semantic_floor.exr").data);
+    let at = (0..relevance.len()).find(|at| truth.ids[*at] == 4 && inside(&truth, *at)).unwrap();
+    let expected = probability_at(1.0, 4, 4);
+    assert!((f64::from(relevance[at]) - expected).abs() < 2e-3, "{} {expected}", relevance[at]);
+    for t in ["0", "-1", "nan"] {
+        let said = known.render("run", &["--query", "floor", &format!("--temperature={t}")]);
+        said.refused(&["--temperature is", "at least 0.001"]);
+    }
     assert!(probability(4, 4) > 5.0 * probability(5, 4), "floor and wall are hardly told apart");
 }
 

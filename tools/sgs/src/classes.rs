@@ -71,9 +71,31 @@ pub fn write_labels_exr(path: &Path, size: [u32; 2], labels: &[Option<u32>]) -> 
     write_exr(path, &Image { width: size[0], height: size[1], channels: 1, data }, &["Y"])
 }
 
+/// How relevance becomes gray: black at chance and below, white at what the class gets at most. A temperature as high as
+/// that of training makes the two nearly one; the picture is to be read all the same.
+#[derive(Clone, Copy)]
+pub struct Scale {
+    chance: f32,
+    most: f32,
+}
+
+impl Scale {
+    /// Of a class.
+    pub fn of(head: &SemanticHead, class: usize) -> Scale {
+        let chance = 1.0 / head.text.labels.len() as f32;
+        let most = head.peak(class) as f32;
+        // Where all texts are one, as with a single class, probability stands for itself.
+        if most > chance + 1e-6 { Scale { chance, most } } else { Scale { chance: 0.0, most: 1.0 } }
+    }
+
+    fn gray(self, relevance: f32) -> f32 {
+        ((relevance - self.chance) / (self.most - self.chance)).clamp(0.0, 1.0)
+    }
+}
+
 /// Relevance as gray, transparent where a pixel shows nothing.
-pub fn write_relevance_png(path: &Path, size: [u32; 2], relevance: &[f32]) -> Written {
-    let gray = |r: &f32| if *r == NO_RELEVANCE { [0.0; 2] } else { [*r, 1.0] };
+pub fn write_relevance_png(path: &Path, size: [u32; 2], relevance: &[f32], scale: Scale) -> Written {
+    let gray = |r: &f32| if *r == NO_RELEVANCE { [0.0; 2] } else { [scale.gray(*r), 1.0] };
     let data = relevance.iter().flat_map(gray).collect();
     write_png(path, &Image { width: size[0], height: size[1], channels: 2, data })
 }

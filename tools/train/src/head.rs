@@ -7,6 +7,7 @@
 use crate::error::{Result, TrainError};
 use crate::settings::distance;
 use safetensors::{Dtype, SafeTensors, View};
+use sgs_passes::loss::normalize_embeddings;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING};
 use sgs_scene::TextEmbeddings;
 use std::borrow::Cow;
@@ -133,6 +134,16 @@ impl SemanticHead {
             return Err(format!("the temperature is {}, but must be a finite number above 0", self.temperature));
         }
         Ok(())
+    }
+
+    /// The probability of a class, by softmax, where features decode to its own text: about the most that it gets.
+    pub fn peak(&self, class: usize) -> f64 {
+        let unit = normalize_embeddings(&self.text.data);
+        let texts: Vec<&[f32]> = unit.chunks(EMBEDDING).collect();
+        let Some(own) = texts.get(class) else { return 0.0 };
+        let dot = |other: &[f32]| own.iter().zip(other).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        let above = |other: &&[f32]| ((dot(other) - dot(own)) / f64::from(self.temperature)).exp();
+        1.0 / texts.iter().map(above).sum::<f64>()
     }
 
     /// The number of a class by its name.
@@ -279,6 +290,22 @@ mod tests {
             std::fs::write(&path, damaged).unwrap();
             let _ = SemanticHead::load(&path);
         }
+    }
+
+    #[test]
+    fn the_peak_is_the_softmax_of_the_text_itself() {
+        let mut h = head(&["a", "b", "c"]);
+        h.text.data.fill(0.0);
+        // Of any length: along two axes, and between them.
+        (h.text.data[0], h.text.data[EMBEDDING + 1]) = (2.0, 5.0);
+        (h.text.data[2 * EMBEDDING], h.text.data[2 * EMBEDDING + 1]) = (3.0, 3.0);
+        h.temperature = 0.5;
+        let e = |x: f64| (2.0 * x).exp();
+        let expected = e(1.0) / (e(1.0) + e(0.0) + e(0.5_f64.sqrt()));
+        assert!((h.peak(0) - expected).abs() < 1e-6 && (h.peak(1) - expected).abs() < 1e-6);
+        assert!((h.peak(2) - e(1.0) / (e(1.0) + 2.0 * e(0.5_f64.sqrt()))).abs() < 1e-6);
+        h.temperature = 1e-3;
+        assert_eq!((h.peak(0), h.peak(3)), (1.0, 0.0));
     }
 
     #[test]

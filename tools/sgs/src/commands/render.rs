@@ -2,7 +2,7 @@
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
-use crate::classes::{Legend, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
+use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
 use crate::ui::Bar;
 use anyhow::bail;
@@ -27,9 +27,13 @@ pub struct Args {
     /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
     channels: Vec<Channel>,
-    /// Also write how probably each pixel belongs to this class; may be repeated.
+    /// Also write how probably each pixel belongs to this class; may be repeated. PNG: black at chance, white at the most
+    /// that the class gets; exr: the probability.
     #[arg(long, value_name = "CLASS")]
     query: Vec<String>,
+    /// Of the probabilities of --query: the lower, the surer; that of training by default.
+    #[arg(long, value_name = "T")]
+    temperature: Option<f32>,
     /// File format: exr keeps the blended values (float32), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -166,7 +170,12 @@ impl Asked {
         if !a.channels.contains(&Channel::Semantic) && a.query.is_empty() {
             return Ok(None);
         }
-        let head = head_of(&a.source, splats)?;
+        let mut head = head_of(&a.source, splats)?;
+        match a.temperature {
+            Some(t) if !(t.is_finite() && t >= 1e-3) => bail!("--temperature is {t}, but must be at least 0.001."),
+            Some(t) => head.temperature = t,
+            None => {}
+        }
         let mut queries = Vec::new();
         for name in &a.query {
             let class = head.class(name)?;
@@ -182,15 +191,15 @@ impl Asked {
 struct Meaning {
     classifier: Classifier,
     legend: Legend,
-    /// Parts of files' names, by query.
-    names: Vec<String>,
+    /// Parts of files' names, and how relevance is shown, by query.
+    queries: Vec<(String, Scale)>,
 }
 
 impl Meaning {
     fn new(device: &Device, Asked { head, queries }: Asked) -> anyhow::Result<Meaning> {
-        let names = queries.iter().map(|q| file_part(&head.text.labels[*q])).collect();
         let classifier = Classifier::new(device, &head, &queries)?;
-        Ok(Meaning { classifier, legend: Legend::new(&head.text.labels), names })
+        let queries = queries.iter().map(|q| (file_part(&head.text.labels[*q]), Scale::of(&head, *q))).collect();
+        Ok(Meaning { classifier, legend: Legend::new(&head.text.labels), queries })
     }
 
     /// Writes what was asked for; gives the files' paths.
@@ -204,11 +213,11 @@ impl Meaning {
             }
             written.push(path);
         }
-        for (name, relevance) in self.names.iter().zip(classes.relevance) {
+        for ((name, scale), relevance) in self.queries.iter().zip(classes.relevance) {
             let path = a.format.file(&a.output, stem, &format!("semantic_{name}"));
             match a.format {
                 Format::Exr => write_relevance_exr(&path, size, relevance)?,
-                Format::Png => write_relevance_png(&path, size, &relevance)?,
+                Format::Png => write_relevance_png(&path, size, &relevance, *scale)?,
             }
             written.push(path);
         }
