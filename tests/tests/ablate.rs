@@ -143,6 +143,9 @@ fn an_interrupted_table_is_gone_on_with() {
     let half = json(&place, "table/ablation.json");
     assert_eq!(half["variants"].as_array().unwrap().len(), 1, "what is done is in the table");
     sgs(&long).ok();
+    let table = json(&place, "table/ablation.json");
+    let timed = [0, 1].map(|i| table["variants"][i]["mean"]["seconds_per_step"].is_f64());
+    assert_eq!(timed, [true, false], "what was interrupted has no time of its own");
     let logged = place.logged("table/normal_seed5");
     assert!(logged.contains(&10) && logged.last() == Some(&60), "{logged:?}");
     let whole = ["train", &place.text("scene"), "-o", &place.text("whole"), "--config"].map(str::to_owned);

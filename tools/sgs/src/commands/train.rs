@@ -222,6 +222,8 @@ pub enum Ended {
 #[derive(serde::Serialize)]
 pub struct Summary {
     steps: u32,
+    /// The step that this part of the training began after; seconds are those of this part.
+    resumed_from: u32,
     seconds: f64,
     steps_per_second: f64,
     gaussians: u32,
@@ -307,6 +309,7 @@ pub fn train_into(
     let seconds = started.elapsed().as_secs_f64();
     let summary = Summary {
         steps,
+        resumed_from: first,
         seconds,
         steps_per_second: f64::from(steps - first) / seconds.max(1e-9),
         gaussians: training.gaussians().count(device)?,

@@ -77,17 +77,20 @@ impl Measures {
     pub fn read(run: &RunDirectory) -> Option<Measures> {
         let text = std::fs::read_to_string(run.path("metrics.json")).ok()?;
         let all: Value = serde_json::from_str(&text).ok()?;
+        let training = std::fs::read_to_string(run.path("training.json")).unwrap_or_default();
+        let training: Value = serde_json::from_str(&training).unwrap_or_default();
+        let whole = training["resumed_from"] == 0;
         let number = |m: &Measure| {
             let value = all.pointer(m.place).and_then(Value::as_f64);
-            // The file says how many steps a second takes.
-            if m.key == "seconds_per_step" { value.filter(|v| *v > 0.0).map(|v| 1.0 / v) } else { value }
+            // The file says how many steps a second takes; of an interrupted run it is the last part's, which is no measure.
+            if m.key == "seconds_per_step" { value.filter(|v| whole && *v > 0.0).map(|v| 1.0 / v) } else { value }
         };
         let found = Measures(std::array::from_fn(|i| number(&MEASURES[i])));
         found.get("psnr").map(|_| found)
     }
 
     /// A measure by its name in JSON: `psnr` (dB), `ssim`, `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step`,
-    /// `gaussians`.
+    /// `gaussians`. Seconds are those of runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
@@ -124,7 +127,7 @@ mod tests {
         assert_eq!(State::of(&root, &asked), State::Begun);
         std::fs::write(run.path("scene.ply"), "").unwrap();
         assert_eq!(State::of(&root, &asked), State::Begun);
-        run.write_json("training.json", &json!({})).unwrap();
+        run.write_json("training.json", &json!({"resumed_from": 0})).unwrap();
         assert_eq!(State::of(&root, &asked), State::Trained);
         // A file of another split, and one that is no JSON.
         run.write_json("metrics.json", &json!({"train": {"mean": {"nvs": {"psnr": 30.0}}}})).unwrap();
@@ -137,6 +140,9 @@ mod tests {
         let all = json!({"psnr": 30.0, "ssim": 0.9, "accuracy": 0.5, "seconds_per_step": 0.25, "gaussians": 12.0});
         assert_eq!(serde_json::to_value(measures).unwrap(), all);
         assert_eq!((measures.get("accuracy"), measures.get("depth_rel")), (Some(0.5), None));
+        run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
+        let timed = |state| matches!(state, State::Measured(m) if m.get("seconds_per_step").is_some());
+        assert!(!timed(State::of(&root, &asked)), "the time of a part was taken for the whole");
         // Any other setting is another run.
         asked.geometry.losses.l1 = 0.7;
         assert_eq!(State::of(&root, &asked), State::Absent);
