@@ -66,6 +66,11 @@ impl Packed {
         Ok(packed)
     }
 
+    /// The normal priors, by training view.
+    pub fn normals(&self) -> Option<&[Vec<u32>]> {
+        self.normals.as_deref()
+    }
+
     /// Bytes of the photographs.
     pub fn image_bytes(&self) -> u64 {
         bytes(&self.images)

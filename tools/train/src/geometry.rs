@@ -11,6 +11,7 @@ use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::head::SemanticHead;
 use crate::memory::{Needs, allowed};
+use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings};
@@ -101,14 +102,21 @@ impl Geometry {
             ..Default::default()
         };
         let model = Model { sh_degree: g.sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
-        let initial;
-        let start = match start {
+        let mut initial;
+        let mut start = match start {
             Some(s) => s,
             None => {
                 initial = Splats::from_points(&scene.points, g.sh_degree as usize)?;
                 &initial
             }
         };
+        if let (Some(priors), None) = (data.normals(), &start.normals) {
+            let cameras = scene.split.train.iter().map(|&i| &scene.views[i].camera);
+            let views: Vec<Prior> = cameras.zip(priors).map(|(camera, prior)| (camera, prior.as_slice())).collect();
+            let normals = initial_normals(&start.means, &views);
+            initial = Splats { normals: Some(normals), ..start.clone() };
+            start = &initial;
+        }
         let count = start.len() as u32;
         let most = most_gaussians(device, model, settings, &inputs, data.largest);
         let wanted = most.min(g.densify.max_gaussians);

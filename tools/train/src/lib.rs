@@ -15,6 +15,7 @@ mod geometry;
 mod head;
 mod memory;
 pub mod metrics;
+mod normals;
 mod pseudo;
 mod regions;
 mod run;
