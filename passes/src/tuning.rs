@@ -38,6 +38,11 @@ impl Tuning {
         self.workgroup.div_ceil(self.subgroup_size)
     }
 
+    /// Whether subgroups are narrow, as those of processors are, whose memory operations go lane by lane.
+    pub fn narrow(&self) -> bool {
+        self.subgroup_size <= 8
+    }
+
     /// Items of a lane where features lie over the lanes, so that what all share is fetched less often.
     pub fn tiles(&self) -> u32 {
         (16 / self.subgroup_size).max(1)

@@ -4,7 +4,6 @@
     SHORT for (uint t = 0u; t < TILES; t++) {                                                                  \
         SHORT for (uint n = 0u; n < ACROSS; n++) {                                                             \
             uint at_ = (pixel) * CHANNELS + FIRST + column();                                                  \
-            SHORT for (uint h_ = 0u; h_ < HELD; h_++)                                                          \
-                staged[t * SPREAD + n * HELD + h_] = image[at_ + h_ * ACROSS];                                 \
+            EACH_HELD(h_) staged[t * SPREAD + n * HELD + h_] = image[at_ + h_ * ACROSS];                       \
         }                                                                                                      \
     }

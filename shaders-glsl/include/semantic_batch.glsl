@@ -22,9 +22,28 @@ float inverse[TILES];          // 1 / length of the decoded vector; 0 where it h
 float row[HELD]; // of `matrices`, and its last number
 float last;
 
+// On narrow subgroups every workgroup keeps all rows: on processors that is faster than fetching them again and again.
+const bool KEEP = SUBGROUP <= 8u;
+float rows[ROWS * (HELD + 1u)];
+
+void keep_rows() {
+    if (KEEP) {
+        for (uint i = 0u; i < ROWS; i++) {
+            SHORT for (uint h = 0u; h <= HELD; h++) {
+                rows[i * (HELD + 1u) + h] = matrices[i * PITCH + min(h * ACROSS + column(), FEATURES)];
+            }
+        }
+    }
+}
+
 void fetch_row(uint i) {
-    EACH_HELD(h) row[h] = matrices[i * PITCH + h * ACROSS + column()];
-    last = matrices[i * PITCH + FEATURES];
+    if (KEEP) {
+        EACH_HELD(h) row[h] = rows[i * (HELD + 1u) + h];
+        last = rows[i * (HELD + 1u) + HELD];
+    } else {
+        EACH_HELD(h) row[h] = matrices[i * PITCH + h * ACROSS + column()];
+        last = matrices[i * PITCH + FEATURES];
+    }
 }
 
 // Sum over features of x y for each item.
@@ -72,7 +91,7 @@ void bring() {
 
 // Lengths, and `u`.
 void measure() {
-    [[unroll]] for (uint k = 0u; k < TILES * SPREAD; k++) u[k] = 0.0;
+    EACH_TILE(t) [[unroll]] for (uint k = 0u; k < SPREAD; k++) u[t * SPREAD + k] = 0.0;
     for (uint j = 0u; j < ACROSS; j++) {
         EACH_HELD(g) {
             fetch_row(g * ACROSS + j);

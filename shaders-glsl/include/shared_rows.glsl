@@ -8,9 +8,23 @@ const uint FETCHES = (AUGMENTED + SUBGROUP - 1u) / SUBGROUP; // numbers of a row
     [[unroll]] for (uint q_ = 0u; q_ < FETCHES; q_++)                                                          \
         row[q_] = buffer_[(at) + min(q_ * SUBGROUP + gl_SubgroupInvocationID, AUGMENTED - 1u)];
 
-// Adds rows times factors, HELD of them a lane, to sums of 33 columns each.
+// Sums of 33 columns each, `held` of them a lane. Loops here have 32 rounds at most and the last column is for itself:
+// drivers of processors unroll no longer ones, and what is indexed by a counter lies in memory.
+#define CLEAR_SUMS(sums, held)                                                                                 \
+    [[unroll]] for (uint h_ = 0u; h_ < held; h_++) {                                                           \
+        [[unroll]] for (uint c_ = 0u; c_ < FEATURES; c_++) sums[c_ * held + h_] = 0.0;                         \
+        sums[FEATURES * held + h_] = 0.0;                                                                      \
+    }
+
+// Adds rows times factors.
 #define ADD_ROW(sums, row, factors, held)                                                                      \
-    [[unroll]] for (uint c_ = 0u; c_ < AUGMENTED; c_++) {                                                      \
+    [[unroll]] for (uint c_ = 0u; c_ < FEATURES; c_++) ADD_COLUMN(sums, row, factors, held)                    \
+    {                                                                                                          \
+        const uint c_ = FEATURES;                                                                              \
+        ADD_COLUMN(sums, row, factors, held)                                                                   \
+    }
+#define ADD_COLUMN(sums, row, factors, held)                                                                   \
+    {                                                                                                          \
         float x_ = subgroupShuffle(row[c_ / SUBGROUP], c_ % SUBGROUP);                                         \
         [[unroll]] for (uint h_ = 0u; h_ < held; h_++)                                                         \
             sums[c_ * held + h_] = fma(x_, factors[h_], sums[c_ * held + h_]);                                 \

@@ -40,6 +40,7 @@ void main() {
     float weight = counts ? params.step.weight_correspondence * push.share / region[0].count : 0.0;
     EACH_TILE(t) label[t] = trained[0].majority;
     float sum = 0.0;
+    keep_rows();
     clear_sums();
     uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels);
     while (block < blocks) {
@@ -48,9 +49,9 @@ void main() {
             EACH_TILE(t) {
                 live[t] = counts && from + t * SUBGROUP + gl_SubgroupInvocationID < count;
                 own[t] = 0.0;
+                [[unroll]] for (uint k = 0u; k < SPREAD; k++) a[t * SPREAD + k] = 0.0;
             }
             FETCH_ITEMS(listed[min(from + t * SUBGROUP + lane_of(n), count - 1u)])
-            [[unroll]] for (uint k = 0u; k < TILES * SPREAD; k++) a[k] = 0.0;
             bring();
             measure();
             sum += descend(weight);
@@ -66,7 +67,7 @@ void main() {
                     uint item = from + t * SUBGROUP + lane_of(n);
                     if (item < count) {
                         uint at = listed[item] * CHANNELS + FIRST + column();
-                        SHORT for (uint h = 0u; h < HELD; h++) grad_image[at + h * ACROSS] = gradients[t * SPREAD + n * HELD + h];
+                        EACH_HELD(h) grad_image[at + h * ACROSS] = gradients[t * SPREAD + n * HELD + h];
                     }
                 }
             }

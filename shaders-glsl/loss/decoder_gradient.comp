@@ -22,8 +22,10 @@ void main() {
     uint first = folded_workgroup() * SUBGROUP * TILES;
     if (first >= EMBEDDING) return;
     float sums[TILES * SPREAD], bias[TILES];
-    [[unroll]] for (uint n = 0u; n < TILES * SPREAD; n++) sums[n] = 0.0;
-    [[unroll]] for (uint t = 0u; t < TILES; t++) bias[t] = 0.0;
+    [[unroll]] for (uint t = 0u; t < TILES; t++) {
+        [[unroll]] for (uint k = 0u; k < SPREAD; k++) sums[t * SPREAD + k] = 0.0;
+        bias[t] = 0.0;
+    }
     for (uint i = 0u; i < AUGMENTED + CLASSES; i++) {
         float row[HELD];
         EACH_HELD(h) row[h] = accumulated[i * PITCH + h * ACROSS + column()];

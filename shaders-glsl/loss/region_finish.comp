@@ -18,7 +18,12 @@ shared float totals[AUGMENTED];
 void main() {
     for (uint k = gl_LocalInvocationID.x; k < AUGMENTED; k += WORKGROUP) {
         float sum = 0.0;
-        for (uint g = 0u; g < push.groups; g++) sum += region_sums[g * AUGMENTED + k];
+        // Sums of sums: means may differ by less than long sums lose.
+        for (uint first = 0u; first < push.groups; first += 16u) {
+            float some = 0.0;
+            for (uint g = first; g < min(first + 16u, push.groups); g++) some += region_sums[g * AUGMENTED + k];
+            sum += some;
+        }
         totals[k] = sum;
     }
     barrier();

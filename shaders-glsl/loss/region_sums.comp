@@ -28,22 +28,29 @@ INOUT(uint, histogram);  // CLASSES
 
 void main() {
     uint pixels = params.step.camera.size.x * params.step.camera.size.y;
+    if (CLASSIFY) keep_rows();
     float sums[HELD], found = 0.0;
     EACH_HELD(h) sums[h] = 0.0;
     uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels);
     while (block < blocks) {
         uint count = fill_list(block, pixels);
+        // Sums of sums: means may differ by less than long sums lose.
+        float of_list[HELD];
+        EACH_HELD(h) of_list[h] = 0.0;
         for (uint from = 0u; from < count; from += BATCH) {
             EACH_TILE(t) live[t] = from + t * SUBGROUP + gl_SubgroupInvocationID < count;
             FETCH_ITEMS(listed[min(from + t * SUBGROUP + lane_of(n), count - 1u)])
             bring();
+            float of_batch[HELD];
+            EACH_HELD(h) of_batch[h] = 0.0;
             EACH_TILE(t) {
                 found += live[t] ? 1.0 : 0.0;
                 EACH_ITEM(n) {
                     bool lives = subgroupShuffle(uint(live[t]), lane_of(n)) != 0u;
-                    EACH_HELD(h) sums[h] += lives ? staged[t * SPREAD + n * HELD + h] : 0.0;
+                    EACH_HELD(h) of_batch[h] += lives ? staged[t * SPREAD + n * HELD + h] : 0.0;
                 }
             }
+            EACH_HELD(h) of_list[h] += of_batch[h];
             if (CLASSIFY) {
                 float best[TILES];
                 uint label[TILES];
@@ -62,6 +69,7 @@ void main() {
                 EACH_TILE(t) if (live[t]) atomicAdd(histogram[label[t]], 1u);
             }
         }
+        EACH_HELD(h) sums[h] += of_list[h];
     }
     uint to = gl_WorkGroupID.x * AUGMENTED;
     EACH_HELD(h) {

@@ -27,37 +27,39 @@ OUT(float, relevance); // 0 there
 void main() {
     uvec2 size = params.step.camera.size;
     uint pixels = size.x * size.y;
-    uint from = folded_workgroup() * BATCH;
-    if (from >= pixels) return;
-    EACH_TILE(t) live[t] = true;
-    FETCH_ITEMS(min(from + t * SUBGROUP + lane_of(n), pixels - 1u))
-    bring();
-    measure();
-    float best[TILES], asked[TILES];
-    uint label[TILES];
-    Softmax s[TILES];
-    EACH_TILE(t) {
-        best[t] = -1e38;
-        asked[t] = 0.0;
-        label[t] = 0u;
-        s[t] = Softmax(-1e30, 0.0);
-    }
-    for (uint c = 0u; c < CLASSES; c++) {
-        fetch_row(AUGMENTED + c);
+    keep_rows();
+    uint stride = gl_NumWorkGroups.x * gl_NumWorkGroups.y * BATCH;
+    for (uint from = folded_workgroup() * BATCH; from < pixels; from += stride) {
+        EACH_TILE(t) live[t] = true;
+        FETCH_ITEMS(min(from + t * SUBGROUP + lane_of(n), pixels - 1u))
+        bring();
+        measure();
+        float best[TILES], asked[TILES];
+        uint label[TILES];
+        Softmax s[TILES];
         EACH_TILE(t) {
-            float sum = product(t);
-            label[t] = sum > best[t] ? c : label[t];
-            best[t] = max(best[t], sum);
-            asked[t] = c == push.query ? sum * inverse[t] : asked[t];
-            if (!COSINE) add_logit(s[t], sum * inverse[t] * params.step.inverse_temperature);
+            best[t] = -1e38;
+            asked[t] = 0.0;
+            label[t] = 0u;
+            s[t] = Softmax(-1e30, 0.0);
         }
-    }
-    EACH_TILE(t) {
-        uint pixel = from + t * SUBGROUP + gl_SubgroupInvocationID;
-        float logit = asked[t] * params.step.inverse_temperature;
-        if (pixel < pixels) {
-            labels[pixel] = live[t] ? label[t] : NO_LABEL;
-            relevance[pixel] = !live[t] ? 0.0 : COSINE ? asked[t] : exp(logit - s[t].top) / s[t].total;
+        for (uint c = 0u; c < CLASSES; c++) {
+            fetch_row(AUGMENTED + c);
+            EACH_TILE(t) {
+                float sum = product(t);
+                label[t] = sum > best[t] ? c : label[t];
+                best[t] = max(best[t], sum);
+                asked[t] = c == push.query ? sum * inverse[t] : asked[t];
+                if (!COSINE) add_logit(s[t], sum * inverse[t] * params.step.inverse_temperature);
+            }
+        }
+        EACH_TILE(t) {
+            uint pixel = from + t * SUBGROUP + gl_SubgroupInvocationID;
+            float logit = asked[t] * params.step.inverse_temperature;
+            if (pixel < pixels) {
+                labels[pixel] = live[t] ? label[t] : NO_LABEL;
+                relevance[pixel] = !live[t] ? 0.0 : COSINE ? asked[t] : exp(logit - s[t].top) / s[t].total;
+            }
         }
     }
 }

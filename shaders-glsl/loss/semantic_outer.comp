@@ -31,7 +31,7 @@ void main() {
     uint end = min((run + 1u) * push.split, samples);
     uint word = stripe * WORDS * SUBGROUP + gl_SubgroupInvocationID;
     float sums[AUGMENTED * HELD];
-    [[unroll]] for (uint n = 0u; n < AUGMENTED * HELD; n++) sums[n] = 0.0;
+    CLEAR_SUMS(sums, HELD)
     for (uint i = run * push.split; i < end; i++) {
         FETCH_ROW(row, rows, i * PITCH)
         float t[HELD];

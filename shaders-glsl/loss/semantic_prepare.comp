@@ -23,7 +23,7 @@ void main() {
     uint from = folded_workgroup() / PARTS * SUBGROUP * PER_LANE, first = from + gl_SubgroupInvocationID;
     if (from >= ROWS) return;
     float sums[AUGMENTED * PER_LANE];
-    [[unroll]] for (uint n = 0u; n < AUGMENTED * PER_LANE; n++) sums[n] = 0.0;
+    CLEAR_SUMS(sums, PER_LANE)
     for (uint j = part * (EMBEDDING / PARTS); j < (part + 1u) * (EMBEDDING / PARTS); j++) {
         float factors[PER_LANE];
         [[unroll]] for (uint r = 0u; r < PER_LANE; r++) {

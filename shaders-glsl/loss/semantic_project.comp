@@ -31,7 +31,7 @@ void main() {
         at[r] = (params.step.semantic_offset + min(first + r * SUBGROUP, samples - 1u)) * EMBEDDING_WORDS;
     }
     float sums[AUGMENTED * PER_LANE];
-    [[unroll]] for (uint n = 0u; n < AUGMENTED * PER_LANE; n++) sums[n] = 0.0;
+    CLEAR_SUMS(sums, PER_LANE)
     const uint WORDS = EMBEDDING_WORDS / PARTS;
     for (uint word = part * WORDS; word < (part + 1u) * WORDS; word++) {
         float low[PER_LANE], high[PER_LANE];

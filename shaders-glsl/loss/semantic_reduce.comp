@@ -1,11 +1,12 @@
-// Adds up the sums of several workgroups, in a fixed order: to what was there, or in place of it. A workgroup does 32 of
-// them, eight invocations each.
+// Adds up the sums of several workgroups, in a fixed order: to what was there, or in place of it. PARTS invocations share
+// a sum, if there are many workgroups.
 #version 460
 #include "common.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool ADD = true;
+layout(constant_id = 3) const uint PARTS = 8; // invocations of a sum
 
 layout(push_constant, scalar) uniform Push {
     uint width;  // sums of a workgroup
@@ -15,7 +16,6 @@ layout(push_constant, scalar) uniform Push {
 IN(float, partials); // groups x width
 INOUT(float, accumulated);
 
-const uint PARTS = 8u;
 const uint LANES = WORKGROUP / PARTS;
 
 shared float parts[PARTS * LANES];
@@ -27,10 +27,12 @@ void main() {
     if (at < push.width) {
         for (uint g = part; g < push.groups; g += PARTS) sum += partials[g * push.width + at];
     }
-    parts[gl_LocalInvocationID.x] = sum;
-    barrier();
+    if (PARTS > 1u) {
+        parts[gl_LocalInvocationID.x] = sum;
+        barrier();
+        sum = 0.0;
+        for (uint p = 0u; p < PARTS; p++) sum += parts[p * LANES + lane];
+    }
     if (part != 0u || at >= push.width) return;
-    float total = 0.0;
-    for (uint p = 0u; p < PARTS; p++) total += parts[p * LANES + lane];
-    accumulated[at] = ADD ? accumulated[at] + total : total;
+    accumulated[at] = ADD ? accumulated[at] + sum : sum;
 }

@@ -87,6 +87,7 @@ void main() {
     float weight = params.step.weight_semantic / float(max(params.step.semantic_valid, 1u));
     float class_weight = params.step.weight_semantic_class / float(max(params.step.semantic_labeled, 1u));
     vec3 sum = vec3(0.0);
+    keep_rows();
     clear_sums();
     for (uint from = gl_WorkGroupID.x * BATCH; from < count; from += gl_NumWorkGroups.x * BATCH) {
         float inverse_target[TILES], product_bias[TILES];
@@ -103,7 +104,9 @@ void main() {
         bring();
         measure();
         fetch_products(from, count);
-        [[unroll]] for (uint k = 0u; k < TILES * SPREAD; k++) a[k] = staged_products[k];
+        EACH_TILE(t) {
+            [[unroll]] for (uint k = 0u; k < SPREAD; k++) a[t * SPREAD + k] = staged_products[t * SPREAD + k];
+        }
         float along[TILES]; // s
         EACH_TILE(t) {
             DOT_ITEMS(product, a[AT_(t)], f[AT_(t)], t)

@@ -86,7 +86,7 @@ fn slice(regions: &Regions, picture: u32) -> Slice {
 /// Workgroups that share the words of a mask.
 fn list_groups(tuning: Tuning, p: &Pictured, classes: u32) -> u32 {
     let pixels = u64::from(p.largest[0]) * u64::from(p.largest[1]);
-    batch_groups(tuning, pixels, 32 * tuning.subgroup_size, classes)
+    batch_groups(tuning, pixels, 32 * tuning.subgroup_size, 128 + 2 * classes)
 }
 
 /// Adds the passes that work out the region of a picture: 0 is the training view, others are pseudo-views.

@@ -200,18 +200,21 @@ fn rows_per_lane(tuning: Tuning) -> u32 {
     (32 / tuning.subgroup_size).max(2)
 }
 
-/// Workgroups for so many items that come in pieces of `piece`: each may take several of them, in batches.
-pub(super) fn batch_groups(tuning: Tuning, items: u64, piece: u32, classes: u32) -> u32 {
+/// Workgroups for so many items that come in pieces of `piece`. Each may take several of them, in batches of so many
+/// rounds of loops.
+pub(super) fn batch_groups(tuning: Tuning, items: u64, piece: u32, rounds: u32) -> u32 {
     let batch = u64::from(tuning.subgroup_size * tuning.tiles());
-    let rounds = items.div_ceil(batch) * (512 + 4 * u64::from(classes));
-    let enough = MOST_GROUPS.min(u64::from(tuning.workers)).max(rounds.div_ceil(u64::from(tuning.rounds) / 2));
+    let all = items.div_ceil(batch) * u64::from(rounds);
+    // What a workgroup does but once is less than a quarter.
+    let enough = MOST_GROUPS.min(u64::from(tuning.workers)).max(all.div_ceil(u64::from(tuning.rounds) / 4 * 3));
     items.div_ceil(u64::from(piece)).clamp(1, enough) as u32
 }
 
 /// Into how many parts the decoder's rows are cut where so many workgroups would each go through all of them: about as
 /// many as keep the device busy.
 fn decoder_parts(tuning: Tuning, blocks: u64) -> u32 {
-    1 << (u64::from(tuning.workers) / blocks.max(1)).clamp(1, EMBEDDING as u64 / LEAST_ROWS).ilog2()
+    let parts = u64::from(tuning.workers).div_ceil(blocks.max(1)).next_power_of_two();
+    parts.min(EMBEDDING as u64 / LEAST_ROWS) as u32
 }
 
 /// Sums of `groups` workgroups.
@@ -236,20 +239,21 @@ fn sum_parts(
     g: &mut Graph,
     tuning: Tuning,
     name: &str,
-    parts: Buffer,
+    partials: Buffer,
     into: Buffer,
     width: u64,
     count: u32,
     add: bool,
 ) -> Result<(), GraphError> {
-    let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add };
+    let sharing = if count > 8 && !tuning.narrow() { 8 } else { 1 };
+    let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add, parts: sharing };
     let push = semantic_reduce::Push { width: width as u32, groups: count };
     let name = format!("{name}.reduce");
     let pass = stage(g, &name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
-    let pass = pass.bind("partials", parts);
+    let pass = pass.bind("partials", partials);
     // What is replaced is not read.
     let pass = if add { pass.bind("accumulated", into) } else { pass.bind_discard("accumulated", into) };
-    pass.dispatch(groups(width, tuning.workgroup / 8))
+    pass.dispatch(groups(width, tuning.workgroup / sharing))
 }
 
 /// Adds the loss of a training view: writes the feature channels of `grad_image` at the wanted pixels, and adds to
@@ -267,7 +271,7 @@ pub fn semantic_loss(
 ) -> Result<SemanticSums, GraphError> {
     let subgroup = tuning.subgroup_size;
     let samples = u64::from(a.targets.largest);
-    let per_lane = rows_per_lane(tuning);
+    let per_lane = (64 / tuning.subgroup_size).max(2);
     let blocks = samples.div_ceil(u64::from(subgroup * per_lane)).max(1);
     let parts = decoder_parts(tuning, blocks);
     let products = g.transient("semantic.products", u64::from(parts) * samples * ROW);
@@ -285,7 +289,7 @@ pub fn semantic_loss(
         .dispatch(groups(blocks * u64::from(parts), 1))?;
 
     let tiles = tuning.tiles();
-    let count = batch_groups(tuning, samples, subgroup * tiles, head.classes);
+    let count = batch_groups(tuning, samples, subgroup * tiles, 512 + 2 * head.classes);
     let grad_features = g.transient("semantic.grad_features", samples * 4 * FEATURES as u64);
     let sums = g.transient("semantic.sums", u64::from(count) * 12);
     let partials = partials(g, "semantic", head.classes, count);
@@ -328,7 +332,7 @@ fn gather(
     };
     let subgroup = tuning.subgroup_size;
     // Many lanes have the pixels of several side by side; few have more to do in each.
-    let across = if subgroup > 8 { 8 } else { 1 };
+    let across = if tuning.narrow() { 1 } else { 8 };
     let specs = semantic_gather::Specs { subgroup, channels: a.channels, first: a.first, across };
     let blocks = (u64::from(a.largest[0]) * u64::from(a.largest[1])).div_ceil(u64::from(32 * subgroup)).max(1);
     stage(g, "semantic_gather", &semantic_gather::KERNEL, bindings.entries(), specs.entries(), &[])

@@ -7,7 +7,8 @@
 //!
 //! Cost a pixel: 128 bytes read, 8 written, about 2300 + 140 C operations.
 
-use super::semantic::Prepared;
+use super::semantic::{Prepared, batch_groups};
+use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::semantic_labels as kernel;
@@ -45,6 +46,15 @@ pub struct SemanticLabels {
     pub meaning: Relevance,
 }
 
+/// Workgroups: one a batch, but on narrow subgroups, where each keeps all rows of the matrices, as few as possible.
+fn label_groups(tuning: Tuning, pixels: u64, classes: u32) -> u64 {
+    let batch = tuning.subgroup_size * tuning.tiles();
+    match tuning.narrow() {
+        true => batch_groups(tuning, pixels, batch, 128 + 2 * classes).into(),
+        false => pixels.div_ceil(batch.into()),
+    }
+}
+
 /// Adds the pass. `labels`: a word a pixel; `relevance`: a float a pixel.
 ///
 /// # Errors
@@ -76,5 +86,5 @@ pub fn semantic_labels(
     let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
     stage(g, "semantic_labels", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(subgroup))
-        .dispatch(groups(pixels, subgroup * tiles))
+        .dispatch(groups(label_groups(prepared.tuning, pixels, a.classes), 1))
 }
