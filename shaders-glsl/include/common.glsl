@@ -13,3 +13,8 @@
 
 // Grids wider than 65535 workgroups are folded into y.
 uint folded_workgroup() { return gl_WorkGroupID.x + gl_WorkGroupID.y * gl_NumWorkGroups.x; }
+
+// A uniform that decides a branch, as if it depended on the workgroup: lavapipe puts the values of uniforms that alone decide
+// branches into the kernel, and compiles it anew at every dispatch, which costs more than the dispatch and is never freed.
+// (The third index of a workgroup is far below 2^31.)
+uint by_workgroup(uint uniform_value) { return uniform_value + (gl_WorkGroupID.z & 0x80000000u); }

@@ -38,7 +38,7 @@ shared uint sums[SUBGROUPS];
 
 vec3 color_of(uint i, vec3 mean) {
     Camera camera = params.step.camera;
-    uint degree = min(SH_DEGREE, params.step.sh_degree);
+    uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
     vec3 color = SH0 * sh0[i];
     if (SH_DEGREE > 0u) {
         vec3 away = mean - camera.position;

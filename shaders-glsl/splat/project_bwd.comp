@@ -60,7 +60,7 @@ void main() {
     if (real) {
         Visible s = visible_splat(v);
         uint i = s.gaussian;
-        uint degree = min(SH_DEGREE, params.step.sh_degree);
+        uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
         float basis[16];
         sh_basis(s.direction, degree, basis);
         float s_dot[16];

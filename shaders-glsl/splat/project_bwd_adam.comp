@@ -73,7 +73,7 @@ void main() {
     if (v >= visible[0].count || flags[0] != 0u) return;
     Visible s = visible_splat(v);
     uint i = s.gaussian;
-    if (STATISTICS && params.step.gather_statistics != 0u) {
+    if (STATISTICS && by_workgroup(params.step.gather_statistics) != 0u) {
         vec2 ndc = s.gradient.mean2d * 0.5 * vec2(params.step.camera.size);
         float size = length(ndc);
         statistics[3u * i] += is_finite(size) ? size : 0.0;
@@ -113,7 +113,7 @@ void main() {
         return;
     }
     if (MARK_SEEN && !EXTRA) seen[i] = 1u;
-    uint degree = min(SH_DEGREE, params.step.sh_degree);
+    uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
     float basis[16];
     sh_basis(s.direction, degree, basis);
     float s_dot[16];

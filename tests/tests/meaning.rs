@@ -3,7 +3,10 @@
 
 use half::f16;
 use sgs_engine::{Device, DeviceOptions};
-use sgs_passes::scene::{EMBEDDING, Group};
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes, Masks, SemanticSizes};
+use sgs_passes::scene::{EMBEDDING, Group, Layout, Model};
+use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_provider::Fallback;
 use sgs_scene::{Scene, SceneOptions, write_ids, write_npy_f16};
 use sgs_tests::cli::sgs;
@@ -208,6 +211,46 @@ fn bad_priors_are_left_out_or_refused_by_name() {
         &["000.png"],
     );
     assert_eq!(WALLS.len(), 6);
+}
+
+/// Nothing that belongs to a pixel is 512 wide: what a larger picture adds to the memory of a step is features and their
+/// gradients, at most three times 32 numbers of each view, and less than half of one vector of 512.
+#[test]
+fn memory_of_pixels_does_not_know_the_width_of_embeddings() {
+    let device = device();
+    let tuning = Tuning::for_device(device.info());
+    let model = Model { semantics: true, ..Model::default() };
+    let layout = Layout { model, capacity: 1 << 14, training: true, statistics: true };
+    let arena = |size: [u32; 2], semantics: bool, pseudo: bool| {
+        let sizes = SemanticSizes { samples: 12 * 300, largest: 300, classes: 27 };
+        let pixels = u64::from(size[0]) * u64::from(size[1]);
+        let inputs = InputSizes {
+            targets: 4 * pixels,
+            semantics: semantics.then_some(sizes),
+            regions: pseudo.then_some(2 * pixels),
+            ..InputSizes::default()
+        };
+        let options = GeometryOptions {
+            largest: size,
+            entry_capacity: 1 << 15,
+            channels: Channels { normals: false, depth: true },
+            statistics: true,
+            dense_adam: false,
+            backward: BackwardKernel::Pixel,
+            semantic_geometry: true,
+            pseudo: pseudo.then_some(Masks::Carried),
+            timestamps: false,
+            frames_in_flight: 2,
+        };
+        GeometryStep::plan(&tuning, &layout, &inputs, &options).unwrap().arena_bytes
+    };
+    let a_pixel = |semantics: bool, pseudo: bool| {
+        let [small, large] = [[320, 240], [1280, 960]].map(|size| arena(size, semantics, pseudo) as f64);
+        (large - small) / (1280.0 * 960.0 - 320.0 * 240.0)
+    };
+    let (without, with, both) = (a_pixel(false, false), a_pixel(true, false), a_pixel(true, true));
+    assert!(with - without < 3.0 * 128.0, "{without} bytes a pixel become {with}");
+    assert!(both - without < 3.0 * 3.0 * 128.0 && both < 0.5 * 3.0 * 2048.0, "{without} bytes a pixel become {both}");
 }
 
 /// A process says where the region is; what happens when it does not is the user's choice.

@@ -218,6 +218,10 @@ fn counts(
         entries += o.entries;
     }
     let pixels = workload.views.iter().map(|(c, _)| f64::from(c.size[0]) * f64::from(c.size[1])).sum::<f64>();
+    let samples = workload.semantics.as_deref().map_or(0.0, |(data, _)| {
+        let all: u32 = data.views.iter().map(|v| v.size[0] * v.size[1]).sum();
+        f64::from(all) / data.views.len().max(1) as f64
+    });
     let counts = Counts {
         gaussians: mean(&|r| r.gaussians),
         visible: mean(&|r| r.visible),
@@ -225,6 +229,8 @@ fn counts(
         pixels: pixels / workload.views.len().max(1) as f64,
         pairs: mean(&|r| r.entries) * tried / f64::max(entries, 1.0),
         width: f64::from(workload.model.width()),
+        samples,
+        wanted: f64::min(4.0 * samples, pixels / workload.views.len().max(1) as f64),
         ..Default::default()
     };
     let tile = f64::from(tuning.tile[0] * tuning.tile[1]);

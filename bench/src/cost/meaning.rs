@@ -26,7 +26,29 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let small = 4.0 * PITCH * (AUGMENTED + classes);
     // Pixels that samples touch.
     let touched = p.min(4.0 * m);
+    // Entries whose tile has wanted pixels are taken to be all; pairs are those of blending, by the share of pixels.
+    let pairs = c.pairs * c.wanted / p.max(1.0);
+    let fetched = 8.0 + 24.0 + 4.0 * FEATURES;
+    let left = 4.0 * (6.0 + FEATURES);
     let (bytes, operations) = match s.kernel {
+        "wanted_samples" => (p / 8.0, 20.0 * p),
+        // A pair as in blending; 2 operations a feature, backward 4.
+        "blend_features" => {
+            (fetched * c.entries + p / 8.0 + 4.0 * FEATURES * c.wanted, (20.0 + 2.0 * FEATURES) * pairs)
+        }
+        // Where it takes several passes, the first of them stands for all.
+        "blend_features_bwd" if (s.push)(0) == 0.0 => {
+            let bytes = (fetched + left) * c.entries + p / 8.0 + 8.0 * FEATURES * c.wanted;
+            (bytes, (45.0 + 4.0 * FEATURES) * pairs)
+        }
+        "features_bwd" => {
+            (4.0 * FEATURES * c.entries + (12.0 + 8.0 * FEATURES) * c.visible, FEATURES * (c.entries + c.visible))
+        }
+        "features_bwd_adam" => {
+            let bytes = 4.0 * FEATURES * c.entries + (12.0 + 24.0 * FEATURES) * c.visible;
+            (bytes, FEATURES * (c.entries + 19.0 * c.visible))
+        }
+        "project_bwd_features" => (28.0 * c.entries + 144.0 * c.visible, 6.0 * c.entries + 300.0 * c.visible),
         "semantic_target" => ((target + 8.0) * m + text, 2.0 * EMBEDDING * (1.0 + classes) * m),
         "semantic_prepare" => {
             let operations = 2.0 * EMBEDDING * AUGMENTED * (AUGMENTED + classes);

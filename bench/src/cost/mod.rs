@@ -36,6 +36,8 @@ pub struct Counts {
     pub samples: f64,
     /// Pixels of a region.
     pub masked: f64,
+    /// Pixels at which features are wanted.
+    pub wanted: f64,
 }
 
 /// What a pass costs.
