@@ -4,7 +4,7 @@
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_scene::{Scene, SceneOptions};
 use sgs_tests::Gpu;
-use sgs_tests::cli::sgs;
+use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
 use sgs_train::{Geometry, Progress, Settings, TrainError};
@@ -182,4 +182,35 @@ fn the_program_says_what_does_not_fit() {
     let summary = String::from_utf8(place.read("run/training.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");
+}
+
+/// The process does not grow while it trains. Drivers on a processor may compile kernels anew for every value of a uniform and
+/// keep them all: a megabyte a step, once.
+#[test]
+fn a_training_process_does_not_grow() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let mut child = start(&[
+        "train",
+        &place.text("scene"),
+        "-o",
+        &place.text("run"),
+        "--geometry-steps",
+        "100000",
+        "--no-densify",
+        "--set",
+        "geometry.checkpoint_interval=0",
+    ]);
+    let resident = |id: u32| {
+        let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+        let line = status.lines().find(|l| l.starts_with("RssAnon:")).unwrap().to_owned();
+        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()
+    };
+    let at = |step: u64| place.logged("run").last().is_some_and(|last| *last >= step);
+    assert!(until(&mut child, || at(40)), "training was to begin");
+    let before = resident(child.id());
+    assert!(until(&mut child, || at(160)), "training was to go on");
+    let after = resident(child.id());
+    signal(&child, "KILL");
+    wait(child);
+    assert!(after < before + 16_000, "120 steps took {before} to {after} kB");
 }
