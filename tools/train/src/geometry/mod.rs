@@ -4,7 +4,10 @@
 //! when checkpoints were written, or whether training was interrupted. A step in the steady state waits only for the
 //! one two before it; the host looks at reports of steps that are done.
 
-use crate::checkpoint::{self, State};
+mod backward;
+mod room;
+mod state;
+
 use crate::convert::{gaussian_data, splats};
 use crate::correspondence::Correspondence;
 use crate::data::{Packed, TrainingData};
@@ -15,8 +18,9 @@ use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings};
+use room::{first_entry_capacity, most_gaussians, room_for};
+use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
-use sgs_engine::{BudgetSource, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
@@ -25,7 +29,6 @@ use sgs_passes::pipeline::{
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
-use std::path::Path;
 
 /// Replays in flight.
 const IN_FLIGHT: usize = 2;
@@ -443,43 +446,6 @@ impl Geometry {
         &self.needs
     }
 
-    /// Times both backward kernels on the step as it is, with parameters held, and takes the faster one. The splat
-    /// kernel has to win clearly, so that noise does not decide between runs.
-    ///
-    /// # Errors
-    /// If the device fails.
-    pub fn choose_backward(&mut self) -> Result<()> {
-        self.status.hold(&self.device)?;
-        self.options.timestamps = true;
-        let pixel = self.time_backward(BackwardKernel::Pixel)?;
-        let splat = self.time_backward(BackwardKernel::Splat)?;
-        let (kernel, name) = if splat < 0.85 * pixel {
-            (BackwardKernel::Splat, Backward::Splat)
-        } else {
-            (BackwardKernel::Pixel, Backward::Pixel)
-        };
-        tracing::info!(pixel_ns = pixel, splat_ns = splat, chosen = ?name, "backward kernel");
-        self.options.timestamps = false;
-        self.options.backward = kernel;
-        self.settings.geometry.backward = name;
-        self.rebuild()?;
-        Ok(self.status.clear_flags(&self.device)?)
-    }
-
-    /// Least nanoseconds of a backward kernel over a few views.
-    fn time_backward(&mut self, kernel: BackwardKernel) -> Result<f64> {
-        self.options.backward = kernel;
-        self.rebuild()?;
-        for step in 1..=5 {
-            let values = self.values(step);
-            self.exec()?.submit(&values)?;
-        }
-        self.exec()?.finish()?;
-        let times = self.take_times();
-        let backward = times.iter().filter(|t| t.name.starts_with("blend_bwd"));
-        Ok(backward.flat_map(|t| t.nanoseconds.iter().copied()).fold(f64::INFINITY, f64::min))
-    }
-
     /// What gives the features their meaning, if there are any.
     ///
     /// # Errors
@@ -501,54 +467,6 @@ impl Geometry {
     /// If the device fails.
     pub fn splats(&self) -> Result<Splats> {
         Ok(splats(&self.gaussians.download(&self.device)?, self.gaussians.model))
-    }
-
-    /// Writes everything that resuming needs.
-    ///
-    /// # Errors
-    /// If the file cannot be written; an earlier one stays whole.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        let device = &self.device;
-        let (moments, statistics) = self.gaussians.download_optimizer(device)?;
-        let decoder = match &self.semantics {
-            Some((_, decoder)) => Some([decoder.download(device)?, decoder.download_moments(device)?]),
-            None => None,
-        };
-        let state = State {
-            step: self.done,
-            capacity: self.gaussians.capacity,
-            parameters: self.gaussians.download(device)?,
-            moments,
-            statistics,
-            decoder,
-        };
-        checkpoint::save(path, &state, self.gaussians.model)
-    }
-
-    /// Goes on from what [`Geometry::save`] wrote.
-    ///
-    /// # Errors
-    /// If the file is damaged or belongs to other settings.
-    pub fn restore(&mut self, path: &Path) -> Result<()> {
-        let state = checkpoint::load(path, self.gaussians.model)?;
-        let count = state.parameters.len() as u32;
-        // Densification stops where there is no room, so that the room has to be what it was.
-        let enabled = self.settings.geometry.densify.enabled;
-        let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
-        self.gaussians = Gaussians::with(&self.device, self.gaussians.model, capacity, true, enabled)?;
-        self.gaussians.upload(&self.device, &state.parameters)?;
-        self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
-        if let (Some((_, decoder)), Some([parameters, moments])) = (&self.semantics, &state.decoder) {
-            decoder.upload(&self.device, parameters)?;
-            decoder.upload_moments(&self.device, moments)?;
-        }
-        let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
-        self.options.entry_capacity = self.options.entry_capacity.max(first);
-        self.rebuild()?;
-        self.submitted = state.step;
-        self.done = state.step;
-        self.settled = state.step;
-        Ok(())
     }
 
     /// Turns per-pass timestamps on or off.
@@ -573,32 +491,4 @@ impl Geometry {
     pub fn executor(&mut self) -> Result<&mut sgs_engine::graph::exec::Executor> {
         Ok(self.exec()?.executor())
     }
-}
-
-/// How many Gaussians memory allows: the budget less the photographs, and no binding beyond the device's range.
-fn most_gaussians(device: &Device, model: Model, settings: &Settings, inputs: &InputSizes, largest: [u32; 2]) -> u32 {
-    // Parameters and moments; per visible splat and per tile entry of the transients, at three entries a splat.
-    let an_entry = 100 + if model.semantics { 160 } else { 0 };
-    let a_gaussian = u64::from(model.width()) * 12 + 12 + 4 * u64::from(model.width().min(16)) + 3 * an_entry;
-    let pixels = u64::from(largest[0]) * u64::from(largest[1]);
-    let semantics = inputs.semantics.map_or(0, |s| s.bytes() + 256 * pixels);
-    let fixed = inputs.targets + inputs.normals.unwrap_or(0) + semantics + 160 * pixels;
-    let b = allowed(device, settings);
-    // What nobody promised is not used up.
-    let budget = if b.source == BudgetSource::Heap && b.budget == b.heap { b.heap / 10 * 9 } else { b.budget };
-    let by_memory = budget.saturating_sub(fixed) / a_gaussian;
-    let widest = model.groups().map(|g| u64::from(g.width()) * 8).max().unwrap_or(8);
-    let by_binding = device.info().max_storage_range / widest;
-    u32::try_from(by_memory.min(by_binding)).unwrap_or(u32::MAX)
-}
-
-/// Half as many again, so that densification rarely has to grow.
-fn room_for(count: u32, most: u32) -> u32 {
-    let room = (u64::from(count) + u64::from(count) / 2).max(1 << 14);
-    (room.min(u64::from(most.max(count)))) as u32
-}
-
-/// Before anything is measured: a tile a splat. A wrong guess costs a rebuild; too much room would cost memory for good.
-fn first_entry_capacity(wanted: u32, count: u32) -> u32 {
-    if wanted > 0 { wanted } else { count.clamp(1 << 14, 1 << 26) }
 }

@@ -1,0 +1,57 @@
+//! Checkpoints of the geometry stage.
+
+use super::{Geometry, first_entry_capacity};
+use crate::checkpoint::{self, State};
+use crate::error::Result;
+use sgs_passes::scene::Gaussians;
+use std::path::Path;
+
+impl Geometry {
+    /// Writes everything that resuming needs.
+    ///
+    /// # Errors
+    /// If the file cannot be written; an earlier one stays whole.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let device = &self.device;
+        let (moments, statistics) = self.gaussians.download_optimizer(device)?;
+        let decoder = match &self.semantics {
+            Some((_, decoder)) => Some([decoder.download(device)?, decoder.download_moments(device)?]),
+            None => None,
+        };
+        let state = State {
+            step: self.done,
+            capacity: self.gaussians.capacity,
+            parameters: self.gaussians.download(device)?,
+            moments,
+            statistics,
+            decoder,
+        };
+        checkpoint::save(path, &state, self.gaussians.model)
+    }
+
+    /// Goes on from what [`Geometry::save`] wrote.
+    ///
+    /// # Errors
+    /// If the file is damaged or belongs to other settings.
+    pub fn restore(&mut self, path: &Path) -> Result<()> {
+        let state = checkpoint::load(path, self.gaussians.model)?;
+        let count = state.parameters.len() as u32;
+        // Densification stops where there is no room, so that the room has to be what it was.
+        let enabled = self.settings.geometry.densify.enabled;
+        let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
+        self.gaussians = Gaussians::with(&self.device, self.gaussians.model, capacity, true, enabled)?;
+        self.gaussians.upload(&self.device, &state.parameters)?;
+        self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
+        if let (Some((_, decoder)), Some([parameters, moments])) = (&self.semantics, &state.decoder) {
+            decoder.upload(&self.device, parameters)?;
+            decoder.upload_moments(&self.device, moments)?;
+        }
+        let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
+        self.options.entry_capacity = self.options.entry_capacity.max(first);
+        self.rebuild()?;
+        self.submitted = state.step;
+        self.done = state.step;
+        self.settled = state.step;
+        Ok(())
+    }
+}

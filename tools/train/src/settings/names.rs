@@ -1,0 +1,83 @@
+//! Names of settings in tables: every one must be known, and what was meant is said where one is not.
+
+use crate::error::TrainError;
+
+/// A parser's message without line breaks and a full stop.
+pub(crate) fn one_line(message: &str) -> String {
+    message.trim().trim_end_matches('.').replace('\n', " ")
+}
+
+/// Every key of `given` must be known, with a value of the same kind.
+pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, all: &toml::Table) -> crate::Result<()> {
+    use toml::Value::{Array, Float, Integer, Table};
+    let fail = |what: String| Err(TrainError::Setting(what));
+    for (key, value) in given {
+        let name = format!("{prefix}{key}");
+        let Some(expected) = known.get(key) else {
+            let hint = match nearest(&name, all) {
+                Some(near) => format!("did you mean \"{near}\"?"),
+                None => format!(
+                    "there are {}.",
+                    known.keys().map(|k| format!("{prefix}{k}")).collect::<Vec<_>>().join(", ")
+                ),
+            };
+            return fail(format!("\"{name}\" is not a setting; {hint}"));
+        };
+        match (value, expected) {
+            (Table(value), Table(expected)) => compare(&format!("{name}."), value, expected, all)?,
+            (Integer(n), Integer(_)) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),
+            (Array(values), Array(expected)) => {
+                let numbers = values.iter().all(|v| matches!(v, Integer(_) | Float(_)));
+                if values.len() != expected.len() || !numbers {
+                    return fail(format!("{name} is {value}, but must be {} numbers.", expected.len()));
+                }
+            }
+            (Integer(_), Float(_)) => {}
+            (value, expected) if value.same_type(expected) => {}
+            (value, expected) => {
+                let kind = match expected {
+                    Table(_) => "a group of settings",
+                    Integer(_) => "a whole number",
+                    Float(_) => "a number",
+                    toml::Value::Boolean(_) => "true or false",
+                    _ => "text",
+                };
+                return fail(format!("{name} is {value}, but must be {kind}."));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The setting whose name, or its last part, is closest to what was written, if any is close.
+fn nearest(name: &str, all: &toml::Table) -> Option<String> {
+    fn collect(prefix: &str, table: &toml::Table, names: &mut Vec<String>) {
+        for (key, value) in table {
+            match value {
+                toml::Value::Table(inner) => collect(&format!("{prefix}{key}."), inner, names),
+                _ => names.push(format!("{prefix}{key}")),
+            }
+        }
+    }
+    let mut names = Vec::new();
+    collect("", all, &mut names);
+    let last = |n: &str| n.rsplit('.').next().unwrap_or_default().to_owned();
+    let away = |n: &String| distance(name, n).min(distance(&last(name), &last(n)) + 1);
+    let (far, near) = names.into_iter().map(|n| (away(&n), n)).min()?;
+    (far <= 3).then_some(near)
+}
+
+/// How many letters must be changed, added or left out (Levenshtein).
+pub(crate) fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.iter().enumerate() {
+            let change = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
