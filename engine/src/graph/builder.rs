@@ -154,7 +154,7 @@ impl Graph {
         self.prefix = prefix.into();
     }
 
-    fn prefixed(&self, name: impl Into<String>) -> String {
+    pub(super) fn prefixed(&self, name: impl Into<String>) -> String {
         if self.prefix.is_empty() { name.into() } else { format!("{}{}", self.prefix, name.into()) }
     }
 

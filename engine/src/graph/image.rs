@@ -44,7 +44,7 @@ impl Graph {
     /// An image that exists within a replay only. What it holds at first is undefined.
     pub fn transient_image(&mut self, name: impl Into<String>, size: [u32; 2], format: ImageFormat) -> Image {
         let info = ImageInfo { size, format, entry: ImageState::Undefined, exit: ImageState::Undefined };
-        self.declare_image(name.into(), BufferKind::Transient, false, info)
+        self.declare_image(self.prefixed(name), BufferKind::Transient, false, info)
     }
 
     /// Wants the texels of a transient image after the replay, until the next one begins.
@@ -81,7 +81,7 @@ impl Graph {
         source: impl Into<Slice>,
         target: Image,
     ) -> Result<(), GraphError> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         let (source, texels) = self.packed(&name, source.into(), target)?;
         self.check_not_uniform(&name, source.buffer, "the source of a copy")?;
@@ -103,7 +103,7 @@ impl Graph {
         source: Image,
         target: impl Into<Slice>,
     ) -> Result<(), GraphError> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         let (target, texels) = self.packed(&name, target.into(), source)?;
         self.check_write(&name, target.buffer, "copy")?;
@@ -120,7 +120,7 @@ impl Graph {
     /// Declares a pass that gives every texel one value: red, green, blue, alpha, as far as the format has them.
     /// Integers are rounded toward zero.
     pub fn clear_image(&mut self, name: impl Into<String>, target: Image, value: [f32; 4]) -> Result<(), GraphError> {
-        let name = name.into();
+        let name = self.prefixed(name);
         self.begin(&name);
         let texels = self.resolve_image(&name, target)?;
         self.check_write(&name, target.0, "clear")?;

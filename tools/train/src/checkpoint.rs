@@ -3,9 +3,9 @@
 //! Promises: the file is written beside and renamed into place, so that a full disk or a kill loses no earlier one.
 
 use crate::error::{Result, TrainError};
-use safetensors::{Dtype, SafeTensors, View};
+use crate::floats::Floats;
+use safetensors::{Dtype, SafeTensors};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -38,23 +38,6 @@ impl State {
             tensors.push(("decoder_moments".to_owned(), Floats(moments, vec![EMBEDDING, AUGMENTED, 2])));
         }
         tensors
-    }
-}
-
-struct Floats<'a>(&'a [f32], Vec<usize>);
-
-impl View for Floats<'_> {
-    fn dtype(&self) -> Dtype {
-        Dtype::F32
-    }
-    fn shape(&self) -> &[usize] {
-        &self.1
-    }
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(bytemuck::cast_slice(self.0))
-    }
-    fn data_len(&self) -> usize {
-        size_of_val(self.0)
     }
 }
 

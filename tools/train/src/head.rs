@@ -5,12 +5,12 @@
 //! sentence that says which of these. Leaves it to others to run it on a device.
 
 use crate::error::{Result, TrainError};
+use crate::floats::Floats;
 use crate::settings::distance;
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::{Dtype, SafeTensors};
 use sgs_passes::loss::normalize_embeddings;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING};
 use sgs_scene::TextEmbeddings;
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -26,23 +26,6 @@ pub struct SemanticHead {
     pub text: TextEmbeddings,
     /// Logits are divided by it before the softmax.
     pub temperature: f32,
-}
-
-struct Floats<'a>(&'a [f32], [usize; 2]);
-
-impl View for Floats<'_> {
-    fn dtype(&self) -> Dtype {
-        Dtype::F32
-    }
-    fn shape(&self) -> &[usize] {
-        &self.1
-    }
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(bytemuck::cast_slice(self.0))
-    }
-    fn data_len(&self) -> usize {
-        size_of_val(self.0)
-    }
 }
 
 impl SemanticHead {
@@ -61,8 +44,8 @@ impl SemanticHead {
             ("temperature".to_owned(), self.temperature.to_string()),
         ]);
         let tensors = [
-            ("decoder", Floats(&self.decoder, [EMBEDDING, AUGMENTED])),
-            ("text_embeddings", Floats(&self.text.data, [self.text.labels.len(), EMBEDDING])),
+            ("decoder", Floats(&self.decoder, vec![EMBEDDING, AUGMENTED])),
+            ("text_embeddings", Floats(&self.text.data, vec![self.text.labels.len(), EMBEDDING])),
         ];
         let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| fail(e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -256,7 +239,7 @@ mod tests {
             ]);
             let mut tensors = vec![("decoder", h.decoder, [512, 33]), ("text_embeddings", h.text.data, [2, EMBEDDING])];
             change(&mut meta, &mut tensors);
-            let views = tensors.iter().map(|(name, data, shape)| (*name, Floats(data, *shape)));
+            let views = tensors.iter().map(|(name, data, shape)| (*name, Floats(data, shape.to_vec())));
             std::fs::write(&path, safetensors::serialize(views, Some(meta)).unwrap()).unwrap();
             SemanticHead::load(&path).map_or_else(|e| e.to_string(), |_| "loaded".to_owned())
         };

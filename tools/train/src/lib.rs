@@ -11,6 +11,7 @@ mod correspondence;
 mod data;
 mod error;
 mod evaluate;
+mod floats;
 mod geometry;
 mod head;
 mod memory;

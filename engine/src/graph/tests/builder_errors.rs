@@ -41,6 +41,22 @@ impl World {
 }
 
 #[test]
+fn a_prefix_stands_before_what_is_declared_after_it() {
+    let mut w = world();
+    w.graph.set_prefix("second.");
+    let scratch = w.graph.transient("scratch", 1024);
+    let external = w.graph.external("given", 64);
+    w.graph.fill("clear", scratch, 0).unwrap();
+    assert!(w.map(scratch, w.input).starts_with("Pass [second.p] "));
+    w.graph.set_prefix("");
+    w.graph.fill("clear", w.scratch, 0).unwrap();
+    let name = |b: Buffer| w.graph.buffers[b.index()].name.as_str();
+    assert_eq!([name(w.scratch), name(scratch), name(external)], ["scratch", "second.scratch", "given"]);
+    let passes: Vec<&str> = w.graph.passes.iter().map(|p| p.name.as_str()).collect();
+    assert_eq!(passes, ["second.clear", "clear"]);
+}
+
+#[test]
 fn slices() {
     let mut w = world();
     assert_eq!(
