@@ -79,7 +79,11 @@ impl<'w> Trainer<'w> {
         let options = GeometryOptions {
             largest: workload.largest,
             entry_capacity,
-            channels: Channels { normals: workload.model.normals, depth: workload.model.normals || masks.is_some() },
+            channels: Channels {
+                colors: true,
+                normals: workload.model.normals,
+                depth: workload.model.normals || masks.is_some(),
+            },
             statistics: densify,
             dense_adam: false,
             backward,

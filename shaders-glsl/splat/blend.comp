@@ -1,7 +1,7 @@
 // Blends the splats of a tile front to back, any number of channels in one go.
 //
 // alpha = min(0.99, opacity * exp(-power)); below 1/255 skipped; a pixel stops before its transmittance would fall
-// below 1e-4. The background goes behind the first three channels.
+// below 1e-4. The background goes behind the colors, which are the first three channels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -13,6 +13,7 @@ layout(constant_id = 1) const uint PER_LANE = 8;
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
+layout(constant_id = 5) const bool HAS_COLORS = true;
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -75,7 +76,7 @@ void main() {
             float rest = abs(T[k]);
             transmittance[at] = rest;
             [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
-                float back = c < 3u ? rest * params.step.background[c % 3u] : 0.0;
+                float back = HAS_COLORS && c < 3u ? rest * params.step.background[c % 3u] : 0.0;
                 image[at * CHANNELS + c] = sum[k * CHANNELS + c] + back;
             }
         }

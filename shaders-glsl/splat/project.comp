@@ -9,11 +9,12 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint SUBGROUPS = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;    // stored bands
-layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, then normal if any, then z and z² if any
+layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, normal, z and z², each if any
 layout(constant_id = 4) const bool HAS_NORMALS = false;
 layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint TILE_WIDTH = 16;
 layout(constant_id = 7) const uint TILE_HEIGHT = 16;
+layout(constant_id = 8) const bool HAS_COLORS = true;
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -97,12 +98,14 @@ void main() {
     depth_keys[v] = floatBitsToUint(p.point.z);
     splats[v] = p.splat;
     tile_counts[v] = count_tiles(p.splat, limit, box);
-    vec3 color = color_of(i, mean);
     uint at = v * CHANNELS;
-    features[at] = color.x;
-    features[at + 1u] = color.y;
-    features[at + 2u] = color.z;
-    at += 3u;
+    if (HAS_COLORS) {
+        vec3 color = color_of(i, mean);
+        features[at] = color.x;
+        features[at + 1u] = color.y;
+        features[at + 2u] = color.z;
+        at += 3u;
+    }
     if (HAS_NORMALS) {
         vec3 n = normals[i];
         n /= max(length(n), 1e-3);

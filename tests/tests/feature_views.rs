@@ -196,7 +196,7 @@ impl Case {
         let train = declare(gpu, &mut g, &self.training, &handles, flags, values);
         features_bwd(&mut g, &t, &train.visible, &train.features, semantics).unwrap();
         // Projected once more for color and normals.
-        let channels = Channels { normals: true, depth: false };
+        let channels = Channels { colors: true, normals: true, depth: false };
         let visible = project(&mut g, &t, &train.screen, &handles, channels).unwrap();
         let pixels = train.screen.pixels();
         let blended = Blended {

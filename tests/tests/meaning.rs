@@ -233,7 +233,7 @@ fn memory_of_pixels_does_not_know_the_width_of_embeddings() {
         let options = GeometryOptions {
             largest: size,
             entry_capacity: 1 << 15,
-            channels: Channels { normals: false, depth: true },
+            channels: Channels { colors: true, normals: false, depth: true },
             statistics: true,
             dense_adam: false,
             backward: BackwardKernel::Pixel,

@@ -111,7 +111,11 @@ fn all() -> Vec<Presented> {
 fn every_layer_in_every_format_is_the_reference() {
     let gpu = Gpu::new();
     for (k, as_) in all().into_iter().enumerate() {
-        let channels = Channels { normals: as_.layer == Layer::Normal || k % 3 == 0, depth: as_.layer == Layer::Depth };
+        let channels = Channels {
+            colors: true,
+            normals: as_.layer == Layer::Normal || k % 3 == 0,
+            depth: as_.layer == Layer::Depth,
+        };
         let view = view(channels, k as u64);
         let (bytes, _) = run(&gpu, &view, &as_, 0, 5, 1);
         if let Some(wrong) = wrong(&view, &as_, &bytes) {
@@ -125,7 +129,7 @@ fn a_wrong_texel_is_caught() {
     let gpu = Gpu::new();
     for format in TexelFormat::ALL {
         let as_ = Presented { layer: Layer::Color, format, encoding: Encoding::Display, depth_scale: 1.0 };
-        let view = view(Channels { normals: false, depth: false }, 3);
+        let view = view(Channels { colors: true, normals: false, depth: false }, 3);
         let (bytes, _) = run(&gpu, &view, &as_, 0, 5, 1);
         assert_eq!(wrong(&view, &as_, &bytes), None);
         let other = Presented {
@@ -148,7 +152,7 @@ fn a_wrong_texel_is_caught() {
 #[test]
 fn what_reads_as_srgb_is_encoded_once() {
     let gpu = Gpu::new();
-    let view = view(Channels { normals: false, depth: false }, 9);
+    let view = view(Channels { colors: true, normals: false, depth: false }, 9);
     let bytes = |format, encoding| {
         run(&gpu, &view, &Presented { layer: Layer::Color, format, encoding, depth_scale: 1.0 }, 0, 5, 1).0
     };
@@ -162,7 +166,7 @@ fn what_reads_as_srgb_is_encoded_once() {
 #[test]
 fn the_report_adds_up_over_frames() {
     let gpu = Gpu::new();
-    let view = view(Channels { normals: false, depth: false }, 1);
+    let view = view(Channels { colors: true, normals: false, depth: false }, 1);
     let as_ = Presented {
         layer: Layer::Color,
         format: TexelFormat::Rgba8Unorm,

@@ -16,8 +16,8 @@ use sgs_tests::{Gpu, scenes};
 
 const LARGEST: [u32; 2] = [53, 41];
 const MASK_OFFSET: usize = 3;
-const DEPTH: Channels = Channels { normals: false, depth: true };
-const ALL: Channels = Channels { normals: true, depth: true };
+const DEPTH: Channels = Channels { colors: true, normals: false, depth: true };
+const ALL: Channels = Channels { colors: true, normals: true, depth: true };
 /// What single precision may decide either way.
 const UNSURE: f64 = 1e-3;
 

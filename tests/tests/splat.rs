@@ -12,7 +12,7 @@ use sgs_tests::{Gpu, scenes};
 fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64, f64) {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
     let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: !g.semantics.is_empty() };
-    let channels = Channels { normals: model.normals, depth };
+    let channels = Channels { colors: true, normals: model.normals, depth };
     let device = gpu.device();
     let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();
     gaussians.upload(device, &scenes::data(g)).unwrap();
@@ -110,7 +110,7 @@ fn features_are_blended_at_every_pixel() {
     let model = Model { sh_degree: 0, normals: true, semantics: true };
     let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();
     gaussians.upload(device, &scenes::data(&g)).unwrap();
-    let channels = Channels { normals: true, depth: false };
+    let channels = Channels { colors: true, normals: true, depth: false };
     let mut renderer = Renderer::with_features(device, gpu.tuning(), &gaussians, [1, 1], channels).unwrap();
     for size in [[33, 20], [61, 37], [17, 3], [1, 1]] {
         let camera = scenes::camera(size);
@@ -136,4 +136,27 @@ fn features_are_blended_at_every_pixel() {
     assert!(renderer.features().is_none());
     let with = renderer.render(&gaussians, &camera, 0, [0.5; 3]).unwrap();
     assert!(renderer.features().is_some() && with.image == without.image);
+}
+
+/// Colors that nobody asks for are left out; all else keeps its bits.
+#[test]
+fn views_without_colors_have_the_same_depth_and_normals() {
+    let gpu = Gpu::new();
+    let g = scenes::ordinary(200, 2, true, 7);
+    let camera = scenes::camera([37, 29]);
+    let model = Model { sh_degree: 2, normals: true, semantics: false };
+    let gaussians = GpuGaussians::new(gpu.device(), model, g.len() as u32, false).unwrap();
+    gaussians.upload(gpu.device(), &scenes::data(&g)).unwrap();
+    let picture = |channels: Channels| {
+        let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels).unwrap();
+        renderer.render(&gaussians, &scenes::gpu_camera(&camera), 2, [0.3, 0.9, 0.1]).unwrap()
+    };
+    for normals in [true, false] {
+        let all = picture(Channels { colors: true, normals, depth: true });
+        let bare = picture(Channels { colors: false, normals, depth: true });
+        assert_eq!(all.transmittance, bare.transmittance);
+        let rest: Vec<f32> = all.image.chunks(all.channels as usize).flat_map(|p| p[3..].to_vec()).collect();
+        assert_eq!(bare.image, rest);
+        assert!(rest.iter().any(|v| *v > 0.5), "nothing to see");
+    }
 }

@@ -89,7 +89,7 @@ impl Case {
             normals: !self.gaussians.normals.is_empty(),
             semantics: !self.gaussians.semantics.is_empty(),
         };
-        let channels = Channels { normals: model.normals, depth: self.depth };
+        let channels = Channels { colors: true, normals: model.normals, depth: self.depth };
         let t = gpu.tuning();
         let data = scenes::data(&self.gaussians);
         // Declared by hand, since the harness owns the memory of a single run.

@@ -37,7 +37,7 @@ fn a_view_shows_what_the_renderer_gives() {
     let gpu = Gpu::new();
     let gaussians = upload(&gpu, 300, true);
     let f = frame();
-    let all = Channels { normals: true, depth: true };
+    let all = Channels { colors: true, normals: true, depth: true };
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, SIZE, all).unwrap();
     let picture = renderer.render(&gaussians, &f.camera, 3, f.background).unwrap();
     for layer in [Layer::Color, Layer::Depth, Layer::Normal, Layer::Alpha] {

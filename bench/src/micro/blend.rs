@@ -19,7 +19,7 @@ const PSNR: f64 = 55.0;
 /// The view that stages are measured with.
 pub fn subject<'s>(c: &'s Context<'_>) -> Subject<'s> {
     let w = c.workload;
-    let channels = Channels { normals: w.model.normals, depth: w.model.normals };
+    let channels = Channels { colors: true, normals: w.model.normals, depth: w.model.normals };
     Subject { device: c.device, tuning: c.tuning, model: w.model, data: &w.start, camera: w.views[0].0, channels }
 }
 

@@ -17,7 +17,8 @@ use sgs_shaders::structs::Step;
 
 const REGION: u16 = 7;
 /// What training blends, and what suffices for a pseudo-view.
-const CHANNELS: [Channels; 2] = [Channels { normals: true, depth: true }, Channels { normals: false, depth: true }];
+const CHANNELS: [Channels; 2] =
+    [Channels { colors: true, normals: true, depth: true }, Channels { colors: false, normals: false, depth: true }];
 /// Nearer to a border than this, single precision may decide either way.
 const UNSURE: f64 = 2e-3;
 

@@ -112,7 +112,7 @@ fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Resu
     data.groups[Group::OpacityLogits as usize].fill(3.0);
     let gaussians = Gaussians::new(device, model, count, false)?;
     gaussians.upload(device, &data)?;
-    let channels = Channels { normals: s.normals, depth: false };
+    let channels = Channels { colors: true, normals: s.normals, depth: false };
     let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), &gaussians, s.size, channels)?;
     views.iter().map(|c| Ok(renderer.render(&gaussians, c, 0, [0.0; 3])?)).collect()
 }

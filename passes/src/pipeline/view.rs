@@ -148,7 +148,7 @@ impl View {
         if options.size.iter().any(|side| !(1..=limit).contains(side)) {
             return Err(sgs_engine::Error::ImageSize { what: "view".into(), size: options.size, limit }.into());
         }
-        let channels = Channels { normals: layer == Layer::Normal, depth: layer == Layer::Depth };
+        let channels = Channels { colors: true, normals: layer == Layer::Normal, depth: layer == Layer::Depth };
         let guess = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
         let capacity = if options.entry_capacity > 0 { options.entry_capacity } else { guess };
         let report = device.buffer("view_report", 12, Location::Readback)?;

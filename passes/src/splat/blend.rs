@@ -57,6 +57,7 @@ pub fn blend(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         channels: visible.channels.count(),
+        has_colors: visible.channels.colors,
     };
     stage(g, "blend", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))

@@ -45,18 +45,27 @@ impl Screen {
     }
 }
 
-/// What is blended at every pixel: always rgb, then the normal (3) and depth (z, z²) if wanted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// What is blended at every pixel: rgb, then the normal (3) and depth (z, z²), each if wanted. Backward passes need rgb.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channels {
+    /// Display-referred rgb over the background: spherical harmonics are evaluated.
+    pub colors: bool,
     /// World-space unit normals.
     pub normals: bool,
     /// z and z².
     pub depth: bool,
 }
 
+/// Colors alone.
+impl Default for Channels {
+    fn default() -> Channels {
+        Channels { colors: true, normals: false, depth: false }
+    }
+}
+
 impl Channels {
     /// Floats of a pixel.
     pub fn count(&self) -> u32 {
-        3 + if self.normals { 3 } else { 0 } + if self.depth { 2 } else { 0 }
+        3 * u32::from(self.colors) + 3 * u32::from(self.normals) + 2 * u32::from(self.depth)
     }
 }

@@ -102,8 +102,9 @@ pub fn project(
     let specs = kernel::Specs {
         workgroup: t.workgroup,
         subgroups: t.subgroups(),
-        sh_degree: gaussians.model.sh_degree,
+        sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
+        has_colors: channels.colors,
         has_normals: channels.normals,
         has_depth: channels.depth,
         tile_width: screen.tile[0],

@@ -80,7 +80,7 @@ pub fn run(frames: u64) -> usize {
         unsafe { host.device.wait_semaphores(&wait, u64::MAX) }.expect("done");
 
         // The same picture, in between, by way of the engine's own submissions.
-        let channels = Channels { normals: false, depth: false };
+        let channels = Channels { colors: true, normals: false, depth: false };
         let mut renderer = Renderer::new(&device, tuning, &gaussians, SIZE, channels).expect("memory");
         let picture = renderer.render(&gaussians, &frame.camera, 2, frame.background).expect("a picture");
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;

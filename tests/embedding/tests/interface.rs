@@ -124,7 +124,7 @@ fn layers_in_memory_are_those_of_the_renderer() {
     let model = Model { sh_degree: 1, normals: true, ..Default::default() };
     let gaussians = sgs_passes::scene::Gaussians::new(gpu.device(), model, 150, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&scenes::ordinary(150, 1, true, 8))).unwrap();
-    let channels = Channels { normals: true, depth: true };
+    let channels = Channels { colors: true, normals: true, depth: true };
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, size, channels).unwrap();
     let view = scenes::gpu_camera(&scenes::camera(size));
     let picture = renderer.render(&gaussians, &view, 1, [0.3, 0.2, 0.1]).unwrap();

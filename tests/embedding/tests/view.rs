@@ -51,7 +51,7 @@ fn frame(k: u32) -> Frame {
 
 /// What our own renderer gives, as bytes.
 fn expected(e: &Engine, k: u32) -> Vec<u8> {
-    let channels = Channels { normals: false, depth: false };
+    let channels = Channels { colors: true, normals: false, depth: false };
     let tuning = Tuning::for_device(e.device.info());
     let mut renderer = Renderer::new(&e.device, tuning, &e.gaussians, SIZE, channels).unwrap();
     let f = frame(k);

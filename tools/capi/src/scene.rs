@@ -239,7 +239,8 @@ pub unsafe extern "C" fn sgs_render(
 }
 
 fn render(inner: &Inner, scene: &SceneObject, camera: &Camera, info: &SgsRenderInfo) -> Outcome<Vec<f32>> {
-    let channels = Channels { normals: info.layer == SGS_LAYER_NORMAL, depth: info.layer == SGS_LAYER_DEPTH };
+    let channels =
+        Channels { colors: true, normals: info.layer == SGS_LAYER_NORMAL, depth: info.layer == SGS_LAYER_DEPTH };
     let mut kept = scene.renderer.lock().unwrap_or_else(|e| e.into_inner());
     // Taken out, so that a failure leaves nothing half made.
     let mut renderer = match kept.take() {

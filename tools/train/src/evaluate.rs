@@ -115,7 +115,7 @@ pub fn evaluate_classes(
     mut look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
     let truth = GroundTruth::of(scene);
-    let channels = Channels { normals: gaussians.model.normals, depth: true };
+    let channels = Channels { colors: true, normals: gaussians.model.normals, depth: true };
     let head = head.filter(|_| gaussians.model.semantics);
     let make = if head.is_some() { Renderer::with_features } else { Renderer::new };
     let mut renderer = make(device, Tuning::for_device(device.info()), gaussians, [1, 1], channels)?;

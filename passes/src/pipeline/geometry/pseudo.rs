@@ -1,7 +1,7 @@
 //! The pseudo-views of a step: rendered like the training view, compared with it in one region, and taken back to the
 //! Gaussians together with it.
 //!
-//! They have features and depth alone: nothing is asked of their colors. A region that is empty in a picture costs its
+//! They have features and depth alone: their colors are neither asked for nor worked out. A region that is empty in a picture costs its
 //! rendering and asks for nothing.
 
 use super::build::{Built, FEATURE_BYTES, Rendering, render};
@@ -101,7 +101,7 @@ impl Region {
         let all = regions(g, PSEUDO_VIEWS as u32);
         let training = pictured(view, trained.0, self.mask);
         region(g, &training, head, prepared, &all, 0)?;
-        let channels = Channels { normals: false, depth: self.masks == Masks::Carried };
+        let channels = Channels { colors: false, normals: false, depth: true };
         let mut one = |i: usize| -> Built<Compared> {
             g.set_prefix(PREFIXES[i]);
             let view_i = render(g, t, self.steps[i], gaussians, status, channels, o)?;

@@ -88,8 +88,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let gaussians = upload(&device, &splats, asked.is_some())?;
     let mut meaning = asked.map(|asked| Meaning::new(&device, asked)).transpose()?;
-    let channels =
-        Channels { normals: a.channels.contains(&Channel::Normal), depth: a.channels.contains(&Channel::Depth) };
+    let channels = Channels {
+        colors: true,
+        normals: a.channels.contains(&Channel::Normal),
+        depth: a.channels.contains(&Channel::Depth),
+    };
     let make = if meaning.is_some() { Renderer::with_features } else { Renderer::new };
     let mut renderer = make(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
     std::fs::create_dir_all(&a.output)

@@ -131,7 +131,7 @@ impl Geometry {
         let options = GeometryOptions {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
-            channels: Channels { normals: model.normals, depth },
+            channels: Channels { colors: true, normals: model.normals, depth },
             statistics: g.densify.enabled,
             dense_adam: g.dense_adam,
             backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
