@@ -9,6 +9,7 @@ pub mod pipeline;
 pub mod prim;
 pub mod reference;
 pub mod scene;
+pub mod shade;
 pub mod splat;
 mod tuning;
 

@@ -4,6 +4,7 @@ pub mod adam;
 pub mod blend;
 pub mod correspondence;
 pub mod densify;
+pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;
 pub mod photometric;

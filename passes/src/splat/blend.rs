@@ -153,6 +153,6 @@ pub fn blend_bwd(
     Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights })
 }
 
-fn per_lane(t: &Tuning, screen: &Screen) -> u32 {
+pub(crate) fn per_lane(t: &Tuning, screen: &Screen) -> u32 {
     (screen.tile[0] * screen.tile[1] / t.subgroup_size).max(1)
 }

@@ -11,6 +11,7 @@ mod intersect;
 mod present;
 mod project;
 
+pub(crate) use blend::per_lane;
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
@@ -18,6 +19,7 @@ pub use features::{
 };
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present};
+pub(crate) use project::group_sizes;
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
 
 use sgs_engine::graph::Buffer;

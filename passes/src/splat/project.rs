@@ -301,7 +301,7 @@ fn feature_width(entries: &EntryGradients) -> u32 {
 }
 
 /// The group sizes that later passes dispatch a count at; the ordinary one first.
-pub(super) fn group_sizes(t: &Tuning) -> [u32; 4] {
+pub(crate) fn group_sizes(t: &Tuning) -> [u32; 4] {
     let mut sizes = [t.workgroup, ScanShape::from(*t).block(), SortShape::from(*t).block(), 0];
     for i in 1..3 {
         if sizes[..i].contains(&sizes[i]) {

@@ -1,0 +1,108 @@
+//! `gbuffer`, `weights`, `materials`: the CPU twins in double precision.
+
+use super::blend::Blended;
+use super::project::{Camera, Projected};
+use glam::{DVec2, DVec3};
+
+/// Where less than this is covered there is no surface.
+pub const LEAST_COVERAGE: f64 = 1e-3;
+
+/// The surfaces that a view sees, by pixel.
+#[derive(Clone, Debug, Default)]
+pub struct Surfaces {
+    /// World.
+    pub points: Vec<DVec3>,
+    /// Unit, or zero.
+    pub normals: Vec<DVec3>,
+    /// Opacity.
+    pub coverage: Vec<f64>,
+}
+
+/// From blended normals and depth, `channels` a pixel of which normal, z and z² are the last five.
+pub fn gbuffer(camera: &Camera, blended: &Blended, channels: usize) -> Surfaces {
+    let mut s = Surfaces::default();
+    for (p, transmittance) in blended.transmittance.iter().enumerate() {
+        let coverage = 1.0 - transmittance;
+        let at = &blended.image[p * channels + channels - 5..(p + 1) * channels];
+        s.coverage.push(coverage);
+        if coverage < LEAST_COVERAGE {
+            s.points.push(DVec3::ZERO);
+            s.normals.push(DVec3::ZERO);
+            continue;
+        }
+        let width = camera.size[0] as usize;
+        let pixel = DVec2::new((p % width) as f64 + 0.5, (p / width) as f64 + 0.5);
+        let z = at[3] / coverage;
+        let seen = ((pixel - camera.center) / camera.focal * z).extend(z);
+        s.points.push(camera.rotation.transpose() * (seen - camera.translation));
+        s.normals.push(DVec3::from_slice(at).normalize_or_zero());
+    }
+    s
+}
+
+/// For every pixel the Gaussians that show there, nearest first, with their weights over the pixel's opacity.
+pub fn weights(splats: &[Projected], size: [u32; 2]) -> Vec<Vec<(usize, f64)>> {
+    let [width, height] = size.map(|s| s as usize);
+    let pixel = |p: usize| {
+        let at = DVec2::new((p % width) as f64 + 0.5, (p / width) as f64 + 0.5);
+        let (mut transmittance, mut row) = (1.0, Vec::new());
+        for s in splats {
+            let reach = s.reach() + 1.0;
+            if (at - s.mean).abs().cmpgt(reach + 0.5).any() {
+                continue;
+            }
+            let alpha = s.alpha(at).min(0.99);
+            if alpha < 1.0 / 255.0 {
+                continue;
+            }
+            let next = transmittance * (1.0 - alpha);
+            if next < 1e-4 {
+                break;
+            }
+            row.push((s.id, alpha * transmittance));
+            transmittance = next;
+        }
+        let coverage = 1.0 - transmittance;
+        let scale = if coverage >= LEAST_COVERAGE { 1.0 / coverage } else { 0.0 };
+        row.iter_mut().for_each(|(_, w)| *w *= scale);
+        row
+    };
+    (0..width * height).map(pixel).collect()
+}
+
+/// Materials before activation: albedo (3), roughness and, where `metallic` is not empty, metallic of each Gaussian.
+#[derive(Clone, Debug, Default)]
+pub struct Materials {
+    /// 3 a Gaussian.
+    pub albedo: Vec<f64>,
+    /// 1 a Gaussian.
+    pub roughness: Vec<f64>,
+    /// 1 a Gaussian, or empty.
+    pub metallic: Vec<f64>,
+}
+
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+impl Materials {
+    /// Albedo, roughness, metallic of one Gaussian.
+    pub fn values(&self, i: usize) -> [f64; 5] {
+        let range = |raw: f64| 0.09 + 0.9 * sigmoid(raw);
+        let metallic = self.metallic.get(i).map_or(0.0, |m| sigmoid(*m));
+        let [r, g, b] = [0, 1, 2].map(|c| range(self.albedo[3 * i + c]));
+        [r, g, b, range(self.roughness[i]), metallic]
+    }
+
+    /// At every pixel.
+    pub fn blend(&self, rows: &[Vec<(usize, f64)>]) -> Vec<[f64; 5]> {
+        let sum = |row: &Vec<(usize, f64)>| {
+            let mut sum = [0.0; 5];
+            for (i, w) in row {
+                self.values(*i).iter().zip(&mut sum).for_each(|(v, s)| *s += w * v);
+            }
+            sum
+        };
+        rows.iter().map(sum).collect()
+    }
+}

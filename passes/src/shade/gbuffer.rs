@@ -1,0 +1,167 @@
+//! `gbuffer` and the sparse matrix of a view's blending weights: `weights_count`, `weights`, `weights_transpose`,
+//! `column_starts`.
+//!
+//! Geometry is fixed while materials and lights are learned, so what a pixel sees is constant: its point, its normal, and
+//! the weights with which Gaussians show there. A picture of materials is then a sparse matrix times their values, and the
+//! gradients its transpose times the pixels' ([`super::materials`]); both are kept (compressed rows and compressed columns),
+//! so that neither direction needs atomics. Weights are over the pixel's opacity: rows of covered pixels add up to one.
+//!
+//! Promises: the weights are those of [`crate::splat::blend`] bit for bit; rows are in the order of depth, columns in the
+//! order of pixels. Cost: the loop of `blend` twice without its channels, 12 bytes written an entry, a sort of as many pairs
+//! as there are entries, 16 bytes of memory an entry afterwards. Leaves room for the entries to the caller.
+
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
+use crate::splat::{Blended, Channels, Entries, Screen, Visible, group_sizes, per_lane};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{column_starts, gbuffer as kernel, weights as fill, weights_count, weights_transpose};
+
+/// What has to be blended for [`gbuffer`].
+pub const GBUFFER_CHANNELS: Channels = Channels { colors: false, normals: true, depth: true };
+
+/// Pixels that are less opaque have no surface.
+pub const LEAST_COVERAGE: f32 = 1e-3;
+
+/// The surfaces that a view sees, by pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Surfaces {
+    /// `[pixels * 3]` floats, world; zero where nothing is.
+    pub points: Buffer,
+    /// `[pixels * 3]` floats, world, unit, or zero.
+    pub normals: Buffer,
+    /// `[pixels]` floats: opacity.
+    pub coverage: Buffer,
+}
+
+/// A view's weights, in both directions. Words each.
+#[derive(Clone, Copy, Debug)]
+pub struct Weights {
+    /// `[pixels + 1]`: where each pixel's row begins.
+    pub row_starts: Buffer,
+    /// `[capacity]`: the Gaussian of each entry, by rows.
+    pub columns: Buffer,
+    /// `[capacity]` floats: its weight.
+    pub weights: Buffer,
+    /// `[Gaussians + 1]`: where each Gaussian's column begins.
+    pub column_starts: Buffer,
+    /// `[capacity]`: the pixel of each entry, by columns.
+    pub rows: Buffer,
+    /// `[capacity]` floats: its weight.
+    pub row_weights: Buffer,
+}
+
+/// Turns what was blended of [`GBUFFER_CHANNELS`] into surfaces.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn gbuffer(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    blended: &Blended,
+    into: &Surfaces,
+) -> Result<(), GraphError> {
+    let bindings = kernel::Bindings {
+        params: screen.step.into(),
+        image: blended.image.into(),
+        transmittance: blended.transmittance.into(),
+        points: into.points.into(),
+        normals: into.normals.into(),
+        coverage: into.coverage.into(),
+    };
+    let specs = kernel::Specs { workgroup: t.workgroup };
+    stage(g, "gbuffer", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(screen.pixels(), t.workgroup))
+}
+
+/// How many entries there are and what is done if they do not fit.
+#[derive(Clone, Copy, Debug)]
+pub struct Room {
+    /// Entries that fit.
+    pub capacity: u32,
+    /// Gaussians.
+    pub gaussians: u32,
+    /// A word in which bit 0 is set where they do not fit; then there are none.
+    pub flags: Buffer,
+    /// A word that receives how many are wanted.
+    pub wanted: Buffer,
+}
+
+/// Fills the matrix of a view whose size is that of its screen exactly.
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn weights(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    visible: &Visible,
+    entries: &Entries,
+    coverage: Buffer,
+    room: &Room,
+    into: &Weights,
+) -> Result<(), GraphError> {
+    let pixels = screen.pixels();
+    let counts = g.transient("weight_counts", 4 * (pixels + 1));
+    let lanes = per_lane(t, screen);
+    let bindings = weights_count::Bindings {
+        params: screen.step.into(),
+        tile_ranges: entries.tile_ranges.into(),
+        sorted_entries: entries.sorted,
+        entry_splats: entries.splats.into(),
+        splats: visible.splats.into(),
+        counts: counts.into(),
+    };
+    let [tile_width, tile_height] = screen.tile;
+    let specs = weights_count::Specs { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height };
+    let tiles = groups(u64::from(screen.tiles()), 1);
+    stage(g, "weights_count", &weights_count::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(tiles)?;
+    let total = g.transient("weights_total", 4);
+    let all = u32::try_from(pixels + 1).unwrap_or(u32::MAX);
+    exclusive_scan(g, *t, "weights_scan", counts, None, into.row_starts, total, Count::Host(all))?;
+    let works = g.transient("weight_works", 64);
+    let overflow = Overflow { capacity: room.capacity, flags: room.flags.into(), flag: 1, wanted: room.wanted.into() };
+    let found: Records = work(g, "weights_work", total, overflow, works, group_sizes(t))?;
+    let entry_pixels = g.transient("weight_pixels", 4 * u64::from(room.capacity));
+    let bindings = fill::Bindings {
+        params: screen.step.into(),
+        tile_ranges: entries.tile_ranges.into(),
+        sorted_entries: entries.sorted,
+        entry_splats: entries.splats.into(),
+        splats: visible.splats.into(),
+        splat_ids: visible.ids.into(),
+        row_starts: into.row_starts.into(),
+        coverage: coverage.into(),
+        columns: into.columns.into(),
+        weights: into.weights.into(),
+        pixels: entry_pixels.into(),
+    };
+    let specs = fill::Specs { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height };
+    stage(g, "weights", &fill::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(tiles)?;
+    let bits = 32 - room.gaussians.saturating_sub(1).leading_zeros();
+    let sorted = radix_sort(g, *t, "weights_sort", into.columns, None, 0..bits.max(1), true, Count::Gpu(found))?;
+    let bindings = weights_transpose::Bindings {
+        entries: found.slice,
+        order: sorted.values,
+        pixels: entry_pixels.into(),
+        weights: into.weights.into(),
+        rows: into.rows.into(),
+        row_weights: into.row_weights.into(),
+    };
+    let specs = weights_transpose::Specs { workgroup: t.workgroup };
+    stage(g, "weights_transpose", &weights_transpose::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
+    let bindings = column_starts::Bindings {
+        entries: found.slice,
+        sorted_columns: sorted.keys.unwrap_or_else(|| into.columns.into()),
+        column_starts: into.column_starts.into(),
+    };
+    let specs = column_starts::Specs { workgroup: t.workgroup };
+    stage(g, "column_starts", &column_starts::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(u64::from(room.gaussians) + 1, t.workgroup))
+}

@@ -1,0 +1,121 @@
+//! `material_values`, `materials`, `materials_bwd`: materials of Gaussians at the pixels of a view, and the way back.
+//!
+//! Albedo and roughness are 0.09 + 0.9 sigmoid(raw), metallic, where it is asked for, sigmoid(raw) (SGS-Intrinsic). The
+//! weights of the view are constants ([`super::weights`]), so that the picture is linear in the values and exact gradients
+//! are sums over the columns of the matrix, in the order of pixels.
+//!
+//! Cost: 16 bytes read and written a Gaussian and about 60 operations (four exponentials); an entry of the matrix 24 bytes
+//! and 8 operations forward, as much backward. Metallic adds a quarter.
+
+use super::Weights;
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{material_values, materials as kernel, materials_bwd as backward};
+
+/// Raw materials of the Gaussians, or their gradients.
+#[derive(Clone, Copy, Debug)]
+pub struct RawMaterials {
+    /// `[Gaussians * 3]` floats.
+    pub albedo: Buffer,
+    /// `[Gaussians]` floats.
+    pub roughness: Buffer,
+    /// `[Gaussians]` floats, where metals are told from others.
+    pub metallic: Option<Buffer>,
+}
+
+/// Materials of the pixels of a view, or their gradients.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelMaterials {
+    /// `[pixels * 4]` floats: linear albedo, roughness.
+    pub materials: Buffer,
+    /// `[pixels]` floats.
+    pub metallic: Option<Buffer>,
+}
+
+/// Blends the materials of a view with `pixels` pixels. Reusing the values of other views of a step is up to the caller.
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn materials(
+    g: &mut Graph,
+    t: &Tuning,
+    values: &PixelMaterials,
+    weights: &Weights,
+    pixels: u32,
+    into: &PixelMaterials,
+) -> Result<(), GraphError> {
+    let bindings = kernel::Bindings {
+        row_starts: weights.row_starts.into(),
+        columns: weights.columns.into(),
+        weights: weights.weights.into(),
+        values: values.materials.into(),
+        metallic_values: values.metallic.unwrap_or(values.materials).into(),
+        materials: into.materials.into(),
+        metallic: or_nothing(g, into.metallic).into(),
+    };
+    let specs = kernel::Specs { workgroup: t.workgroup, metallic: into.metallic.is_some() };
+    let push = kernel::Push { pixels };
+    stage(g, "materials", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(pixels), t.workgroup))
+}
+
+/// Activates the materials of all `gaussians`: what [`materials`] blends, by Gaussian instead of by pixel.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn values(g: &mut Graph, t: &Tuning, raw: &RawMaterials, gaussians: u32) -> Result<PixelMaterials, GraphError> {
+    let n = u64::from(gaussians);
+    let into = PixelMaterials {
+        materials: g.transient("material_values", 16 * n),
+        metallic: raw.metallic.map(|_| g.transient("metallic_values", 4 * n)),
+    };
+    let bindings = material_values::Bindings {
+        albedo: raw.albedo.into(),
+        roughness: raw.roughness.into(),
+        metallic: raw.metallic.unwrap_or(raw.roughness).into(),
+        values: into.materials.into(),
+        metallic_values: or_nothing(g, into.metallic).into(),
+    };
+    let specs = material_values::Specs { workgroup: t.workgroup, metallic: raw.metallic.is_some() };
+    stage(g, "material_values", &material_values::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(n, t.workgroup))?;
+    Ok(into)
+}
+
+/// Backward of [`materials`] and [`values`]: gradients of the raw materials of all `gaussians`, overwritten.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn materials_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    raw: &RawMaterials,
+    weights: &Weights,
+    gaussians: u32,
+    gradient: &PixelMaterials,
+    into: &RawMaterials,
+) -> Result<(), GraphError> {
+    let bindings = backward::Bindings {
+        column_starts: weights.column_starts.into(),
+        rows: weights.rows.into(),
+        row_weights: weights.row_weights.into(),
+        materials_gradient: gradient.materials.into(),
+        metallic_gradient: gradient.metallic.unwrap_or(gradient.materials).into(),
+        albedo: raw.albedo.into(),
+        roughness: raw.roughness.into(),
+        metallic: raw.metallic.unwrap_or(raw.roughness).into(),
+        grad_albedo: into.albedo.into(),
+        grad_roughness: into.roughness.into(),
+        grad_metallic: or_nothing(g, into.metallic).into(),
+    };
+    let specs = backward::Specs { workgroup: t.workgroup, metallic: raw.metallic.is_some() };
+    stage(g, "materials_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(8 * u64::from(gaussians), t.workgroup))
+}
+
+/// What is not there has a word behind it that specialized kernels never touch: they may not write another one's memory.
+fn or_nothing(g: &mut Graph, buffer: Option<Buffer>) -> Buffer {
+    buffer.unwrap_or_else(|| g.transient("no_metallic", 4))
+}

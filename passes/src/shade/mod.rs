@@ -1,0 +1,11 @@
+//! Shading: what pixels with points, normals and materials send to the camera under lights.
+//!
+//! Promises: linear radiance by pixel; nothing of the size of pixels times lights is ever stored; no float atomics, so that
+//! results are bit-identical from run to run; pixels without a surface are zero, and so are their gradients. Leaves how
+//! radiance becomes a picture to the losses.
+
+mod gbuffer;
+mod materials;
+
+pub use gbuffer::{GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Surfaces, Weights, gbuffer, weights};
+pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};

@@ -1,0 +1,6 @@
+// Pixels that are less opaque have no surface: they are not shaded, and nothing is asked of what shows there.
+const float LEAST_COVERAGE = 1e-3;
+
+bool is_covered(float coverage) { return coverage >= LEAST_COVERAGE; }
+
+float inverse_coverage(float coverage) { return is_covered(coverage) ? 1.0 / coverage : 0.0; }

@@ -1,0 +1,22 @@
+// Activates the materials of every Gaussian, once for all pixels that see it.
+#version 460
+#include "common.glsl"
+#include "material.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const bool METALLIC = false;
+layout(local_size_x_id = 0) in;
+
+IN(vec3, albedo);      // raw
+IN(float, roughness);  // raw
+IN(float, metallic);   // raw, if any
+OUT(vec4, values);     // [Gaussians]: albedo, roughness
+OUT(float, metallic_values);
+
+void main() {
+    uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (i >= values.length()) return;
+    vec3 a = albedo[i];
+    values[i] = vec4(material_value(a.x), material_value(a.y), material_value(a.z), material_value(roughness[i]));
+    if (METALLIC) metallic_values[i] = sigmoid(metallic[i]);
+}

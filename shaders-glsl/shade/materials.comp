@@ -1,0 +1,33 @@
+// Materials of every pixel: a row of the sparse matrix times the Gaussians' values.
+#version 460
+#include "common.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const bool METALLIC = false;
+layout(local_size_x_id = 0) in;
+
+layout(push_constant, scalar) uniform Push { uint pixels; } push;
+
+IN(uint, row_starts); // [pixels + 1]
+IN(uint, columns);
+IN(float, weights);
+IN(vec4, values);     // [Gaussians]
+IN(float, metallic_values);
+OUT(vec4, materials); // [pixels]
+OUT(float, metallic);
+
+void main() {
+    uint p = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (p >= push.pixels) return;
+    vec4 sum = vec4(0.0);
+    float metal = 0.0;
+    uint end = row_starts[p + 1u];
+    for (uint e = row_starts[p]; e < end; ++e) {
+        float w = weights[e];
+        uint g = columns[e];
+        sum += w * values[g];
+        if (METALLIC) metal += w * metallic_values[g];
+    }
+    materials[p] = sum;
+    if (METALLIC) metallic[p] = metal;
+}

@@ -1,0 +1,43 @@
+// The blending weights of a view as rows of a sparse matrix: for every pixel the Gaussians that show there, nearest first,
+// with their weights over the pixel's opacity. Rows that do not fit are not written.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "splat.glsl"
+#include "tile.glsl"
+#include "coverage.glsl"
+
+layout(constant_id = 0) const uint SUBGROUP = 32;
+layout(constant_id = 1) const uint PER_LANE = 8;
+layout(constant_id = 2) const uint TILE_WIDTH = 16;
+layout(constant_id = 3) const uint TILE_HEIGHT = 16;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(uint, tile_ranges);
+IN(uint, sorted_entries);
+IN(uint, entry_splats);
+IN(Splat, splats);
+IN(uint, splat_ids);
+IN(uint, row_starts); // [pixels + 1]
+IN(float, coverage);
+OUT(uint, columns);   // Gaussians
+OUT(float, weights);
+OUT(uint, pixels);    // of each entry
+
+uint next_entry[PER_LANE];
+float inverse[PER_LANE];
+#define START(k, pixel)                 \
+    next_entry[k] = row_starts[pixel];  \
+    inverse[k] = inverse_coverage(coverage[pixel]);
+#define VISIT(k, pixel, v, w)                   \
+    if (next_entry[k] < columns.length()) {     \
+        columns[next_entry[k]] = splat_ids[v];  \
+        weights[next_entry[k]] = w * inverse[k];\
+        pixels[next_entry[k]] = pixel;          \
+    }                                           \
+    ++next_entry[k];
+#define FINISH(k, pixel)
+#include "blend_visit.glsl"
+
+void main() { visit_blend(); }

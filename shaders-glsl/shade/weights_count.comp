@@ -1,0 +1,31 @@
+// How many splats show at every pixel: the lengths of the rows that `weights` fills.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "splat.glsl"
+#include "tile.glsl"
+
+layout(constant_id = 0) const uint SUBGROUP = 32;
+layout(constant_id = 1) const uint PER_LANE = 8;
+layout(constant_id = 2) const uint TILE_WIDTH = 16;
+layout(constant_id = 3) const uint TILE_HEIGHT = 16;
+layout(local_size_x_id = 0) in;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(uint, tile_ranges);
+IN(uint, sorted_entries);
+IN(uint, entry_splats);
+IN(Splat, splats);
+OUT(uint, counts); // [pixels + 1], the last one 0
+
+uint shown[PER_LANE];
+#define START(k, pixel) shown[k] = 0u;
+#define VISIT(k, pixel, v, w) ++shown[k];
+#define FINISH(k, pixel) counts[pixel] = shown[k];
+#include "blend_visit.glsl"
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    if (folded_workgroup() == 0u && gl_SubgroupInvocationID == 0u) counts[size.x * size.y] = 0u;
+    visit_blend();
+}
