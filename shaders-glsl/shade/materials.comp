@@ -1,13 +1,13 @@
 // Materials of every pixel: a row of the sparse matrix times the Gaussians' values.
 #version 460
 #include "common.glsl"
+#include "step.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool METALLIC = false;
 layout(local_size_x_id = 0) in;
 
-layout(push_constant, scalar) uniform Push { uint pixels; } push;
-
+layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, row_starts); // [pixels + 1]
 IN(uint, columns);
 IN(float, weights);
@@ -18,7 +18,8 @@ OUT(float, metallic);
 
 void main() {
     uint p = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (p >= push.pixels) return;
+    uvec2 size = params.step.camera.size;
+    if (p >= size.x * size.y) return;
     vec4 sum = vec4(0.0);
     float metal = 0.0;
     uint end = row_starts[p + 1u];

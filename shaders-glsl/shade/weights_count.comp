@@ -16,7 +16,7 @@ IN(uint, tile_ranges);
 IN(uint, sorted_entries);
 IN(uint, entry_splats);
 IN(Splat, splats);
-OUT(uint, counts); // [pixels + 1], the last one 0
+OUT(uint, counts); // zero at first
 
 uint shown[PER_LANE];
 #define START(k, pixel) shown[k] = 0u;
@@ -24,8 +24,4 @@ uint shown[PER_LANE];
 #define FINISH(k, pixel) counts[pixel] = shown[k];
 #include "blend_visit.glsl"
 
-void main() {
-    uvec2 size = params.step.camera.size;
-    if (folded_workgroup() == 0u && gl_SubgroupInvocationID == 0u) counts[size.x * size.y] = 0u;
-    visit_blend();
-}
+void main() { visit_blend(); }

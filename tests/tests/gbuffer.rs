@@ -88,7 +88,7 @@ fn run(gpu: &Gpu, scene: &Gaussians, camera: &Camera, raw: &Materials, gradient:
         metallic: metals.then(|| g.external("metallic_seen", 4 * pixels)),
     };
     let active = values(&mut g, &t, &given, n).unwrap();
-    materials(&mut g, &t, &active, &matrix, pixels as u32, &picture).unwrap();
+    materials(&mut g, &t, &screen, &active, &matrix, &picture).unwrap();
     let asked = PixelMaterials {
         materials: g.external("materials_gradient", 16 * pixels),
         metallic: metals.then(|| g.external("metallic_gradient", 4 * pixels)),

@@ -8,6 +8,7 @@ mod geometry;
 mod labeler;
 mod render;
 mod status;
+mod surface;
 mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
@@ -17,6 +18,7 @@ pub use geometry::{
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
 pub use status::{RING, Status};
+pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{

@@ -88,7 +88,7 @@ pub struct Room {
     pub wanted: Buffer,
 }
 
-/// Fills the matrix of a view whose size is that of its screen exactly.
+/// Fills the matrix of a view. Rows past its last pixel are empty.
 ///
 /// # Errors
 /// If the graph refuses a pass.
@@ -104,6 +104,7 @@ pub fn weights(
 ) -> Result<(), GraphError> {
     let pixels = screen.pixels();
     let counts = g.transient("weight_counts", 4 * (pixels + 1));
+    g.fill("clear_weight_counts", counts, 0)?;
     let lanes = per_lane(t, screen);
     let bindings = weights_count::Bindings {
         params: screen.step.into(),

@@ -10,6 +10,7 @@
 use super::Weights;
 use crate::Tuning;
 use crate::kernel::{groups, stage};
+use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{material_values, materials as kernel, materials_bwd as backward};
 
@@ -33,19 +34,20 @@ pub struct PixelMaterials {
     pub metallic: Option<Buffer>,
 }
 
-/// Blends the materials of a view with `pixels` pixels. Reusing the values of other views of a step is up to the caller.
+/// Blends the materials of a view. `values` ([`values`]) serve all views of a step.
 ///
 /// # Errors
 /// If the graph refuses a pass.
 pub fn materials(
     g: &mut Graph,
     t: &Tuning,
+    screen: &Screen,
     values: &PixelMaterials,
     weights: &Weights,
-    pixels: u32,
     into: &PixelMaterials,
 ) -> Result<(), GraphError> {
     let bindings = kernel::Bindings {
+        params: screen.step.into(),
         row_starts: weights.row_starts.into(),
         columns: weights.columns.into(),
         weights: weights.weights.into(),
@@ -55,9 +57,8 @@ pub fn materials(
         metallic: or_nothing(g, into.metallic).into(),
     };
     let specs = kernel::Specs { workgroup: t.workgroup, metallic: into.metallic.is_some() };
-    let push = kernel::Push { pixels };
-    stage(g, "materials", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-        .dispatch(groups(u64::from(pixels), t.workgroup))
+    stage(g, "materials", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(screen.pixels(), t.workgroup))
 }
 
 /// Activates the materials of all `gaussians`: what [`materials`] blends, by Gaussian instead of by pixel.

@@ -1,0 +1,280 @@
+//! What a view sees of fixed geometry: surfaces by pixel, and the weights of the Gaussians there, both ways.
+//!
+//! Worked out once for a view and kept, or worked out again before each step where memory is short: it is the same pass over
+//! the same numbers either way, so that results are the same bits. The host waits while it is kept, since it has to know how
+//! many weights there are; it waits for nothing when room is known.
+
+use super::Step;
+use crate::Tuning;
+use crate::scene::{Gaussians, Handles};
+use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, weights};
+use crate::splat::{Blended, Screen, blend, intersect, project};
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::Camera;
+use std::sync::Arc;
+
+/// How large surfaces are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SurfaceShape {
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+    /// Gaussians.
+    pub gaussians: u32,
+    /// Room for weights.
+    pub weights: u32,
+}
+
+/// Names of the buffers, in the order of [`SurfaceShape::bytes`].
+const NAMES: [&str; 9] = [
+    "surface_points",
+    "surface_normals",
+    "surface_coverage",
+    "row_starts",
+    "columns",
+    "weights",
+    "column_starts",
+    "rows",
+    "row_weights",
+];
+
+impl SurfaceShape {
+    fn pixels(&self) -> u64 {
+        u64::from(self.largest[0]) * u64::from(self.largest[1])
+    }
+
+    fn each(&self) -> [u64; NAMES.len()] {
+        let (p, w) = (self.pixels(), 4 * u64::from(self.weights.max(1)));
+        [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, w, 4 * (u64::from(self.gaussians) + 1), w, w]
+    }
+
+    /// Bytes of one view's surfaces.
+    pub fn bytes(&self) -> u64 {
+        self.each().iter().sum()
+    }
+
+    /// Declares the surfaces of a view in a graph; `written` where a pass of it fills them.
+    pub fn declare(&self, g: &mut Graph, prefix: &str, written: bool) -> SurfaceHandles {
+        let mut at = NAMES.iter().zip(self.each()).map(|(name, bytes)| {
+            let name = format!("{prefix}{name}");
+            if written { g.external(name, bytes) } else { g.input(name, bytes) }
+        });
+        let mut next = || at.next().unwrap_or_else(|| unreachable!("invariant: nine buffers have nine names"));
+        let surfaces = Surfaces { points: next(), normals: next(), coverage: next() };
+        let weights = Weights {
+            row_starts: next(),
+            columns: next(),
+            weights: next(),
+            column_starts: next(),
+            rows: next(),
+            row_weights: next(),
+        };
+        SurfaceHandles { surfaces, weights }
+    }
+}
+
+/// A view's surfaces in one graph.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfaceHandles {
+    /// By pixel.
+    pub surfaces: Surfaces,
+    /// The matrix.
+    pub weights: Weights,
+}
+
+impl SurfaceHandles {
+    fn buffers(&self) -> [Buffer; NAMES.len()] {
+        let (s, w) = (&self.surfaces, &self.weights);
+        [s.points, s.normals, s.coverage, w.row_starts, w.columns, w.weights, w.column_starts, w.rows, w.row_weights]
+    }
+}
+
+/// A view's surfaces in device memory.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    shape: SurfaceShape,
+    buffers: Vec<DeviceBuffer>,
+}
+
+impl Surface {
+    /// Room for the surfaces of a view.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, shape: SurfaceShape) -> Result<Surface> {
+        let make = |(name, bytes): (&&str, u64)| device.buffer(name, bytes, Location::Device);
+        let buffers = NAMES.iter().zip(shape.each()).map(make).collect::<Result<_>>()?;
+        Ok(Surface { shape, buffers })
+    }
+
+    /// How large it is.
+    pub fn shape(&self) -> SurfaceShape {
+        self.shape
+    }
+
+    /// Puts it behind its handles.
+    ///
+    /// # Errors
+    /// If the plan was made for a larger one.
+    pub fn bind(&self, exec: &mut Executor, handles: &SurfaceHandles) -> Result<()> {
+        handles.buffers().iter().zip(&self.buffers).try_for_each(|(handle, buffer)| exec.bind(*handle, buffer))
+    }
+
+    /// Points, normals and coverage on the host (waits for the device).
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn download(&self, device: &Device) -> Result<[Vec<f32>; 3]> {
+        let pixels = self.shape.pixels() as usize;
+        Ok([
+            device.download_as(&self.buffers[0], 3 * pixels)?,
+            device.download_as(&self.buffers[1], 3 * pixels)?,
+            device.download_as(&self.buffers[2], pixels)?,
+        ])
+    }
+}
+
+/// Fills surfaces, view by view.
+pub struct SurfaceBuilder {
+    device: Device,
+    tuning: Tuning,
+    shape: SurfaceShape,
+    entry_capacity: u32,
+    state: State,
+}
+
+struct State {
+    exec: Executor,
+    step: Buffer,
+    gaussians: Handles,
+    into: SurfaceHandles,
+    /// Whether something did not fit; entries wanted; weights wanted.
+    flags: DeviceBuffer,
+    wanted: [DeviceBuffer; 2],
+}
+
+impl SurfaceBuilder {
+    /// Prepares for views of at most `largest` columns and rows. The Gaussians need normals.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, tuning: Tuning, gaussians: &Gaussians, largest: [u32; 2]) -> Result<SurfaceBuilder> {
+        let pixels = u64::from(largest[0]) * u64::from(largest[1]);
+        let guess = u32::try_from(8 * pixels).unwrap_or(u32::MAX).max(1 << 10);
+        let shape = SurfaceShape { largest, gaussians: gaussians.capacity, weights: guess };
+        let entry_capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
+        let state = State::new(device, &tuning, gaussians, shape, entry_capacity)?;
+        Ok(SurfaceBuilder { device: device.clone(), tuning, shape, entry_capacity, state })
+    }
+
+    /// The room that the views seen so far need ([`SurfaceBuilder::measure`]).
+    pub fn shape(&self) -> SurfaceShape {
+        self.shape
+    }
+
+    /// Makes room for a view: it fits from now on, and so does every view that did before (waits for the device).
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn measure(&mut self, gaussians: &Gaussians, camera: &Camera) -> Result<()> {
+        loop {
+            let scratch = Surface::new(&self.device, self.shape)?;
+            self.fill(gaussians, camera, &scratch)?;
+            self.state.exec.finish()?;
+            if self.device.download_as::<u32>(&self.state.flags, 1)?[0] == 0 {
+                return Ok(());
+            }
+            let mut wanted = [0; 2];
+            for (value, buffer) in wanted.iter_mut().zip(&self.state.wanted) {
+                *value = self.device.download_as::<u32>(buffer, 1)?[0];
+            }
+            let more = |room: u32, wanted: u32| if wanted > room { wanted.saturating_add(wanted / 16) } else { room };
+            self.entry_capacity = more(self.entry_capacity, wanted[0]);
+            self.shape.weights = more(self.shape.weights, wanted[1]);
+            self.state = State::new(&self.device, &self.tuning, gaussians, self.shape, self.entry_capacity)?;
+        }
+    }
+
+    /// Room for weights, no more than is needed by views whose largest wanted this many.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn fit(&mut self, gaussians: &Gaussians, weights: u32) -> Result<()> {
+        if weights != self.shape.weights {
+            self.shape.weights = weights.max(1);
+            self.state = State::new(&self.device, &self.tuning, gaussians, self.shape, self.entry_capacity)?;
+        }
+        Ok(())
+    }
+
+    /// How many weights the last measured view wanted (waits for the device).
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn wanted(&self) -> Result<u32> {
+        Ok(self.device.download_as::<u32>(&self.state.wanted[1], 1)?[0])
+    }
+
+    /// Fills `into`, which has the builder's shape, without waiting. The view must have been measured.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn fill(&mut self, gaussians: &Gaussians, camera: &Camera, into: &Surface) -> Result<()> {
+        gaussians.bind(&mut self.state.exec, &self.state.gaussians)?;
+        into.bind(&mut self.state.exec, &self.state.into)?;
+        let mut camera = *camera;
+        let tile = self.tuning.tile;
+        camera.tiles = [camera.size[0].div_ceil(tile[0]), camera.size[1].div_ceil(tile[1])];
+        let step = Step { camera, step: 1, ..Default::default() };
+        self.state.exec.submit(&[(self.state.step, bytemuck::bytes_of(&step))])?;
+        Ok(())
+    }
+
+    /// Waits for what was submitted.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
+        self.state.exec.finish()
+    }
+}
+
+impl State {
+    fn new(
+        device: &Device,
+        t: &Tuning,
+        gaussians: &Gaussians,
+        shape: SurfaceShape,
+        entry_capacity: u32,
+    ) -> Result<State> {
+        let mut g = Graph::new("surface");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest: shape.largest, tile: t.tile };
+        let handles = gaussians.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let wanted = ["wanted_entries", "wanted_weights"].map(|name| g.external(name, 4));
+        let into = shape.declare(&mut g, "", true);
+        g.fill("clear_flags", flags, 0)?;
+        let visible = project(&mut g, t, &screen, &handles, GBUFFER_CHANNELS)?;
+        let entries = intersect(&mut g, t, &screen, &visible, entry_capacity, flags)?;
+        let blended = Blended {
+            image: g.transient("image", 4 * u64::from(GBUFFER_CHANNELS.count()) * screen.pixels()),
+            transmittance: g.transient("transmittance", 4 * screen.pixels()),
+        };
+        blend(&mut g, t, &screen, &visible, &entries, &blended)?;
+        gbuffer(&mut g, t, &screen, &blended, &into.surfaces)?;
+        let room = Room { capacity: shape.weights, gaussians: shape.gaussians, flags, wanted: wanted[1] };
+        weights(&mut g, t, &screen, &visible, &entries, into.surfaces.coverage, &room, &into.weights)?;
+        g.copy("copy_wanted", entries.wanted, wanted[0])?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let make = |name: &str| device.buffer(name, 4, Location::Device);
+        let (flag_memory, wanted_memory) = (make("flags")?, [make("wanted_entries")?, make("wanted_weights")?]);
+        let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        exec.bind(flags, &flag_memory)?;
+        for (handle, memory) in wanted.iter().zip(&wanted_memory) {
+            exec.bind(*handle, memory)?;
+        }
+        Ok(State { exec, step, gaussians: handles, into, flags: flag_memory, wanted: wanted_memory })
+    }
+}
