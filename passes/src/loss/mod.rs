@@ -1,7 +1,9 @@
 //! Losses: each a forward pass that leaves sums, and a gradient by what was rendered.
 
+pub mod compose;
 pub mod correspondence;
 pub mod geometry_loss;
+pub mod material_pictures;
 pub mod octahedral;
 pub mod photometric;
 pub mod region_mask;
@@ -11,10 +13,12 @@ pub mod semantic_sum;
 pub mod sum;
 pub mod wanted;
 
+pub use compose::{Compose, Saturated, compose, compose_bwd};
 pub use correspondence::{
     Correspondence, Pictured, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
 };
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
+pub use material_pictures::{MaterialPictures, Materials, material_pictures, material_pictures_bwd, pictures};
 pub use octahedral::{octahedral_decode, octahedral_encode};
 pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photometric_bwd_in_place};
 pub use region_mask::{CarryOptions, Seen, carry_mask, pack_regions, region_mask};

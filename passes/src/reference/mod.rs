@@ -2,11 +2,13 @@
 
 pub mod adam;
 pub mod blend;
+pub mod compose;
 pub mod correspondence;
 pub mod densify;
 pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;
+pub mod material_pictures;
 pub mod photometric;
 pub mod present;
 pub mod project;
@@ -15,6 +17,7 @@ pub mod region_mask;
 pub mod rng;
 pub mod scan;
 pub mod semantic;
+pub mod srgb;
 
 /// Central difference of `f` along coordinate `i` of `x`.
 #[cfg(test)]

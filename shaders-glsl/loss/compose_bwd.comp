@@ -1,0 +1,38 @@
+// The gradient of the composed picture, back to the light. What was cut off has none, unless it would come back.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const bool DIRECT = true;
+layout(constant_id = 3) const bool AMBIENT = true;
+layout(constant_id = 4) const bool RETURNING = false; // whether what was cut off keeps gradients that lead it back
+
+layout(scalar) uniform StepBlock { Step step; } params;
+
+IN(vec3, direct);            // P, linear
+IN(vec3, ambient);           // P, linear
+IN(float, coverage);         // P
+IN(vec3, grad_image);        // P
+OUT(vec3, radiance_gradient); // P, of direct and ambient alike
+
+#include "compose.glsl"
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (pixel >= size.x * size.y) return;
+    float covered = coverage[pixel];
+    vec3 g = vec3(0.0);
+    if (is_covered(covered)) {
+        vec3 light;
+        vec3 linear = composed(pixel, covered, light);
+        g = mix(vec3(0.0), grad_image[pixel], finite3(light));
+        // A step goes against the gradient: a positive one makes darker.
+        vec3 above = RETURNING ? max(g, 0.0) : vec3(0.0), below = RETURNING ? min(g, 0.0) : vec3(0.0);
+        g = mix(mix(g, above, srgb_above(linear)), below, srgb_below(linear));
+        g *= covered * srgb_slope(linear);
+    }
+    radiance_gradient[pixel] = g;
+}
