@@ -18,6 +18,7 @@ pub mod rng;
 pub mod scan;
 pub mod semantic;
 pub mod srgb;
+pub mod visibility;
 
 /// Central difference of `f` along coordinate `i` of `x`.
 #[cfg(test)]

@@ -6,6 +6,7 @@
 
 mod gbuffer;
 mod materials;
+pub mod visibility;
 
 pub use gbuffer::{GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Surfaces, Weights, gbuffer, weights};
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};

@@ -1,0 +1,242 @@
+//! Twin of the visibility field: value and gradients at one pair of point and light, and the loss that is sent through it.
+
+use crate::reference::rng::{normal_from, random_bits};
+use crate::shade::visibility::{FIELD_FEATURES, FIELD_WIDTH, FieldConfig};
+use sgs_shaders::structs::FieldLevel;
+
+const POINTS: u32 = 0x51a7;
+const LIGHTS: u32 = 0xb0c3;
+
+/// A field with its parameters.
+#[derive(Clone, Debug)]
+pub struct Field {
+    /// Levels of the grid.
+    pub levels: Vec<FieldLevel>,
+    /// Two features an entry.
+    pub tables: Vec<f64>,
+    /// Rows of the first layer (features, direction, distance), of the second, and the last.
+    pub mlp: Vec<f64>,
+    /// The box: lower corner.
+    pub low: [f32; 3],
+    /// The box: 1 / size.
+    pub inverse: [f32; 3],
+}
+
+/// Gradients of a field and of what it was asked about.
+#[derive(Clone, Debug)]
+pub struct Gradients {
+    /// By [`Field::tables`].
+    pub tables: Vec<f64>,
+    /// By [`Field::mlp`].
+    pub mlp: Vec<f64>,
+    /// By position of the lights.
+    pub lights: Vec<[f64; 3]>,
+}
+
+/// What a pair's evaluation leaves for the way back.
+struct Trace {
+    /// Entry and weight by level and corner.
+    corners: Vec<(usize, f64)>,
+    inputs: Vec<f64>,
+    first: Vec<f64>,
+    second: Vec<f64>,
+    reach: f64,
+    value: f64,
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+impl Field {
+    /// From single precision, as the device has it.
+    pub fn new(config: &FieldConfig, tables: &[f32], mlp: &[f32], low: [f32; 3], high: [f32; 3]) -> Field {
+        let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect();
+        let inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
+        Field { levels: config.table_levels(), tables: wide(tables), mlp: wide(mlp), low, inverse }
+    }
+
+    fn inputs(&self) -> usize {
+        FIELD_FEATURES * self.levels.len() + 4
+    }
+
+    /// In the box's coordinates, clamped to it.
+    pub fn position(&self, world: [f64; 3]) -> [f64; 3] {
+        let axis = |k: usize| (world[k] - f64::from(self.low[k])) * f64::from(self.inverse[k]);
+        [0, 1, 2].map(|k| axis(k).clamp(0.0, 1.0))
+    }
+
+    /// Entries and weights of a point. Where the point lies in a cell is worked out in single precision, as in the
+    /// kernel: at 4096 steps an axis that is what a coordinate has digits for.
+    fn corners(&self, world: [f64; 3]) -> Vec<(usize, f64)> {
+        let x = [0, 1, 2].map(|k| ((world[k] as f32 - self.low[k]) * self.inverse[k]).clamp(0.0, 1.0));
+        let mut corners = Vec::new();
+        for level in &self.levels {
+            let at = x.map(|x| x.mul_add(level.scale, 0.5));
+            let last = level.resolution - 1;
+            let low = at.map(|a| (a.floor() as u32).min(last));
+            let part = at.map(|a| f64::from(a - a.floor()));
+            for corner in 0..8 {
+                let up = [0, 1, 2].map(|k| corner >> k & 1 == 1);
+                let [i, j, k] = [0, 1, 2].map(|k| if up[k] { (low[k] + 1).min(last) } else { low[k] });
+                let weight = (0..3).map(|k| if up[k] { part[k] } else { 1.0 - part[k] }).product();
+                let entry = match level.mask {
+                    0 => i + level.resolution * (j + level.resolution * k),
+                    mask => (i ^ j.wrapping_mul(2_654_435_761) ^ k.wrapping_mul(805_459_861)) & mask,
+                };
+                corners.push(((level.offset + entry) as usize, weight));
+            }
+        }
+        corners
+    }
+
+    /// What the first layer makes of a point alone.
+    pub fn point_share(&self, world: [f64; 3]) -> Vec<f64> {
+        let inputs = self.inputs();
+        let mut features = vec![0.0; inputs - 4];
+        for (c, (entry, weight)) in self.corners(world).iter().enumerate() {
+            for f in 0..FIELD_FEATURES {
+                features[c / 8 * FIELD_FEATURES + f] += weight * self.tables[entry * FIELD_FEATURES + f];
+            }
+        }
+        let row = |row: &[f64]| row.iter().zip(&features).map(|(w, x)| w * x).sum();
+        self.mlp[..FIELD_WIDTH * inputs].chunks(inputs).map(row).collect()
+    }
+
+    fn trace(&self, point: [f64; 3], light: [f64; 3]) -> Trace {
+        let corners = self.corners(point);
+        let mut inputs = vec![0.0; self.inputs()];
+        for (c, (entry, weight)) in corners.iter().enumerate() {
+            for f in 0..FIELD_FEATURES {
+                inputs[c / 8 * FIELD_FEATURES + f] += weight * self.tables[entry * FIELD_FEATURES + f];
+            }
+        }
+        let (x, p) = (self.position(point), self.position(light));
+        let way = [0, 1, 2].map(|k| x[k] - p[k]);
+        let reach = dot(way, way).sqrt();
+        let features = inputs.len() - 4;
+        for k in 0..3 {
+            inputs[features + k] = way[k] / reach.max(1e-12);
+        }
+        inputs[features + 3] = reach;
+        let layer = |weights: &[f64], x: &[f64]| -> Vec<f64> {
+            weights.chunks(x.len()).map(|row| row.iter().zip(x).map(|(w, x)| w * x).sum()).collect()
+        };
+        let rectified = |v: &[f64]| v.iter().map(|z| z.max(0.0)).collect::<Vec<f64>>();
+        let (one, rest) = self.mlp.split_at(FIELD_WIDTH * inputs.len());
+        let (two, three) = rest.split_at(FIELD_WIDTH * FIELD_WIDTH);
+        let first = rectified(&layer(one, &inputs));
+        let second = rectified(&layer(two, &first));
+        let logit = layer(three, &second)[0];
+        Trace { corners, inputs, first, second, reach, value: 1.0 / (1.0 + (-logit).exp()) }
+    }
+
+    /// How much of a light a point sees; both in the world.
+    pub fn visibility(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
+        self.trace(point, light).value
+    }
+
+    /// Gradients of nothing yet.
+    pub fn zeros(&self, lights: usize) -> Gradients {
+        Gradients {
+            tables: vec![0.0; self.tables.len()],
+            mlp: vec![0.0; self.mlp.len()],
+            lights: vec![[0.0; 3]; lights],
+        }
+    }
+
+    /// Adds what `gradient` by the value of a pair makes of everything behind it.
+    pub fn visibility_bwd(
+        &self,
+        point: [f64; 3],
+        lights: &[[f64; 3]],
+        light: usize,
+        gradient: f64,
+        into: &mut Gradients,
+    ) {
+        let t = self.trace(point, lights[light]);
+        let (inputs, width) = (t.inputs.len(), FIELD_WIDTH);
+        let (second_at, last_at) = (width * inputs, width * (inputs + width));
+        let logit = gradient * t.value * (1.0 - t.value);
+        let mut first = vec![0.0; width];
+        for o in 0..width {
+            into.mlp[last_at + o] += logit * t.second[o];
+            let g = if t.second[o] > 0.0 { logit * self.mlp[last_at + o] } else { 0.0 };
+            for k in 0..width {
+                into.mlp[second_at + o * width + k] += g * t.first[k];
+                first[k] += g * self.mlp[second_at + o * width + k];
+            }
+        }
+        let mut by_input = vec![0.0; inputs];
+        for n in 0..width {
+            let g = if t.first[n] > 0.0 { first[n] } else { 0.0 };
+            for k in 0..inputs {
+                into.mlp[n * inputs + k] += g * t.inputs[k];
+                by_input[k] += g * self.mlp[n * inputs + k];
+            }
+        }
+        for (c, (entry, weight)) in t.corners.iter().enumerate() {
+            for f in 0..FIELD_FEATURES {
+                into.tables[entry * FIELD_FEATURES + f] += weight * by_input[c / 8 * FIELD_FEATURES + f];
+            }
+        }
+        // A light that is held at the box's faces, or lies on the point, does not move.
+        let axis = |v: &[f64]| [v[inputs - 4], v[inputs - 3], v[inputs - 2]];
+        let (way, across) = (axis(&t.inputs), axis(&by_input));
+        for k in 0..3 {
+            let unclamped = (lights[light][k] - f64::from(self.low[k])) * f64::from(self.inverse[k]);
+            if t.reach > 1e-12 && unclamped > 0.0 && unclamped < 1.0 {
+                let turned = (across[k] - way[k] * dot(way, across)) / t.reach;
+                into.lights[light][k] -= (turned + way[k] * by_input[inputs - 1]) * f64::from(self.inverse[k]);
+            }
+        }
+    }
+}
+
+/// What moves a point (`kind` 0) or a light (1) for the smoothness term.
+pub fn jitter(seed: u32, kind: usize, index: u32, deviation: f64) -> [f64; 3] {
+    let seed = seed ^ [POINTS, LIGHTS][kind];
+    let bits = |i: u32| random_bits(seed, index, i);
+    let [[a, b], [c, _]] = [normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3))];
+    [a, b, c].map(|x| deviation * x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::difference;
+    use super::*;
+    use crate::reference::rng::Pcg;
+
+    #[test]
+    fn gradients_are_differences() {
+        let config = FieldConfig { levels: 3, log2_table: 8, coarsest: 4, finest: 40 };
+        let mut rng = Pcg::new(1);
+        let tables: Vec<f32> = (0..2 * config.entries()).map(|_| rng.normal() as f32).collect();
+        let mut field = Field::new(&config, &tables, &config.initial_weights(7), [-1.0, -2.0, 0.0], [2.0, 2.0, 3.0]);
+        let (point, light) = ([0.3, -0.4, 1.0], [1.1, 0.7, 2.0]);
+        let mut found = field.zeros(1);
+        field.visibility_bwd(point, &[light], 0, 1.0, &mut found);
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-8 + 1e-5 * b.abs(), "{a} is not {b}");
+        let mut mlp = field.mlp.clone();
+        for i in (0..mlp.len()).step_by(7) {
+            let d = difference(&mut mlp, i, |w| Field { mlp: w.to_vec(), ..field.clone() }.visibility(point, light));
+            close(found.mlp[i], d);
+        }
+        let touched: Vec<usize> = (0..found.tables.len()).filter(|i| found.tables[*i] != 0.0).collect();
+        assert!(touched.len() > 20);
+        for i in touched {
+            let old = field.tables[i];
+            field.tables[i] = old + 1e-5;
+            let up = field.visibility(point, light);
+            field.tables[i] = old - 1e-5;
+            let down = field.visibility(point, light);
+            field.tables[i] = old;
+            close(found.tables[i], (up - down) / 2e-5);
+        }
+        let mut p = light;
+        for k in 0..3 {
+            let d = difference(&mut p, k, |p| field.visibility(point, [p[0], p[1], p[2]]));
+            close(found.lights[0][k], d);
+        }
+    }
+}

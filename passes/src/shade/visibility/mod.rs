@@ -1,0 +1,118 @@
+//! `visibility_encode` and `visibility`: a learned field of how much of a light a point sees.
+//!
+//! SGS-Intrinsic, stage II: features of a hash grid at the point, direction from the light, distance, through layers of 32,
+//! 32 and 1; positions are those of the box, clamped to it. The first layer is split: its product with the features is
+//! made once a pixel, so a pair of pixel and light costs 4 x 32 products there instead of 36 x 32. Direction and distance are not
+//! split any further: differences of positions are exact where points and lights are close, differences of products are not.
+//!
+//! Nothing of size pixels times lights is stored. What the first layer makes of a point can be (`visibility_encode`, 128
+//! bytes a pixel): whoever goes through the lights in another order, or twice, then need not look into the tables again.
+//!
+//! Cost: 128 gathers of 8 bytes and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
+
+mod config;
+
+pub use config::{FIELD_FEATURES, FIELD_LEVELS, FIELD_WIDTH, FieldConfig, FieldError};
+
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{visibility as kernel, visibility_encode as encode_kernel};
+
+/// A field in a graph.
+#[derive(Clone, Copy, Debug)]
+pub struct Field {
+    /// Its shape.
+    pub config: FieldConfig,
+    /// Uniform `FieldStep`: box, jitter, sizes, seed, learning rate.
+    pub step: Buffer,
+    /// `[levels]` of `FieldLevel`: [`FieldConfig::table_levels`].
+    pub levels: Buffer,
+    /// `[entries * 2]` floats.
+    pub tables: Buffer,
+    /// `[weights]` floats: rows of the first layer (features, direction, distance), of the second, the last.
+    pub mlp: Buffer,
+}
+
+/// What is looked at from where.
+#[derive(Clone, Copy, Debug)]
+pub struct View {
+    /// Most pixels that there can be; the step's `pixels` says how many there are.
+    pub pixels: u32,
+    /// `[pixels * 3]` floats, world.
+    pub points: Buffer,
+    /// `[pixels]` floats; pixels below 1e-3 are not shaded.
+    pub coverage: Buffer,
+    /// `[lights * 3]` floats, world.
+    pub lights: Buffer,
+}
+
+/// Invocations of a workgroup and a subgroup, and whether these work on their pixels together.
+fn shape(tuning: Tuning) -> ([u32; 2], bool) {
+    let spread = tuning.subgroup_size == 8;
+    ([if spread { 8 } else { tuning.workgroup.min(128) }, tuning.subgroup_size], spread)
+}
+
+/// Adds the pass that writes how much of the lights each pixel sees: `into`, `[pixels]` floats in 0 to 1, 0 where nothing is
+/// shaded. The mean over the step's `lights`, or of light `one` alone. `split`: whether the first layer's share of the point
+/// is made once a pixel; if not, once a pair (only there for comparison).
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn visibility(
+    g: &mut Graph,
+    tuning: Tuning,
+    field: &Field,
+    view: &View,
+    one: Option<u32>,
+    split: bool,
+    into: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = kernel::Bindings {
+        params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        light_positions: view.lights.into(),
+        points: view.points.into(),
+        coverage: view.coverage.into(),
+        visibility: into.into(),
+    };
+    let ([workgroup, subgroup], spread) = shape(tuning);
+    let one = one.unwrap_or(u32::MAX);
+    let specs = kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels, split, one };
+    stage(g, "visibility", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(u64::from(view.pixels), workgroup))
+}
+
+/// Adds the pass that writes what the first layer makes of the points of `count` pixels from `first` on: `into`, rows of 32
+/// floats, whether or not something is shaded there. `jitter`: of points moved a little, for the smoothness term.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn visibility_encode(
+    g: &mut Graph,
+    tuning: Tuning,
+    name: &str,
+    field: &Field,
+    view: &View,
+    [first, count]: [u32; 2],
+    jitter: bool,
+    into: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = encode_kernel::Bindings {
+        params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        points: view.points.into(),
+        rows: into.into(),
+    };
+    let ([workgroup, subgroup], spread) = shape(tuning);
+    let specs = encode_kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels, jitter };
+    let push = encode_kernel::Push { first, count };
+    stage(g, name, &encode_kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(subgroup))
+        .dispatch(groups(u64::from(count), workgroup))
+}

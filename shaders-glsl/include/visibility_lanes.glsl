@@ -1,0 +1,49 @@
+// Products of a layer's matrix with eight items at a time, neurons spread over the lanes: lane c of a side holds neurons
+// c HELD, c HELD + 1 and so on, of all items. A column of the matrix then meets an item's number by handing that round.
+//
+// Matrices lie in arrays of an invocation, which processors read as cheaply as constants, unlike buffers or shared memory.
+// Compilers give up on unrolling loops that become long, so those over items are written out. Needs SUBGROUP; call from
+// uniform control flow.
+
+const uint WIDTH = 32u;
+const uint ITEMS = 8u;
+const uint ACROSS = SUBGROUP < WIDTH ? SUBGROUP : WIDTH;
+const uint HELD = WIDTH / ACROSS;
+const uint SIDES = SUBGROUP / ACROSS;
+
+// This lane among those of its side, and its first neuron.
+uint column() { return gl_SubgroupInvocationID % ACROSS; }
+uint neuron(uint h) { return column() * HELD + h; }
+
+// What lane c of this side has.
+float from_lane(float x, uint c) {
+    return subgroupShuffle(x, SIDES > 1u ? gl_SubgroupInvocationID / ACROSS * ACROSS + c : c);
+}
+
+#define EACH_HELD(h) [[unroll]] for (uint h = 0u; h < HELD; h++)
+#define EACH_ITEM(f) f(0u); f(1u); f(2u); f(3u); f(4u); f(5u); f(6u); f(7u);
+
+// Fills an array by `at(k, h)`: on processors by a loop, elsewhere written out, so that it lies in registers.
+#define FILL_COLUMNS(array_, count_, at_)                                                                      \
+    if (SUBGROUP <= 8u) {                                                                                      \
+        [[dont_unroll]] for (uint i_ = 0u; i_ < (count_) * HELD; i_++) array_[i_] = at_(i_ / HELD, i_ % HELD); \
+    } else {                                                                                                   \
+        [[unroll]] for (uint i_ = 0u; i_ < (count_) * HELD; i_++) array_[i_] = at_(i_ / HELD, i_ % HELD);      \
+    }
+
+// Sums over the lanes of a side of eight values: afterwards lane c has the sum of value c % 8.
+#define ITEM_SUMS_AT(values_, reach_)                                                                          \
+    {                                                                                                          \
+        bool upper_ = (gl_SubgroupInvocationID & reach_) != 0u;                                                \
+        [[unroll]] for (uint j_ = 0u; j_ < reach_; ++j_) {                                                     \
+            float given_ = upper_ ? values_[j_] : values_[j_ + reach_];                                        \
+            float kept_ = upper_ ? values_[j_ + reach_] : values_[j_];                                         \
+            values_[j_] = kept_ + subgroupShuffleXor(given_, reach_);                                          \
+        }                                                                                                      \
+    }
+#define ITEM_SUMS(values_)                                                                                     \
+    ITEM_SUMS_AT(values_, 4u)                                                                                  \
+    ITEM_SUMS_AT(values_, 2u)                                                                                  \
+    ITEM_SUMS_AT(values_, 1u)                                                                                  \
+    if (ACROSS > 8u) values_[0] += subgroupShuffleXor(values_[0], 8u);                                         \
+    if (ACROSS > 16u) values_[0] += subgroupShuffleXor(values_[0], 16u);

@@ -1,0 +1,49 @@
+// The visibility field's hash grid: what its first layer makes of each pixel's point, and of the point moved a little.
+// Rows of 32 by pixel, so that whoever goes through lights, in whatever order, need not look into the tables again.
+#version 460
+#include "common.glsl"
+#include "random.glsl"
+#include "visibility_grid.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 64;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint SUBGROUP = 32;
+layout(constant_id = 3) const bool SPREAD = false; // see visibility_field.glsl
+layout(constant_id = 4) const uint LEVELS = 16;
+layout(constant_id = 5) const bool JITTER = false; // of the moved point instead
+
+layout(push_constant, scalar) uniform Push {
+    uint first; // pixel
+    uint count;
+} push;
+
+layout(scalar) uniform FieldBlock { FieldStep field; } params;
+
+IN(FieldLevel, field_levels);
+IN(vec2, tables);
+IN(float, mlp);
+IN(vec3, points);
+OUT(float, rows); // count x 32
+
+#include "visibility_field.glsl"
+#include "visibility_jitter.glsl"
+
+void main() {
+    field_weights();
+    uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x, pixel = push.first + i;
+    bool within = i < push.count && pixel < params.field.pixels;
+    uint at = within ? pixel : 0u;
+    vec3 point = points[at];
+    if (JITTER) point += jitter_of(params.field, POINTS, at);
+    field_pixel(field_position(params.field, point));
+    if (SPREAD) {
+        // Rows of the subgroup's pixels lie one behind the other.
+        uint first = i - gl_SubgroupInvocationID;
+        [[unroll]] for (uint item = 0u; item < ITEMS; item++) {
+            if (first + item < push.count)
+                EACH_HELD(h) rows[(first + item) * WIDTH + neuron(h)] = spread_points[item * HELD + h];
+        }
+    } else if (within) {
+        FIELD_EACH(n, WIDTH) rows[i * WIDTH + n] = alone_point[n];
+    }
+}
