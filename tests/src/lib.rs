@@ -7,6 +7,7 @@ pub mod compare;
 pub mod feature_view;
 pub mod gpu;
 pub mod kernels;
+pub mod materials;
 pub mod meaning;
 pub mod place;
 pub mod priors;

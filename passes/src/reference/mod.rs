@@ -4,11 +4,14 @@ pub mod adam;
 pub mod blend;
 pub mod compose;
 pub mod correspondence;
+pub mod cross_view;
 pub mod densify;
+pub mod edge_aware;
 pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;
 pub mod material_pictures;
+pub mod msg;
 pub mod photometric;
 pub mod present;
 pub mod project;
@@ -18,6 +21,7 @@ pub mod rng;
 pub mod scan;
 pub mod semantic;
 pub mod srgb;
+pub mod taps;
 pub mod visibility;
 
 /// Central difference of `f` along coordinate `i` of `x`.

@@ -1,0 +1,13 @@
+// What the losses of materials came to in a step: before their weights, and with them. What is absent is 0.
+struct MaterialStats {
+    float total;          // of the following, weighted
+    float albedo_msg;     // mean over the levels
+    float roughness_msg;
+    float albedo_edge;    // mean over pixels and channels
+    float roughness_edge; // mean over pixels
+    float cross_view;     // distances of mean albedo, summed over the pseudo-views
+    float relight;        // squared differences and gradients, mean over the estimates
+    float saturated;      // share of the view's pixels of which a channel is cut off at white
+    uint cross_pairs;     // pseudo-views whose region, and the training view's, were large enough
+    uint relight_count;   // estimates of which something counted
+};

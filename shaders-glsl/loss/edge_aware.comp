@@ -1,0 +1,123 @@
+// Edge-aware smoothness of albedo and roughness, and what it adds to their gradients.
+//
+// A workgroup does one tile: materials and the photograph with two pixels of margin; Sobel filters with one; the transposed
+// filters of the weighted signs. Borders repeat the last pixel.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "material_weights.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 96;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint TILE_X = 28; // with both margins 32 columns
+layout(constant_id = 3) const uint TILE_Y = 16;
+layout(constant_id = 4) const uint RUN = 6;     // rows of one invocation
+layout(constant_id = 5) const bool ROUGHNESS = true;
+
+const float SIDE = 1.0, MIDDLE = 2.0, SCALE = 0.125;
+const bool REFLECT = false;
+
+#define SUM_T vec2
+#include "group_sum.glsl"
+#include "tile_filters.glsl"
+
+layout(scalar) uniform StepBlock { Step step; } params;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+
+IN(vec3, albedo_srgb);           // P
+IN(vec3, roughness_gray);        // P, the first channel counts
+IN(uint, targets);               // packed RGBA8
+INOUT(vec3, albedo_gradient);    // P, added to
+INOUT(vec3, roughness_gradient); // P, added to the first channel
+OUT(vec2, sums);                 // by workgroup: of albedo over pixels and channels, of roughness over pixels
+
+shared uint photo[DATA_X * DATA_Y];
+
+struct PhotoRow {
+    vec3 difference, smoothed;
+};
+
+PhotoRow photo_row(uint at) {
+    vec3 a = unpackUnorm4x8(photo[at]).rgb, b = unpackUnorm4x8(photo[at + 1u]).rgb;
+    vec3 c = unpackUnorm4x8(photo[at + 2u]).rgb;
+    return PhotoRow(c - a, a + 2.0 * b + c);
+}
+
+// Factors of the three channels of albedo and of roughness: that of roughness is the mean of the others.
+vec4 edge(vec3 filtered) {
+    vec3 e = exp(-abs(filtered));
+    return vec4(e, (e.r + e.g + e.b) / 3.0);
+}
+
+void main() {
+    uvec2 size = params.step.camera.size;
+    uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
+    uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
+    uint tile = folded_workgroup();
+    if (tile >= tiles_x * tiles_y) {
+        // Of a smaller view than the largest, or only there because the grid is folded.
+        if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec2(0.0);
+        return;
+    }
+    ivec2 origin = ivec2(uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y));
+    ivec2 last = ivec2(size) - 1;
+    vec4 sum = vec4(0.0);
+
+    for (uint item = gl_LocalInvocationID.x; item < DATA_X * DATA_Y; item += WORKGROUP) {
+        ivec2 p = origin - 2 + ivec2(item % DATA_X, item / DATA_X);
+        uint pixel = uint(tile_inside(p.y, last.y)) * size.x + uint(tile_inside(p.x, last.x));
+        tile_data[item] = vec4(albedo_srgb[pixel], ROUGHNESS ? roughness_gray[pixel].x : 0.0);
+        photo[item] = targets[params.step.target_offset + pixel];
+    }
+    barrier();
+
+    for (uint item = gl_LocalInvocationID.x; item < SLOPE_X * ((SLOPE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
+        uint column = item % SLOPE_X, first = item / SLOPE_X * RUN, end = min(first + RUN, SLOPE_Y);
+        int x = origin.x + int(column) - 1;
+        uint at = first * DATA_X + column;
+        TileRow above = tile_row(at), here = tile_row(at + DATA_X);
+        PhotoRow photo_above = photo_row(at), photo_here = photo_row(at + DATA_X);
+        for (uint row = first; row < end; row++) {
+            TileRow below = tile_row((row + 2u) * DATA_X + column);
+            PhotoRow photo_below = photo_row((row + 2u) * DATA_X + column);
+            int y = origin.y + int(row) - 1;
+            vec4 dx = tile_along_x(above, here, below), dy = tile_along_y(above, below);
+            vec4 edge_x = edge(0.125 * (photo_above.difference + 2.0 * photo_here.difference + photo_below.difference));
+            vec4 edge_y = edge(0.125 * (photo_below.smoothed - photo_above.smoothed));
+            bool inside = x >= 0 && y >= 0 && x <= last.x && y <= last.y;
+            tile_x[row * SLOPE_X + column] = inside ? edge_x * sign(dx) : vec4(0.0);
+            tile_y[row * SLOPE_X + column] = inside ? edge_y * sign(dy) : vec4(0.0);
+            bool mine = column - 1u < TILE_X && row - 1u < TILE_Y;
+            if (inside && mine) sum += edge_x * abs(dx) + edge_y * abs(dy);
+            above = here;
+            here = below;
+            photo_above = photo_here;
+            photo_here = photo_below;
+        }
+    }
+    barrier();
+
+    float pixels = float(size.x) * float(size.y);
+    vec2 weight = vec2(given.weights.albedo_edge / 3.0, given.weights.roughness_edge) / pixels;
+    for (uint item = gl_LocalInvocationID.x; item < TILE_X * ((TILE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
+        uint column = item % TILE_X, first = item / TILE_X * RUN, end = min(first + RUN, TILE_Y);
+        int x = origin.x + int(column);
+        if (x > last.x) continue;
+        TileTaps taps_x = tile_taps(x, last.x);
+        TileRow above = tile_transposed_row(first * SLOPE_X + column, taps_x);
+        TileRow here = tile_transposed_row((first + 1u) * SLOPE_X + column, taps_x);
+        for (uint row = first; row < end; row++) {
+            int y = origin.y + int(row);
+            if (y > last.y) break;
+            TileRow below = tile_transposed_row((row + 2u) * SLOPE_X + column, taps_x);
+            vec4 g = tile_transposed(above, here, below, tile_taps(y, last.y));
+            uint pixel = uint(y) * size.x + uint(x);
+            albedo_gradient[pixel] += weight.x * g.rgb;
+            if (ROUGHNESS) roughness_gradient[pixel].x += weight.y * g.w;
+            above = here;
+            here = below;
+        }
+    }
+    vec2 total = group_sum(vec2(sum.x + sum.y + sum.z, sum.w));
+    if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
+}

@@ -1,0 +1,65 @@
+// Brings the losses of materials together in a record. One workgroup.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "msg.glsl"
+#include "cross_view.glsl"
+#include "material_weights.glsl"
+#include "material_stats.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const bool MSG = true;    // which of them there are
+layout(constant_id = 3) const uint PICTURES = 3;  // of the loss across views: 0 if there is none
+layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
+
+#define SUM_T vec3
+#include "group_sum.glsl"
+
+layout(push_constant, scalar) uniform Push {
+    uint compose_count; // workgroups that left sums
+    uint edge_count;
+} push;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+
+IN(float, compose_sums);
+IN(vec2, edge_sums);
+IN(MsgLevels, msg);
+IN(CrossRegion, regions);
+IN(MsgLevels, relight_first);
+IN(MsgLevels, relight_second);
+OUT(MaterialStats, stats);
+
+void main() {
+    uint first = gl_LocalInvocationID.x;
+    vec3 sum = vec3(0.0);
+    for (uint i = first; i < push.compose_count; i += WORKGROUP) sum.x += compose_sums[i];
+    for (uint i = first; i < push.edge_count; i += WORKGROUP) sum.yz += edge_sums[i];
+    sum = group_sum(sum);
+    if (first != 0u) return;
+    sum /= vec3(1.0, 3.0, 1.0) * float(params.step.camera.size.x) * float(params.step.camera.size.y);
+    MaterialStats r = MaterialStats(0.0, 0.0, 0.0, sum.y, sum.z, 0.0, 0.0, sum.x, 0u, 0u);
+    if (MSG) {
+        r.albedo_msg = msg[0].albedo;
+        r.roughness_msg = msg[0].roughness;
+    }
+    for (uint k = 1u; k < PICTURES; k++) {
+        r.cross_view += regions[k].apart;
+        r.cross_pairs += uint(min(regions[0].count, regions[k].count) >= LEAST_PIXELS);
+    }
+    if (ESTIMATES > 0u) {
+        r.relight += relight_first[0].square + relight_first[0].albedo;
+        r.relight_count += uint(relight_first[0].pixels > 0.0);
+    }
+    if (ESTIMATES > 1u) {
+        r.relight += relight_second[0].square + relight_second[0].albedo;
+        r.relight_count += uint(relight_second[0].pixels > 0.0);
+    }
+    r.relight /= float(max(ESTIMATES, 1u));
+    MaterialWeights w = given.weights;
+    r.total = w.albedo_msg * r.albedo_msg + w.roughness_msg * r.roughness_msg + w.albedo_edge * r.albedo_edge
+            + w.roughness_edge * r.roughness_edge + w.cross_view * r.cross_view + w.relight * r.relight;
+    stats[0] = r;
+}

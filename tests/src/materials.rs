@@ -1,0 +1,252 @@
+//! Pictures of materials for the tests of their losses, and the losses on a device.
+
+use crate::Gpu;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::Tuning;
+use sgs_passes::loss::{
+    CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Msg, cross_view, edge_aware, material_sum, msg,
+    pack_mask, relight,
+};
+use sgs_passes::reference::msg::Difference;
+use sgs_passes::reference::photometric::unpack;
+use sgs_passes::reference::rng::Pcg;
+use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
+
+/// First pixel of the view in the buffers of all views.
+pub const OFFSET: usize = 5;
+/// First word of its mask.
+pub const MASK_OFFSET: usize = 3;
+/// Pixels that buffers have beyond the view's.
+const SPARE: usize = 41;
+
+/// Weights that are exact in 32 bits and differ.
+pub const WEIGHTS: MaterialWeights = MaterialWeights {
+    albedo_msg: 0.75,
+    roughness_msg: 0.5,
+    albedo_edge: 1.25,
+    roughness_edge: 0.25,
+    cross_view: 0.375,
+    relight: 0.625,
+};
+
+/// A view's pictures and what they are compared with; the first is the training view, others are pseudo-views.
+#[derive(Clone)]
+pub struct Painted {
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// `[P * 3]`, sRGB.
+    pub albedo: Vec<f64>,
+    /// `[P]`.
+    pub roughness: Vec<f64>,
+    /// `[P]`.
+    pub coverage: Vec<f64>,
+    /// Packed RGBA8, `[P]` each: the photograph, priors of albedo and of roughness, two estimates.
+    pub photo: Vec<u32>,
+    /// Prior of albedo.
+    pub albedo_prior: Vec<u32>,
+    /// Prior of roughness.
+    pub roughness_prior: Vec<u32>,
+    /// Albedo under other light.
+    pub estimates: [Vec<u32>; 2],
+    /// A region.
+    pub mask: Vec<bool>,
+}
+
+/// Which losses a graph has.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Asked {
+    /// Smoothness.
+    pub edge: bool,
+    /// Gradients at several scales.
+    pub msg: bool,
+    /// Whether roughness is there too.
+    pub roughness: bool,
+    /// Whether only the region counts for `msg`.
+    pub masked: bool,
+    /// Number of estimates under other light, within the region.
+    pub estimates: usize,
+    /// The region in all views.
+    pub cross: bool,
+}
+
+/// What a device made of it: gradients less what was there before, and the record.
+pub struct Found {
+    /// `[P * 3]` of each view.
+    pub albedo: Vec<Vec<f32>>,
+    /// `[P * 3]` of the training view.
+    pub roughness: Vec<f32>,
+    /// The record.
+    pub stats: MaterialStats,
+}
+
+/// A number that 32 bits hold, as the reference must see it.
+pub fn narrow(x: f64) -> f64 {
+    f64::from(x as f32)
+}
+
+impl Painted {
+    /// Waves and noise; holes of a few pixels in coverage and priors.
+    pub fn new(size: [usize; 2], seed: u32) -> Painted {
+        let mut rng = Pcg::new(seed);
+        let pixels = size[0] * size[1];
+        let wave = |p: usize, c: usize| {
+            let (x, y) = ((p % size[0]) as f64, (p / size[0]) as f64);
+            0.5 + 0.25 * (0.31 * x + c as f64).sin() + 0.15 * (0.17 * y + 0.1 * x).cos()
+        };
+        let albedo = (0..3 * pixels).map(|i| narrow(wave(i / 3, i % 3) + 0.1 * rng.uniform())).collect();
+        let roughness = (0..pixels).map(|p| narrow(wave(p, 4) + 0.1 * rng.uniform())).collect();
+        let mut coverage: Vec<f64> = (0..pixels).map(|_| narrow(rng.range(0.6, 1.0))).collect();
+        // In the upper third, so that coarse levels have something left.
+        let third = (pixels / 3).max(1);
+        let mut picture = |holes: usize| -> Vec<u32> {
+            let mut noisy = |p: usize, c: usize| (200.0 * wave(p, c) + 40.0 * rng.uniform()) as u32;
+            let mut packed: Vec<u32> =
+                (0..pixels).map(|p| noisy(p, 1) | noisy(p, 2) << 8 | noisy(p, 3) << 16 | 0xff00_0000).collect();
+            for _ in 0..holes {
+                packed[rng.next_u32() as usize % third] &= 0x00ff_ffff;
+            }
+            packed
+        };
+        let holes = pixels / 300;
+        let (photo, albedo_prior, roughness_prior) = (picture(0), picture(holes), picture(holes));
+        let estimates = [picture(holes), picture(0)];
+        for _ in 0..holes {
+            coverage[rng.next_u32() as usize % third] = narrow(rng.range(0.0, 0.499));
+        }
+        // A disk.
+        let center = size.map(|s| 0.45 * s as f64);
+        let inside = |p: usize| {
+            let (x, y) = ((p % size[0]) as f64 - center[0], (p / size[0]) as f64 - center[1]);
+            x.hypot(y) < 0.4 * size[0].max(size[1]) as f64
+        };
+        let mask = (0..pixels).map(inside).collect();
+        Painted { size, albedo, roughness, coverage, photo, albedo_prior, roughness_prior, estimates, mask }
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.size[0] * self.size[1]
+    }
+
+    /// Albedo less a prior of it, where both are there.
+    pub fn albedo_difference(&self, prior: &[u32], masked: bool) -> Difference {
+        self.difference(3, prior, masked, |p, c| self.albedo[3 * p + c])
+    }
+
+    /// Roughness less its prior.
+    pub fn roughness_difference(&self, masked: bool) -> Difference {
+        self.difference(1, &self.roughness_prior, masked, |p, _| self.roughness[p])
+    }
+
+    fn difference(&self, channels: usize, prior: &[u32], masked: bool, of: impl Fn(usize, usize) -> f64) -> Difference {
+        let there = |p: usize| self.coverage[p] >= 0.5 && prior[p] >> 24 != 0 && (!masked || self.mask[p]);
+        let present: Vec<bool> = (0..self.pixels()).map(there).collect();
+        let value = |i: usize| {
+            let (p, c) = (i / channels, i % channels);
+            if present[p] { of(p, c) - unpack(prior[p], c) } else { 0.0 }
+        };
+        Difference { size: self.size, channels, values: (0..present.len() * channels).map(value).collect(), present }
+    }
+}
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// In 32 bits, with spare pixels behind that are no numbers.
+fn single(data: impl Iterator<Item = f64>, channels: usize) -> Vec<u8> {
+    let all: Vec<f32> = data.map(|x| x as f32).chain(std::iter::repeat_n(f32::NAN, SPARE * channels)).collect();
+    bytes(&all)
+}
+
+/// What gradients hold before: small, so that sums are as good as what is added.
+fn before(i: usize, pixels: usize) -> f32 {
+    (i % 7) as f32 * 0.0625 / pixels as f32
+}
+
+/// Runs the losses of views; the largest view has a few more columns and rows.
+pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found {
+    let v = &views[0];
+    let most = |a: usize| views.iter().map(|v| v.size[a]).max().unwrap_or(1) as u32;
+    let largest = [most(0) + 3, most(1) + 1];
+    let mut g = Graph::new("material_losses");
+    let mut inputs: Vec<(Buffer, Vec<u8>)> = Vec::new();
+    let weights = g.uniform("weights", size_of::<MaterialWeights>() as u64);
+    inputs.push((weights, bytes(&[WEIGHTS])));
+    let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+        let buffer = g.input(name, data.len() as u64);
+        inputs.push((buffer, data));
+        buffer
+    };
+    let padded = |data: &[u32], offset: usize| {
+        bytes(&[vec![0x7777_7777; offset], data.to_vec(), vec![0x7777_7777; SPARE]].concat())
+    };
+    let (mut crosses, mut steps, mut gradients) = (vec![], vec![], vec![]);
+    for (k, v) in views.iter().enumerate() {
+        let step = g.uniform(format!("step{k}"), size_of::<Step>() as u64);
+        let mut values = Step { target_offset: OFFSET as u32, mask_offset: MASK_OFFSET as u32, ..Default::default() };
+        values.camera.size = v.size.map(|s| s as u32);
+        steps.push((step, bytes(&[values])));
+        let albedo = given(&mut g, &format!("albedo{k}"), single(v.albedo.iter().copied(), 3));
+        let mask = given(&mut g, &format!("mask{k}"), padded(&pack_mask(&v.mask), MASK_OFFSET));
+        let albedo_gradient = g.external(format!("by_albedo{k}"), 12 * (v.pixels() + SPARE) as u64);
+        gradients.push((albedo_gradient, v.pixels()));
+        crosses.push(CrossPicture { step, albedo, mask, albedo_gradient, largest });
+    }
+    let gray = given(&mut g, "gray", single(v.roughness.iter().flat_map(|&r| [r, f64::NAN, f64::NAN]), 3));
+    let coverage = given(&mut g, "coverage", single(v.coverage.iter().copied(), 1));
+    let targets = given(&mut g, "targets", padded(&v.photo, OFFSET));
+    let albedo_prior = given(&mut g, "albedo_prior", padded(&v.albedo_prior, OFFSET));
+    let roughness_prior = given(&mut g, "roughness_prior", padded(&v.roughness_prior, OFFSET));
+    let estimates = [0, 1].map(|i| given(&mut g, &format!("estimate{i}"), padded(&v.estimates[i], 0)));
+    let by_gray = g.external("by_gray", 12 * (v.pixels() + SPARE) as u64);
+    gradients.push((by_gray, v.pixels()));
+    for &(buffer, pixels) in &gradients {
+        inputs.push((buffer, bytes(&(0..3 * pixels).map(|i| before(i, pixels)).collect::<Vec<_>>())));
+    }
+    inputs.extend(steps);
+    let stats = g.external("stats", size_of::<MaterialStats>() as u64);
+
+    let CrossPicture { step, albedo, mask, albedo_gradient, .. } = crosses[0];
+    let pictures = MaterialPictures { albedo, roughness: asked.roughness.then_some(gray) };
+    let into = MaterialPictures { albedo: albedo_gradient, roughness: asked.roughness.then_some(by_gray) };
+    let mut losses = MaterialLosses::default();
+    if asked.edge {
+        let a = EdgeAware { step, weights, pictures, targets, largest };
+        losses.edge = Some(edge_aware(&mut g, tuning, &a, &into).unwrap());
+    }
+    let a = Msg {
+        step,
+        weights,
+        pictures,
+        coverage,
+        albedo_prior,
+        roughness_prior: asked.roughness.then_some(roughness_prior),
+        all_views: true,
+        mask: asked.masked.then_some(mask),
+        largest,
+    };
+    if asked.msg {
+        losses.msg = Some(msg(&mut g, tuning, &a, &into).unwrap());
+    }
+    for i in 0..asked.estimates {
+        let a = Msg { albedo_prior: estimates[i], all_views: false, mask: Some(mask), ..a };
+        let share = 1.0 / asked.estimates as f32;
+        losses.relight[i] = Some(relight(&mut g, tuning, &a, i as u32, share, albedo_gradient).unwrap());
+    }
+    if asked.cross {
+        losses.cross_view = Some(cross_view(&mut g, tuning, weights, &crosses).unwrap());
+    }
+    material_sum(&mut g, tuning, step, weights, &losses, stats).unwrap();
+
+    let out = gpu.run(g, &inputs);
+    let gradient = |&(buffer, pixels): &(Buffer, usize)| {
+        let all: Vec<f32> = out.get(buffer);
+        let behind = &all[3 * pixels..];
+        assert!(behind.iter().all(|x| x.to_bits() == u32::MAX), "something behind the view was written");
+        all[..3 * pixels].iter().enumerate().map(|(i, g)| g - before(i, pixels)).collect::<Vec<f32>>()
+    };
+    let mut all: Vec<Vec<f32>> = gradients.iter().map(gradient).collect();
+    let roughness = all.pop().unwrap();
+    Found { albedo: all, roughness, stats: out.get::<MaterialStats>(stats)[0] }
+}

@@ -1,0 +1,289 @@
+//! The losses of materials on a device against their references and the finite differences of these.
+
+use sgs_passes::Tuning;
+use sgs_passes::reference::cross_view::{Picture, cross_view, cross_view_bwd};
+use sgs_passes::reference::edge_aware::{edge_aware, edge_aware_bwd};
+use sgs_passes::reference::msg::{msg, square};
+use sgs_passes::reference::rng::Pcg;
+use sgs_shaders::structs::MaterialStats;
+use sgs_tests::materials::{Asked, Found, Painted, WEIGHTS, narrow, run};
+use sgs_tests::{Gpu, Tolerance, assert_close, worst};
+
+/// What the references say: gradients by albedo of each view, by roughness of the first one, and the record.
+struct Expected {
+    albedo: Vec<Vec<f64>>,
+    roughness: Vec<f64>,
+    terms: [f64; 6],
+    total: f64,
+}
+
+fn expected(views: &[Painted], asked: Asked) -> Expected {
+    let v = &views[0];
+    let n = v.pixels();
+    let mut albedo: Vec<Vec<f64>> = views.iter().map(|v| vec![0.0; 3 * v.pixels()]).collect();
+    let mut roughness = vec![0.0; n];
+    let mut terms = [0.0; 6];
+    let add = |to: &mut [f64], gradient: &[f64], weight: f32| {
+        to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
+    };
+    if asked.msg {
+        let (loss, gradient) = msg(&v.albedo_difference(&v.albedo_prior, asked.masked));
+        terms[0] = loss;
+        add(&mut albedo[0], &gradient, WEIGHTS.albedo_msg);
+        if asked.roughness {
+            let (loss, gradient) = msg(&v.roughness_difference(asked.masked));
+            terms[1] = loss;
+            add(&mut roughness, &gradient, WEIGHTS.roughness_msg);
+        }
+    }
+    if asked.edge {
+        terms[2] = edge_aware(&v.albedo, 3, &v.photo, v.size);
+        add(&mut albedo[0], &edge_aware_bwd(&v.albedo, 3, &v.photo, v.size), WEIGHTS.albedo_edge);
+        if asked.roughness {
+            terms[3] = edge_aware(&v.roughness, 1, &v.photo, v.size);
+            add(&mut roughness, &edge_aware_bwd(&v.roughness, 1, &v.photo, v.size), WEIGHTS.roughness_edge);
+        }
+    }
+    if asked.cross {
+        let pictures: Vec<Picture> =
+            views.iter().map(|v| Picture { albedo: v.albedo.clone(), mask: v.mask.clone() }).collect();
+        terms[4] = cross_view(&pictures).0;
+        for (to, gradient) in albedo.iter_mut().zip(cross_view_bwd(&pictures)) {
+            add(to, &gradient, WEIGHTS.cross_view);
+        }
+    }
+    for estimate in &v.estimates[..asked.estimates] {
+        let share = 1.0 / asked.estimates as f32;
+        let d = v.albedo_difference(estimate, true);
+        for (loss, gradient) in [msg(&d), square(&d)] {
+            terms[5] += f64::from(share) * loss;
+            add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
+        }
+    }
+    let w = &WEIGHTS;
+    let weights = [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight];
+    let total = terms.iter().zip(weights).map(|(t, w)| t * f64::from(w)).sum();
+    // Of roughness the first channel counts.
+    let roughness = roughness.into_iter().flat_map(|g| [g, 0.0, 0.0]).collect();
+    Expected { albedo, roughness, terms, total }
+}
+
+/// Relative to the largest gradient, which is some multiple of one by the number of pixels.
+fn tolerance(expected: &[f64]) -> Tolerance {
+    let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    Tolerance::new(1e-7_f64.min(1e-3 / expected.len() as f64).max(2e-5 * largest), 2e-4)
+}
+
+fn terms(s: &MaterialStats) -> [f32; 6] {
+    [s.albedo_msg, s.roughness_msg, s.albedo_edge, s.roughness_edge, s.cross_view, s.relight]
+}
+
+fn compare(e: &Expected, found: &Found, what: &str) {
+    for (k, (e, f)) in e.albedo.iter().zip(&found.albedo).enumerate() {
+        assert_close(&format!("{what}: albedo of view {k}"), e, f, tolerance(e));
+    }
+    assert_close(&format!("{what}: roughness"), &e.roughness, &found.roughness, tolerance(&e.roughness));
+    assert_close(&format!("{what}: terms"), &e.terms, &terms(&found.stats), Tolerance::new(1e-6, 2e-5));
+    assert_close(&format!("{what}: total"), &[e.total], &[found.stats.total], Tolerance::new(1e-6, 2e-5));
+}
+
+/// At the device's own sizes and at those of a GPU; returns the last.
+fn check(gpu: &Gpu, views: &[Painted], asked: Asked) -> Found {
+    let e = expected(views, asked);
+    let wide = Tuning { subgroup_size: 64, ..gpu.tuning() };
+    let [_, found] = [gpu.tuning(), wide].map(|tuning| {
+        let found = run(gpu, tuning, views, asked);
+        compare(&e, &found, &format!("{:?} {asked:?}", views[0].size));
+        found
+    });
+    found
+}
+
+const SIZES: [[usize; 2]; 9] = [[1, 1], [2, 2], [17, 3], [1, 40], [40, 1], [28, 16], [29, 17], [57, 33], [121, 83]];
+
+#[test]
+fn smoothness_is_that_of_the_reference() {
+    let gpu = Gpu::new();
+    for (i, size) in SIZES.into_iter().enumerate() {
+        for roughness in [true, false] {
+            check(&gpu, &[Painted::new(size, i as u32)], Asked { edge: true, roughness, ..Default::default() });
+        }
+    }
+}
+
+#[test]
+fn gradients_at_several_scales_are_those_of_the_reference() {
+    let gpu = Gpu::new();
+    for (i, size) in SIZES.into_iter().enumerate() {
+        let v = [Painted::new(size, 20 + i as u32)];
+        check(&gpu, &v, Asked { msg: true, roughness: true, ..Default::default() });
+        check(&gpu, &v, Asked { msg: true, masked: true, ..Default::default() });
+    }
+}
+
+#[test]
+fn estimates_under_other_light_are_compared_as_the_reference_does() {
+    let gpu = Gpu::new();
+    for (i, size) in [[1, 1], [29, 17], [57, 33], [90, 70]].into_iter().enumerate() {
+        for estimates in 1..=2 {
+            let v = [Painted::new(size, 40 + i as u32)];
+            let found = check(&gpu, &v, Asked { estimates, ..Default::default() });
+            assert_eq!(found.stats.relight_count as usize, if i == 0 { 0 } else { estimates }, "{size:?}");
+        }
+    }
+}
+
+#[test]
+fn regions_in_several_views_are_those_of_the_reference() {
+    let gpu = Gpu::new();
+    for pseudo in [1, 2, 4] {
+        let sizes = [[45, 33], [120, 80], [31, 9], [57, 33], [64, 2]];
+        let views: Vec<Painted> = (0..=pseudo).map(|k| Painted::new(sizes[k], 60 + k as u32)).collect();
+        let found = check(&gpu, &views, Asked { cross: true, ..Default::default() });
+        assert_eq!(found.stats.cross_pairs as usize, pseudo);
+    }
+}
+
+#[test]
+fn small_regions_and_equal_means_pull_nothing() {
+    let gpu = Gpu::new();
+    let asked = Asked { cross: true, ..Default::default() };
+    let mut views = vec![Painted::new([24, 18], 1), Painted::new([20, 20], 2), Painted::new([24, 18], 1)];
+    views[1].mask = (0..400).map(|p| p < 15).collect();
+    let found = check(&gpu, &views, asked);
+    // The third is the same picture, the second has too small a region.
+    assert_eq!(found.stats.cross_pairs, 1);
+    assert!(found.albedo.iter().flatten().all(|g| *g == 0.0));
+    views[1].mask[15] = true;
+    let found = check(&gpu, &views, asked);
+    assert_eq!(found.stats.cross_pairs, 2);
+    views[0].mask.fill(false);
+    let found = check(&gpu, &views, asked);
+    assert_eq!((found.stats.cross_pairs, found.stats.cross_view), (0, 0.0));
+}
+
+#[test]
+fn where_nothing_counts_there_is_nothing() {
+    let gpu = Gpu::new();
+    let asked = Asked { msg: true, roughness: true, masked: true, estimates: 2, ..Default::default() };
+    let mut v = Painted::new([33, 21], 5);
+    v.mask.fill(false);
+    let found = check(&gpu, &[v.clone()], asked);
+    let all = || found.albedo[0].iter().chain(&found.roughness);
+    assert!(all().all(|g| *g == 0.0) && found.stats.total == 0.0 && found.stats.relight_count == 0);
+    // One pixel: squared differences, but no gradient at any scale.
+    v.mask[200] = true;
+    v.albedo_prior[200] |= 0xff00_0000;
+    v.estimates[0][200] |= 0xff00_0000;
+    v.coverage[200] = 1.0;
+    let found = check(&gpu, &[v.clone()], asked);
+    assert!(found.stats.albedo_msg == 0.0 && found.stats.relight > 0.0 && found.stats.relight_count == 2);
+    // What materials hold where there is no prior does not matter.
+    let asked = Asked { masked: false, estimates: 0, ..asked };
+    let before = run(&gpu, gpu.tuning(), &[v.clone()], asked);
+    for p in (0..v.pixels()).filter(|p| v.albedo_prior[*p] >> 24 == 0 || v.coverage[*p] < 0.5) {
+        v.albedo[3 * p..3 * p + 3].fill(1e30);
+    }
+    let after = run(&gpu, gpu.tuning(), &[v], asked);
+    assert_eq!(before.albedo, after.albedo);
+}
+
+/// What is tested above reaches the coarsest level, and holes reach the picture.
+#[test]
+fn all_levels_are_tried() {
+    let v = Painted::new([121, 83], 28);
+    let d = v.albedo_difference(&v.albedo_prior, false);
+    assert!(d.present.iter().any(|p| !p));
+    assert!(counted(&v) >= 20);
+}
+
+/// Pixels of the coarsest level below which, and around which, no pixel of the picture is missing.
+fn counted(v: &Painted) -> usize {
+    let d = v.albedo_difference(&v.albedo_prior, false);
+    let [width, height] = v.size.map(|n| n / 8);
+    let whole = |x: usize, y: usize| {
+        let rows = (8 * y).saturating_sub(16)..(8 * y + 28).min(v.size[1]);
+        rows.into_iter()
+            .all(|r| ((8 * x).saturating_sub(16)..(8 * x + 28).min(v.size[0])).all(|c| d.present[r * v.size[0] + c]))
+    };
+    (0..width * height).filter(|i| whole(i % width, i / width)).count()
+}
+
+/// Everything at once, twice: sums and the bits.
+#[test]
+fn losses_add_up_and_are_the_same_every_time() {
+    let gpu = Gpu::new();
+    let views: Vec<Painted> =
+        [[97, 61], [60, 40], [33, 80]].iter().enumerate().map(|(k, &s)| Painted::new(s, 80 + k as u32)).collect();
+    let asked = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true };
+    let first = check(&gpu, &views, asked);
+    let again = run(&gpu, Tuning { subgroup_size: 64, ..gpu.tuning() }, &views, asked);
+    let bits = |f: &Found| -> Vec<u32> { f.albedo.iter().flatten().chain(&f.roughness).map(|g| g.to_bits()).collect() };
+    assert_eq!((bits(&first), first.stats), (bits(&again), again.stats));
+}
+
+#[test]
+fn gradients_are_finite_differences_of_the_reference() {
+    let gpu = Gpu::new();
+    let views: Vec<Painted> =
+        [[41, 27], [30, 30], [20, 40]].iter().enumerate().map(|(k, &s)| Painted::new(s, 90 + k as u32)).collect();
+    let only = Asked { roughness: true, ..Default::default() };
+    let each = [
+        Asked { edge: true, ..only },
+        Asked { msg: true, ..only },
+        Asked { estimates: 2, ..only },
+        Asked { cross: true, ..only },
+    ];
+    let mut rng = Pcg::new(5);
+    for asked in each {
+        let found = run(&gpu, gpu.tuning(), &views, asked);
+        for _ in 0..4 {
+            let along: Vec<Vec<f64>> =
+                views.iter().map(|v| (0..4 * v.pixels()).map(|_| rng.normal()).collect()).collect();
+            let loss = |t: f64| {
+                let mut moved = views.to_vec();
+                for (v, along) in moved.iter_mut().zip(&along) {
+                    v.albedo.iter_mut().zip(along).for_each(|(x, d)| *x += t * d);
+                    v.roughness.iter_mut().zip(&along[3 * v.size[0] * v.size[1]..]).for_each(|(x, d)| *x += t * d);
+                }
+                expected(&moved, asked).total
+            };
+            // So small that no filter of the smoothness changes its sign.
+            let fd = (loss(1e-8) - loss(-1e-8)) / 2e-8;
+            let dot = |g: &[f32], d: &[f64]| g.iter().zip(d).map(|(g, d)| f64::from(*g) * d).sum::<f64>();
+            let gray: Vec<f32> = found.roughness.iter().step_by(3).copied().collect();
+            let sum = found.albedo.iter().zip(&along).map(|(g, d)| dot(g, d)).sum::<f64>()
+                + dot(&gray, &along[0][3 * views[0].pixels()..]);
+            assert_close(&format!("{asked:?}"), &[fd], &[sum as f32], Tolerance::new(1e-5, 5e-4));
+        }
+    }
+}
+
+/// The comparisons would notice a hole too many, a pixel of a mask, a lost border, a weight that is off by a percent.
+#[test]
+fn checks_can_fail() {
+    let views = [Painted::new([41, 27], 7), Painted::new([30, 30], 8)];
+    let asked = Asked { edge: true, msg: true, roughness: true, masked: true, estimates: 1, cross: true };
+    let exact = expected(&views, asked);
+    let differs = |views: &[Painted], factor: f64| {
+        let e = expected(views, asked);
+        let single = |v: &[f64]| v.iter().map(|x| (factor * x) as f32).collect::<Vec<f32>>();
+        let far = |e: &[f64], f: &[f64]| worst(e, &single(f), tolerance(e)).is_some_and(|w| w.3 > 1.0);
+        exact.albedo.iter().zip(&e.albedo).any(|(e, f)| far(e, f)) || far(&exact.roughness, &e.roughness)
+    };
+    assert!(!differs(&views, 1.0));
+    assert!(differs(&views, 1.01));
+    let changed = |change: &dyn Fn(&mut [Painted; 2])| {
+        let mut other = views.clone();
+        change(&mut other);
+        differs(&other, 1.0)
+    };
+    assert!(changed(&|v| v[0].albedo_prior[41 * 13 + 20] ^= 0xff00_0000));
+    assert!(changed(&|v| v[0].roughness_prior[41 * 13 + 20] ^= 0x10));
+    assert!(changed(&|v| v[0].estimates[0][41 * 13 + 20] ^= 0x10));
+    assert!(changed(&|v| v[0].coverage[41 * 13 + 20] = 0.49));
+    assert!(changed(&|v| v[0].photo[0] ^= 0x80));
+    assert!(changed(&|v| v[1].mask[30 * 15 + 15] = false));
+    assert!(changed(&|v| v[0].mask[41 * 13 + 20] = false));
+    assert!(changed(&|v| v[0].albedo[0] = narrow(v[0].albedo[0] + 0.3)));
+}
