@@ -8,6 +8,7 @@ pub mod feature_view;
 pub mod gpu;
 pub mod kernels;
 pub mod materials;
+pub mod lit;
 pub mod meaning;
 pub mod place;
 pub mod priors;

@@ -8,6 +8,7 @@
 
 mod meaning;
 mod model;
+mod shade;
 
 use crate::commands::ceiling::Ceiling;
 use sgs_engine::graph::{Dispatch, Pass, PassKind};
@@ -38,6 +39,8 @@ pub struct Counts {
     pub masked: f64,
     /// Pixels at which features are wanted.
     pub wanted: f64,
+    /// Lights that are on.
+    pub lights: f64,
 }
 
 /// What a pass costs.

@@ -65,7 +65,12 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "opacity_reset" => (16.0 * n, 4.0 * n),
         // A single workgroup, as small as it looks.
         "loss_sum" | "report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
-        _ => return primitive(s, elements).or_else(|| densify(s, c)).or_else(|| super::meaning::kernel(s, c)),
+        _ => {
+            return primitive(s, elements)
+                .or_else(|| densify(s, c))
+                .or_else(|| super::meaning::kernel(s, c))
+                .or_else(|| super::shade::kernel(s, c));
+        }
     };
     Some(Cost { bytes, operations })
 }

@@ -5,6 +5,7 @@ mod adam;
 mod blend;
 mod blend_bwd;
 pub mod densify;
+mod lights;
 mod masks;
 mod photometric;
 mod primitives;
@@ -39,7 +40,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 10] = [
+pub const STAGES: [(&str, Stage); 11] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -48,6 +49,7 @@ pub const STAGES: [(&str, Stage); 10] = [
     ("semantic", semantic::loss),
     ("correspondence", semantic::correspondence),
     ("masks", masks::both),
+    ("lights", lights::all),
     ("adam", adam::one),
     ("densify", densify::one),
 ];

@@ -2,6 +2,7 @@
 
 pub mod adam;
 pub mod blend;
+pub mod brdf;
 pub mod compose;
 pub mod correspondence;
 pub mod cross_view;
@@ -10,6 +11,7 @@ pub mod edge_aware;
 pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;
+pub mod lights;
 pub mod material_pictures;
 pub mod msg;
 pub mod photometric;

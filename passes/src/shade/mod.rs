@@ -5,8 +5,11 @@
 //! radiance becomes a picture to the losses.
 
 mod gbuffer;
+pub mod lights;
 mod materials;
+mod pixels;
 pub mod visibility;
 
 pub use gbuffer::{GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Surfaces, Weights, gbuffer, weights};
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
+pub use pixels::Pixels;

@@ -1,0 +1,42 @@
+//! The cost of the kernels of shading. A pair of pixel and light that face each other is taken to be one of two.
+
+use super::{Cost, Counts, Stage};
+
+/// Direction, distance and cosine: of every pair.
+const RAY: f64 = 20.0;
+
+/// A lobe at a direction: scaled difference 6, its square 5, exponential 4, three channels 6.
+const LOBE: f64 = 21.0;
+
+/// A surface in a light: half vector 20, highlight and masking 45, sums 35.
+const SURFACE: f64 = 100.0;
+
+/// What training adds: the logarithmic derivative by roughness and three sums.
+const BY_ROUGHNESS: f64 = 35.0;
+
+/// Point 3, normal 3, coverage 1, material 4.
+const PIXEL_BYTES: f64 = 44.0;
+
+/// A kernel's cost, if it is one of these.
+pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    let spec = s.specs;
+    let (lobes, p) = (spec("LOBES"), c.pixels);
+    let metallic = spec("METALLIC");
+    let facing = 0.5 * (LOBE * lobes + SURFACE);
+    let (bytes, operations) = match s.kernel {
+        "lights_prepare" => {
+            let rows = (s.push)(0) * lobes;
+            (56.0 * rows, 60.0 * rows)
+        }
+        "lights" => ((PIXEL_BYTES + 12.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
+        "lights_split" => ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
+        "lights_train" => {
+            let left = 36.0 + 28.0 * metallic;
+            ((PIXEL_BYTES + left) * p, c.lights * (RAY + facing + 0.5 * BY_ROUGHNESS) * p)
+        }
+        "lights_materials_bwd" => ((24.0 + 4.0 + 12.0 + 32.0) * p, 20.0 * p),
+        "lights_materials_bwd_metallic" => ((48.0 + 8.0 + 16.0 + 12.0 + 40.0) * p, 60.0 * p),
+        _ => return None,
+    };
+    Some(Cost { bytes, operations })
+}

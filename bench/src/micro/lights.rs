@@ -1,0 +1,178 @@
+//! `lights` and what leads back from it, under 64 lights of 12 lobes, at a sample of pixels against the twin.
+
+use super::Context;
+use crate::cost::Counts;
+use crate::harness::{Rig, add_passes, bytes};
+use crate::report::Report;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::reference::brdf::{Material, unit};
+use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::shade::Pixels;
+use sgs_passes::shade::lights::{
+    LightModel, LightParameters, Lights, Shape, lights, lights_materials_bwd, lights_prepare, lights_train,
+};
+use sgs_shaders::structs::Step;
+
+const CAMERA: [f32; 3] = [0.2, 0.1, -1.2];
+
+/// What is shaded: the inside of a box with a bumpy surface, and lights in it.
+pub struct Lit {
+    /// By pixel.
+    pub points: Vec<[f32; 3]>,
+    /// By pixel.
+    pub normals: Vec<[f32; 3]>,
+    /// By pixel: albedo, roughness.
+    pub materials: Vec<[f32; 4]>,
+    /// By pixel: gradient of the radiance.
+    pub gradient: Vec<[f32; 3]>,
+    /// By light.
+    pub positions: Vec<[f32; 3]>,
+    /// Rows of all lobes.
+    pub lobes: Vec<f32>,
+}
+
+impl Lit {
+    /// The room as a camera in it sees it.
+    pub fn room([width, height]: [u32; 2], model: LightModel) -> Lit {
+        let mut rng = Pcg::new(9);
+        let mut lit = Lit {
+            points: Vec::new(),
+            normals: Vec::new(),
+            materials: Vec::new(),
+            gradient: Vec::new(),
+            positions: model.start_positions([-1.3; 3], [1.3; 3]),
+            lobes: model.start_lobes(),
+        };
+        lit.lobes.iter_mut().for_each(|x| *x += (0.3 * rng.normal()) as f32);
+        for p in 0..width * height {
+            let (x, y) =
+                (f64::from(p % width) / f64::from(width) - 0.5, f64::from(p / width) / f64::from(height) - 0.5);
+            let ray = unit([1.4 * x, 1.1 * y, 1.0]);
+            // Where the ray leaves the box of half side 1.5.
+            let camera = CAMERA.map(f64::from);
+            let reach = |i: usize| ((1.5_f64.copysign(ray[i])) - camera[i]) / ray[i];
+            let face = (0..3).min_by(|&a, &b| reach(a).total_cmp(&reach(b))).unwrap_or(2);
+            let point = [0, 1, 2].map(|i| (camera[i] + reach(face) * ray[i]) as f32);
+            let mut normal = [0, 1, 2].map(|i| 0.1 * (9.0 * f64::from(point[(i + 1) % 3])).sin());
+            normal[face] = -ray[face].signum();
+            lit.points.push(point);
+            lit.normals.push(unit(normal).map(|x| x as f32));
+            let tile = (f64::from(point[0]) * 4.0).floor() + (f64::from(point[1]) * 4.0).floor();
+            let albedo = 0.5 + 0.3 * (tile * 0.5).sin();
+            lit.materials.push([albedo, 0.8 * albedo, 0.5, 0.3 + 0.5 * albedo].map(|x| x as f32));
+            lit.gradient.push([0; 3].map(|_| rng.range(-1.0, 1.0) as f32));
+        }
+        lit
+    }
+
+    /// A pixel for the twin.
+    pub fn pixel(&self, i: usize) -> Pixel {
+        let m = self.materials[i].map(f64::from);
+        let material = Material { albedo: [m[0], m[1], m[2]], roughness: m[3], metallic: 0.0 };
+        Pixel { point: self.points[i].map(f64::from), normal: self.normals[i].map(f64::from), coverage: 1.0, material }
+    }
+
+    /// The lights for the twin.
+    pub fn raw(&self, model: LightModel) -> Raw {
+        Raw {
+            model,
+            positions: self.positions.iter().flatten().map(|&x| f64::from(x)).collect(),
+            lobes: self.lobes.iter().map(|&x| f64::from(x)).collect(),
+            gains: vec![1.0; model.lights as usize],
+        }
+    }
+}
+
+/// Buffers of a room in a graph, and what they hold.
+struct Bound {
+    pixels: Pixels,
+    parameters: LightParameters,
+    gradient: Buffer,
+    inputs: Vec<(Buffer, Vec<u8>)>,
+}
+
+fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
+    let n = lit.points.len() as u64;
+    let mut values = Step::default();
+    values.camera.size = size;
+    values.camera.position = CAMERA;
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let pixels = Pixels {
+        step,
+        points: g.input("points", 12 * n),
+        normals: g.input("normals", 12 * n),
+        coverage: g.input("coverage", 4 * n),
+        materials: g.input("materials", 16 * n),
+        metallic: None,
+        largest: size,
+    };
+    let parameters = LightParameters {
+        positions: g.input("positions", model.position_bytes()),
+        lobes: g.input("lobes", model.lobe_bytes()),
+        gains: g.input("gains", model.gain_bytes()),
+    };
+    let gradient = g.input("radiance_gradient", 12 * n);
+    let inputs = vec![
+        (step, bytes(&[values])),
+        (pixels.points, bytes(&lit.points)),
+        (pixels.normals, bytes(&lit.normals)),
+        (pixels.coverage, bytes(&vec![1.0_f32; lit.points.len()])),
+        (pixels.materials, bytes(&lit.materials)),
+        (parameters.positions, bytes(&lit.positions)),
+        (parameters.lobes, bytes(&lit.lobes)),
+        (parameters.gains, bytes(&vec![1.0_f32; model.lights as usize])),
+        (gradient, bytes(&lit.gradient)),
+    ];
+    Bound { pixels, parameters, gradient, inputs }
+}
+
+/// Forward for pictures and for training, and back.
+pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    let (size, model) = (c.workload.largest, LightModel::default());
+    let lit = Lit::room(size, model);
+    let mut g = Graph::new("lights");
+    let b = bind(&mut g, &lit, size, model);
+    let n = lit.points.len();
+    let prepared = lights_prepare(&mut g, c.tuning, "lights_prepare", b.pixels.step, model, &b.parameters, None)?;
+    let what = Lights {
+        pixels: b.pixels,
+        prepared,
+        normalizer: 1.0 / model.lights as f32,
+        shape: Shape::for_device(c.tuning),
+    };
+    let (picture, direct) = (g.external("picture", 12 * n as u64), g.external("direct", 12 * n as u64));
+    lights(&mut g, &what, picture)?;
+    let sums = lights_train(&mut g, &what, direct)?;
+    let materials = g.external("materials_gradient", 16 * n as u64);
+    g.fill("clear_gradients", materials, 0)?;
+    lights_materials_bwd(&mut g, c.tuning, &b.pixels, &sums, b.gradient, materials, None)?;
+    let mut rig = Rig::new(c.device, g, b.inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    let counts = Counts { pixels: n as f64, lights: f64::from(model.lights), ..Default::default() };
+    add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
+
+    let (found, gradients): (Vec<f32>, Vec<f32>) = (rig.get(direct)?, rig.get(materials)?);
+    anyhow::ensure!(found.iter().zip(rig.get::<f32>(picture)?).all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs()), "lights");
+    let sample: Vec<usize> = (0..n).step_by((n / 200).max(1)).collect();
+    let pixels: Vec<Pixel> = sample.iter().map(|&i| lit.pixel(i)).collect();
+    let ready = twin::lights_prepare(&lit.raw(model));
+    let (camera, normalizer) = (CAMERA.map(f64::from), f64::from(what.normalizer));
+    let [diffuse, specular] = twin::lights(&pixels, &ready, camera, normalizer);
+    let gradient: Vec<f64> = sample.iter().flat_map(|&i| lit.gradient[i].map(f64::from)).collect();
+    let by_material = twin::lights_materials_bwd(&pixels, &ready, camera, normalizer, &gradient);
+    for (s, &i) in sample.iter().enumerate() {
+        for k in 0..3 {
+            let e = diffuse[3 * s + k] + specular[3 * s + k];
+            let f = f64::from(found[3 * i + k]);
+            anyhow::ensure!((e - f).abs() <= 1e-4 * e.abs() + 1e-9, "Radiance of pixel {i} is {f}, but should be {e}.");
+        }
+        for k in 0..4 {
+            let (e, f) = (by_material[s][k], f64::from(gradients[4 * i + k]));
+            let off = (e - f).abs() > 1e-3 * e.abs() + 1e-6;
+            anyhow::ensure!(!off, "Gradient {k} of pixel {i}'s material is {f}, but should be {e}.");
+        }
+    }
+    report.check(format!("lights: radiance and materials' gradients of {} pixels are those of the twin", sample.len()));
+    Ok(())
+}

@@ -1,0 +1,191 @@
+//! Twin of the kernels of `lights`: radiance under spherical-Gaussian lights, and its gradients as central differences.
+//!
+//! Radiance is linear in the lights, so differences by a light's parameters are taken of that light alone: what the others
+//! send does not blur them.
+
+use super::brdf::{Material, V3, along, brdf, dot, unit};
+use super::rng::{random_bits, uniform_from};
+use crate::shade::lights::{Axes, LightModel, Perturbation};
+use std::f64::consts::PI;
+
+/// One lobe, ready.
+#[derive(Clone, Copy, Debug)]
+pub struct Lobe {
+    /// Unit.
+    pub axis: V3,
+    /// lambda.
+    pub sharpness: f64,
+    /// mu, with the light's gain.
+    pub amplitude: V3,
+}
+
+/// One light, ready.
+#[derive(Clone, Debug)]
+pub struct Light {
+    /// Place.
+    pub place: V3,
+    /// Lobes.
+    pub lobes: Vec<Lobe>,
+}
+
+/// A pixel's surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Pixel {
+    /// Place.
+    pub point: V3,
+    /// Unit or zero.
+    pub normal: V3,
+    /// Blended opacity.
+    pub coverage: f64,
+    /// What it is made of.
+    pub material: Material,
+}
+
+/// Raw parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Raw {
+    /// Sizes.
+    pub model: LightModel,
+    /// `[lights * 3]`.
+    pub positions: Vec<f64>,
+    /// `[lights * lobes * row]`.
+    pub lobes: Vec<f64>,
+    /// `[lights]`.
+    pub gains: Vec<f64>,
+}
+
+/// The axis of a lobe's row.
+pub fn axis(model: LightModel, lobe: u32, row: &[f64]) -> V3 {
+    if model.axes == Axes::Free {
+        let raw = [row[0], row[1], row[2]];
+        return if dot(raw, raw).sqrt() > 1e-6 { unit(raw) } else { [0.0, 0.0, 1.0] };
+    }
+    let rows = if model.lobes.is_multiple_of(2) { 2 } else { 1 };
+    let columns = model.lobes / rows;
+    let polar = (f64::from(lobe / columns) + 0.5) * PI / (2.0 * f64::from(rows));
+    let azimuth = ((f64::from(lobe % columns) + 0.5) / f64::from(columns) - 0.5) * 2.0 * PI;
+    let (theta, phi) = (polar + 3.0 * PI / 8.0 * row[0].tanh(), azimuth + PI / 2.0 * row[1].tanh());
+    [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()]
+}
+
+/// A light from its raw parameters; none if it is off.
+pub fn prepare_one(raw: &Raw, light: usize) -> Option<Light> {
+    if raw.gains[light] == 0.0 {
+        return None;
+    }
+    let width = raw.model.row() as usize;
+    let count = raw.model.lobes as usize;
+    let at = 3 * light;
+    let lobes = (0..count).map(|k| {
+        let row = &raw.lobes[(light * count + k) * width..][..width];
+        let [sharpness, amplitude @ ..] = &row[width - 4..] else { unreachable!() };
+        Lobe {
+            axis: axis(raw.model, k as u32, row),
+            sharpness: sharpness.min(9.5).exp(),
+            amplitude: [0, 1, 2].map(|c| raw.gains[light] * amplitude[c].min(15.0).exp()),
+        }
+    });
+    Some(Light { place: [raw.positions[at], raw.positions[at + 1], raw.positions[at + 2]], lobes: lobes.collect() })
+}
+
+/// All lights.
+pub fn lights_prepare(raw: &Raw) -> Vec<Option<Light>> {
+    (0..raw.model.lights as usize).map(|i| prepare_one(raw, i)).collect()
+}
+
+/// Parameters of a copy: places moved, gains changed; see [`Perturbation`].
+pub fn perturb(raw: &Raw, seed: u32, p: &Perturbation) -> Raw {
+    let random = |light: usize, which: u32| {
+        2.0 * uniform_from(random_bits(seed ^ 0x5a17, p.copy, 8 * light as u32 + which)) - 1.0
+    };
+    let mut copy = raw.clone();
+    for light in 0..raw.gains.len() {
+        copy.gains[light] *= 1.0 + f64::from(p.intensity) * random(light, 0);
+        if 0.5 * (random(light, 1) + 1.0) < f64::from(p.off) {
+            copy.gains[light] = 0.0;
+        }
+        for axis in 0..3 {
+            copy.positions[3 * light + axis] += f64::from(p.distance) * random(light, 2 + axis as u32);
+        }
+    }
+    copy
+}
+
+/// What a light sends through a pixel's surface to the camera: diffuse and specular part.
+pub fn shine(pixel: &Pixel, light: &Light, camera: V3) -> [V3; 2] {
+    let dark = [[0.0; 3]; 2];
+    let to_light = along(light.place, -1.0, pixel.point);
+    let l = unit(to_light);
+    let nl = dot(pixel.normal, l);
+    if pixel.coverage < f64::from(1e-3_f32) || nl <= 0.0 {
+        return dark;
+    }
+    let mut emitted = [0.0; 3];
+    for lobe in &light.lobes {
+        let apart = along(l, -1.0, lobe.axis);
+        let s = (-0.5 * lobe.sharpness * dot(apart, apart)).exp();
+        emitted = along(emitted, s, lobe.amplitude);
+    }
+    let falloff = 1.0 / dot(to_light, to_light).max(1e-3);
+    let v = unit(along(camera, -1.0, pixel.point));
+    brdf(pixel.material, pixel.normal, l, v).map(|f| [0, 1, 2].map(|c| f[c] * emitted[c] * nl * falloff))
+}
+
+/// Diffuse and specular radiance of pixels, red, green, blue of each.
+pub fn lights(pixels: &[Pixel], lights: &[Option<Light>], camera: V3, normalizer: f64) -> [Vec<f64>; 2] {
+    let mut parts = [Vec::new(), Vec::new()];
+    for pixel in pixels {
+        let mut sums = [[0.0; 3]; 2];
+        for light in lights.iter().flatten() {
+            let s = shine(pixel, light, camera);
+            sums = [0, 1].map(|i| along(sums[i], normalizer, s[i]));
+        }
+        (0..2).for_each(|i| parts[i].extend(sums[i]));
+    }
+    parts
+}
+
+/// A pixel's radiance, dotted with its gradient.
+fn loss(pixel: &Pixel, light: &Light, camera: V3, gradient: &[f64]) -> f64 {
+    let [d, s] = shine(pixel, light, camera);
+    dot([gradient[0], gradient[1], gradient[2]], along(d, 1.0, s))
+}
+
+/// Derivative of `f` at `x`, by central differences.
+fn slope(x: f64, step: f64, mut f: impl FnMut(f64) -> f64) -> f64 {
+    (f(x + step) - f(x - step)) / (2.0 * step)
+}
+
+/// The `i`-th number of a material: albedo (3), roughness, metallic.
+fn number(m: &mut Material, i: usize) -> &mut f64 {
+    match i {
+        3 => &mut m.roughness,
+        4 => &mut m.metallic,
+        c => &mut m.albedo[c],
+    }
+}
+
+/// Gradients by albedo (3), roughness and metallic of each pixel.
+pub fn lights_materials_bwd(
+    pixels: &[Pixel],
+    lights: &[Option<Light>],
+    camera: V3,
+    normalizer: f64,
+    gradient: &[f64],
+) -> Vec<[f64; 5]> {
+    let one = |(pixel, g): (&Pixel, &[f64])| {
+        [0, 1, 2, 3, 4].map(|i| {
+            let mut p = *pixel;
+            let x = *number(&mut p.material, i);
+            let step = if i == 3 { 1e-6 * x } else { 1e-6 };
+            let by_light = |light| {
+                slope(x, step, |x| {
+                    *number(&mut p.material, i) = x;
+                    loss(&p, light, camera, g)
+                })
+            };
+            normalizer * lights.iter().flatten().map(by_light).sum::<f64>()
+        })
+    };
+    pixels.iter().zip(gradient.chunks(3)).map(one).collect()
+}

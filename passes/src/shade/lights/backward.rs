@@ -1,0 +1,126 @@
+//! `lights_bwd` and `lights_prepare_bwd`: gradients of the lights.
+//!
+//! Promises: nothing the forward pass made is needed, all of it is worked out again; sums are in a fixed order, so that
+//! results are the same bits from run to run; every gradient is written, zero for lights that are off.
+//!
+//! `lights_bwd` goes from the pixels' side, like the forward pass, so that what a pixel knows (its surface, what a visibility
+//! field made of its point) is worked out once for all lights. A pair that faces takes 48 operations a lobe and 200 more:
+//! with 64 lights of 12 lobes 64 (20 + 0.5 (576 + 200)) = 26000 a pixel, 2.0 Gop at 320x240, 50 Gop at 1600x1200; adding
+//! up across lanes comes on top, 8 numbers a lobe for each block of pixels. Memory: 56 bytes a pixel, and a row of
+//! `32 lights (1 + lobes)` bytes for each workgroup (27 KB), of which there are at most a few hundred.
+
+use super::{LightParameters, Lights, Prepared, Shape};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use crate::shade::Pixels;
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{lights_bwd as kernel, lights_prepare_bwd as finish, semantic_reduce as reduce};
+
+/// Gradients of prepared lights.
+#[derive(Clone, Copy, Debug)]
+pub struct LightGradients {
+    /// `[lights * 8 (1 + lobes)]` floats, see `lights_bwd.glsl`.
+    pub buffer: Buffer,
+}
+
+/// Where gradients of raw parameters go; shapes are those of [`LightParameters`].
+#[derive(Clone, Copy, Debug)]
+pub struct LightParameterGradients {
+    /// `[lights * 3]`.
+    pub positions: Buffer,
+    /// `[lights * lobes * row]`.
+    pub lobes: Buffer,
+}
+
+/// Numbers that an invocation can keep in arrays of its own.
+const OWN: u32 = 4096;
+
+/// Blocks of a workgroup, and workgroups.
+fn cut(tuning: Tuning, shape: &Shape, prepared: &Prepared, pixels: &Pixels) -> (u32, u32) {
+    let blocks = pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32;
+    // Each light of a block takes a round, and one a group of lobes.
+    let groups = prepared.model.lobes.div_ceil(shape.subgroup / 8);
+    let rounds = prepared.model.lights * (2 + groups) + 8;
+    let most = (tuning.rounds / 2 / rounds).max(1);
+    // Four on a processor: a row is worth more than a last bit of balance.
+    let each = blocks.div_ceil(2 * tuning.workers).clamp(1, most);
+    (each, blocks.div_ceil(each))
+}
+
+/// Writes the gradients of the prepared lights, from that of the radiance, `[P * 3]`.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_bwd(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    radiance_gradient: Buffer,
+) -> Result<LightGradients, GraphError> {
+    let (p, model, shape) = (&a.pixels, a.prepared.model, a.shape);
+    let width = model.lights * 8 * (1 + model.lobes);
+    let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p);
+    let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
+    g.fill("lights_bwd.clear", partials, 0)?;
+    let bindings = kernel::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        radiance_gradient: radiance_gradient.into(),
+        partials: partials.into(),
+    };
+    let specs = kernel::Specs {
+        subgroup: shape.subgroup,
+        lobes: model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+        lights: model.lights,
+        mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
+    };
+    let push = kernel::Push { normalizer: a.normalizer, blocks };
+    stage(g, "lights_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(u64::from(workgroups), 1))?;
+    let buffer = g.transient("lights_bwd.sums", 4 * u64::from(width));
+    let bindings = reduce::Bindings { partials: partials.into(), accumulated: buffer.into() };
+    let parts = if tuning.narrow() { 1 } else { 8 };
+    let specs = reduce::Specs { workgroup: tuning.workgroup, add: false, parts };
+    let push = reduce::Push { width, groups: workgroups };
+    stage(g, "lights_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(width), tuning.workgroup / parts))?;
+    Ok(LightGradients { buffer })
+}
+
+/// Writes the gradients of the raw parameters.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_prepare_bwd(
+    g: &mut Graph,
+    prepared: &Prepared,
+    parameters: &LightParameters,
+    gradients: &LightGradients,
+    into: &LightParameterGradients,
+) -> Result<(), GraphError> {
+    let model = prepared.model;
+    let bindings = finish::Bindings {
+        lobes: parameters.lobes.into(),
+        prepared: prepared.lights.into(),
+        light_gradients: gradients.buffer.into(),
+        positions_gradient: into.positions.into(),
+        lobes_gradient: into.lobes.into(),
+    };
+    let workgroup = 64;
+    let specs = finish::Specs { workgroup, lobes: model.lobes, free: model.axes == super::Axes::Free };
+    let push = finish::Push { lights: model.lights };
+    let name = "lights_prepare_bwd";
+    stage(g, name, &finish::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(model.lights) * u64::from(model.lobes), workgroup))
+}

@@ -1,0 +1,5 @@
+// Lights that nothing hides.
+
+void visibility_begin(uint slot, uint pixel) {}
+
+float visibility(uint slot, uint light) { return 1.0; }

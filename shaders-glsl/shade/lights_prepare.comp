@@ -1,0 +1,75 @@
+// Raw parameters of the lights to what shading reads, and the list of those that are on. One workgroup.
+//
+// With PERTURBED they are moved, dimmed or brightened, and some switched off, at random: a function of the step's seed, of
+// the copy and of the light.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "random.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 1) const uint LOBES = 12;
+layout(constant_id = 2) const bool FREE = false;      // axes are free vectors
+layout(constant_id = 3) const bool PERTURBED = false;
+
+#include "lights.glsl"
+
+layout(push_constant, scalar) uniform Push {
+    uint lights;
+    uint copy;       // which of several perturbed copies
+    float distance;  // PERTURBED: most that a light moves along each axis
+    float off;       // probability that it is off
+    float intensity; // most that its intensity changes, as a share
+} push;
+
+layout(scalar) uniform StepBlock { Step step; } params;
+
+IN(vec3, positions);
+IN(float, lobes);     // LOBES rows a light
+IN(float, gains);     // factor of a light's amplitudes; 0 is off
+OUT(vec4, prepared);
+OUT(uint, light_list);
+
+#include "light_axis.glsl"
+
+// One of the random numbers of a light, between -1 and 1.
+float random(uint light, uint which) {
+    return 2.0 * uniform_from(random_bits(params.step.seed ^ 0x5a17u, push.copy, 8u * light + which)) - 1.0;
+}
+
+float gain(uint light) {
+    float g = gains[light];
+    if (PERTURBED) {
+        g *= 1.0 + push.intensity * random(light, 0u);
+        if (0.5 * (random(light, 1u) + 1.0) < push.off) g = 0.0;
+    }
+    return g;
+}
+
+void main() {
+    uint total = by_workgroup(push.lights) * LOBES;
+    for (uint item = gl_LocalInvocationID.x; item < total; item += WORKGROUP) {
+        uint light = item / LOBES, lobe = item % LOBES;
+        uint at = light_at(light);
+        if (lobe == 0u) {
+            vec3 place = positions[light];
+            if (PERTURBED) place += push.distance * vec3(random(light, 2u), random(light, 3u), random(light, 4u));
+            prepared[at] = vec4(place, 0.0);
+        }
+        RawLobe l = load_raw_lobe(item);
+        float root = lobe_root(l.sharpness);
+        prepared[at + 1u + 2u * lobe] = vec4(root * lobe_axis(l, lobe), root);
+        prepared[at + 2u + 2u * lobe] = vec4(gain(light) * lobe_amplitude(l.amplitude), 0.0);
+    }
+    if (gl_SubgroupID != 0u) return;
+    uint count = 0u;
+    for (uint first = 0u; first < by_workgroup(push.lights); first += gl_SubgroupSize) {
+        uint light = first + gl_SubgroupInvocationID;
+        bool on = light < push.lights && gain(min(light, push.lights - 1u)) != 0.0;
+        uvec4 ballot = subgroupBallot(on);
+        if (on) light_list[1u + count + subgroupBallotExclusiveBitCount(ballot)] = light;
+        count += subgroupBallotBitCount(ballot);
+    }
+    if (gl_SubgroupInvocationID == 0u) light_list[0] = count;
+}

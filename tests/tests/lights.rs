@@ -1,0 +1,350 @@
+//! Shading under lights on a device against its reference and the reference's differences.
+
+use sgs_engine::graph::Graph;
+use sgs_passes::reference::brdf::unit;
+use sgs_passes::reference::lights as twin;
+use sgs_passes::shade::lights::{
+    Axes, LightModel, Lights, Perturbation, Shape, lights, lights_materials_bwd, lights_prepare, lights_split,
+    lights_train,
+};
+use sgs_tests::lit::{Lit, SPARE};
+use sgs_tests::{Gpu, Tolerance, assert_close};
+
+/// What the forward kernels and the materials' gradients left.
+struct Found {
+    direct: Vec<f32>,
+    split: [Vec<f32>; 2],
+    materials: Vec<f32>,
+    metallic: Vec<f32>,
+}
+
+/// What materials' gradients are added to.
+const BEFORE: f32 = 0.5;
+
+/// The device's own shape, and those of other devices.
+fn shapes(gpu: &Gpu) -> [Shape; 3] {
+    let own = Shape::for_device(gpu.tuning());
+    [own, Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
+}
+
+fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
+    let tuning = gpu.tuning();
+    let mut g = Graph::new("lights");
+    let mut bound = case.bind(&mut g, largest);
+    let pixels = bound.pixels;
+    let step = pixels.step;
+    let model = case.raw.model;
+    let prepared =
+        lights_prepare(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation).unwrap();
+    let what = Lights { pixels, prepared, normalizer: case.normalizer() as f32, shape };
+    let room = (case.pixels.len() + SPARE) as u64;
+    let [direct, again, whole, diffuse] =
+        ["direct", "again", "whole", "diffuse"].map(|name| g.external(name, 12 * room));
+    lights(&mut g, &what, direct).unwrap();
+    lights_split(&mut g, &what, whole, diffuse).unwrap();
+    let sums = lights_train(&mut g, &what, again).unwrap();
+    let materials = g.external("materials_gradient", 16 * room);
+    let metallic = g.external("metallic_gradient", 4 * room);
+    let wanted = case.metallic.then_some(metallic);
+    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
+    bound.inputs.push((materials, vec![BEFORE; 4 * case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
+    bound.inputs.push((metallic, vec![BEFORE; case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
+    let out = gpu.run(g, &bound.inputs);
+    let n = case.pixels.len();
+    let radiance = |buffer| {
+        let all: Vec<f32> = out.get(buffer);
+        assert!(all[3 * n..].iter().all(|x| x.to_bits() == u32::MAX), "pixels behind the view were written");
+        all[..3 * n].to_vec()
+    };
+    let found = Found {
+        direct: radiance(direct),
+        split: [radiance(whole), radiance(diffuse)],
+        materials: out.get::<f32>(materials)[..4 * n].to_vec(),
+        metallic: out.get::<f32>(metallic)[..n].to_vec(),
+    };
+    // Kernels of one body, with more or less beside it.
+    for other in [radiance(again), found.split[0].clone()] {
+        assert_close("variant", &wide(&found.direct), &other, Tolerance::new(1e-30, 2e-6));
+    }
+    found
+}
+
+fn wide(x: &[f32]) -> Vec<f64> {
+    x.iter().map(|&x| f64::from(x)).collect()
+}
+
+/// Root of the mean square.
+fn scale(x: &[f64]) -> f64 {
+    (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
+}
+
+/// Radiance and materials' gradients of a case are those of the reference. Errors may be `relative` of a value, or a
+/// hundredth of that of the usual value.
+fn check_pixels(gpu: &Gpu, case: &Lit, largest: [u32; 2], relative: f64) {
+    let lights = case.lights();
+    let [diffuse, specular] = twin::lights(&case.pixels, &lights, case.camera, case.normalizer());
+    let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
+    let bwd = twin::lights_materials_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient);
+    for shape in shapes(gpu) {
+        let found = run(gpu, shape, case, largest, None);
+        let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-30, relative);
+        assert_close("radiance", &whole, &found.direct, tolerance(&whole));
+        assert_close("diffuse", &diffuse, &found.split[1], tolerance(&diffuse));
+        for i in 0..4 {
+            let expected: Vec<f64> = bwd.iter().map(|b| b[i]).collect();
+            let gradient: Vec<f32> = (0..bwd.len()).map(|p| found.materials[4 * p + i]).collect();
+            check_added(&format!("gradient {i} of materials"), &expected, &gradient, tolerance(&expected));
+        }
+        if case.metallic {
+            let expected: Vec<f64> = bwd.iter().map(|b| b[4]).collect();
+            check_added("gradient of metallic", &expected, &found.metallic, tolerance(&expected));
+        } else {
+            assert!(found.metallic.iter().all(|&x| x == BEFORE));
+        }
+    }
+}
+
+#[track_caller]
+fn check_added(what: &str, expected: &[f64], found: &[f32], t: Tolerance) {
+    let after: Vec<f64> = expected.iter().map(|e| e + f64::from(BEFORE)).collect();
+    // What was there before has rounding of its own.
+    let size = expected.iter().fold(f64::from(BEFORE), |m, e| m.max(e.abs()));
+    assert_close(what, &after, found, Tolerance::new(t.absolute + 1e-7 * size, t.relative));
+}
+
+const SMALL: LightModel = LightModel { lights: 5, lobes: 12, axes: Axes::Grid };
+
+#[test]
+fn lights_at_odd_sizes() {
+    let gpu = Gpu::new();
+    let sizes = [[1, 1], [7, 1], [8, 8], [9, 8], [65, 1], [31, 17]];
+    for (i, size) in sizes.into_iter().enumerate() {
+        for metallic in [false, true] {
+            let case = Lit::random(size, SMALL, metallic, i as u32);
+            check_pixels(&gpu, &case, size.map(|s| s as u32), 2e-4);
+        }
+    }
+}
+
+#[test]
+fn lights_of_any_number_of_lobes() {
+    let gpu = Gpu::new();
+    for (lights, lobes, axes) in [(1, 1, Axes::Free), (9, 5, Axes::Grid), (70, 2, Axes::Free), (3, 32, Axes::Grid)] {
+        let case = Lit::random([13, 5], LightModel { lights, lobes, axes }, true, lobes);
+        check_pixels(&gpu, &case, [20, 9], 2e-4);
+    }
+}
+
+/// One pixel and one light, turned to whatever is hard.
+struct Hard {
+    name: &'static str,
+    change: fn(&mut Lit),
+    relative: f64,
+}
+
+fn set_all(case: &mut Lit, at: usize, value: f64) {
+    let row = case.raw.model.row() as usize;
+    case.raw.lobes.chunks_mut(row).for_each(|r| r[at] = sgs_tests::lit::narrow(value));
+}
+
+/// Places the lights in a given direction from the middle of the pixels, which all lie at one place but for little.
+fn aim(case: &mut Lit, normal: [f64; 3], view: [f64; 3], light: [f64; 3], distance: f64) {
+    let narrow = |v: [f64; 3]| v.map(sgs_tests::lit::narrow);
+    for (i, p) in case.pixels.iter_mut().enumerate() {
+        let jitter = 1e-3 * i as f64;
+        p.point = narrow([jitter, 0.7 * jitter, -0.2 * jitter]);
+        p.normal = narrow(unit(normal));
+    }
+    case.camera = narrow(unit(view).map(|x| 3.0 * x));
+    for light_at in case.raw.positions.chunks_mut(3) {
+        let v = narrow(unit(light).map(|x| distance * x));
+        light_at.copy_from_slice(&v);
+    }
+}
+
+const HARD: &[Hard] = &[
+    Hard {
+        name: "roughness 0.01",
+        change: |c| c.pixels.iter_mut().for_each(|p| p.material.roughness = 0.01),
+        relative: 1e-3,
+    },
+    Hard {
+        name: "roughness 0.04 in its highlight",
+        change: |c| {
+            aim(c, [0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [-0.5, 0.0, 1.0], 2.0);
+            c.pixels.iter_mut().for_each(|p| p.material.roughness = sgs_tests::lit::narrow(0.04));
+        },
+        relative: 1e-3,
+    },
+    Hard {
+        name: "roughness 1",
+        change: |c| c.pixels.iter_mut().for_each(|p| p.material.roughness = 1.0),
+        relative: 2e-4,
+    },
+    Hard {
+        name: "grazing light",
+        change: |c| aim(c, [0.0, 0.0, 1.0], [0.3, 0.1, 1.0], [1.0, 0.4, 4e-3], 2.0),
+        relative: 1e-3,
+    },
+    Hard {
+        name: "grazing view",
+        change: |c| aim(c, [0.0, 0.0, 1.0], [1.0, 0.2, 3e-3], [0.4, 0.4, 1.0], 2.0),
+        relative: 1e-3,
+    },
+    Hard {
+        name: "seen from behind",
+        change: |c| aim(c, [0.0, 0.0, 1.0], [0.3, 0.2, -1.0], [0.4, 0.4, 1.0], 2.0),
+        relative: 1e-3,
+    },
+    Hard {
+        name: "light against the view",
+        change: |c| aim(c, [0.0, 0.0, 1.0], [1.0, 0.0, 2e-2], [-1.0, 0.0, 2e-2], 2.0),
+        relative: 1e-3,
+    },
+    Hard {
+        name: "light almost in the surface",
+        change: |c| aim(c, [0.1, 0.2, 1.0], [0.3, 0.2, 1.0], [0.4, 0.4, 1.0], 1e-3),
+        relative: 1e-3,
+    },
+    Hard { name: "blunt lobes", change: |c| set_all(c, 2, (1e-3_f64).ln()), relative: 2e-4 },
+    Hard { name: "sharp lobes", change: |c| set_all(c, 2, (1e4_f64).ln()), relative: 1e-3 },
+    Hard { name: "lobes beyond the sharpest", change: |c| set_all(c, 2, 20.0), relative: 1e-3 },
+    Hard { name: "faint lights", change: |c| (3..6).for_each(|i| set_all(c, i, (1e-8_f64).ln())), relative: 2e-4 },
+    Hard { name: "fierce lights", change: |c| (3..6).for_each(|i| set_all(c, i, (1e6_f64).ln())), relative: 2e-4 },
+    Hard { name: "beyond the fiercest", change: |c| (3..6).for_each(|i| set_all(c, i, 100.0)), relative: 2e-4 },
+    Hard { name: "no light at all", change: |c| (3..6).for_each(|i| set_all(c, i, -200.0)), relative: 2e-4 },
+    Hard { name: "angles far out", change: |c| (0..2).for_each(|i| set_all(c, i, 30.0)), relative: 2e-4 },
+    Hard {
+        name: "nearly transparent",
+        change: |c| c.pixels.iter_mut().enumerate().for_each(|(i, p)| p.coverage = [1e-6, 1e-3, 9e-4, 0.5][i % 4]),
+        relative: 2e-4,
+    },
+    Hard {
+        name: "black metal",
+        change: |c| {
+            c.pixels.iter_mut().for_each(|p| {
+                p.material.albedo = [0.01, 0.0, 0.02].map(sgs_tests::lit::narrow);
+                p.material.metallic = sgs_tests::lit::narrow(0.95);
+            })
+        },
+        relative: 1e-3,
+    },
+    Hard {
+        name: "no normals",
+        change: |c| c.pixels.iter_mut().step_by(2).for_each(|p| p.normal = [0.0; 3]),
+        relative: 2e-4,
+    },
+];
+
+#[test]
+fn lights_at_extremes() {
+    let gpu = Gpu::new();
+    for (i, hard) in HARD.iter().enumerate() {
+        let mut case = Lit::random([9, 4], SMALL, true, 40 + i as u32);
+        (hard.change)(&mut case);
+        // Coverage is what 32 bits make of it.
+        case.pixels.iter_mut().for_each(|p| p.coverage = sgs_tests::lit::narrow(p.coverage));
+        case.pixels.iter_mut().for_each(|p| p.material.roughness = sgs_tests::lit::narrow(p.material.roughness));
+        eprintln!("{}", hard.name);
+        check_pixels(&gpu, &case, [9, 4], hard.relative);
+    }
+}
+
+/// Whatever pixels without a surface hold, they are black, and so are their gradients; and a light in a point itself.
+#[test]
+fn lights_of_nothing_are_nothing() {
+    let gpu = Gpu::new();
+    let mut case = Lit::random([11, 3], SMALL, true, 3);
+    for (i, p) in case.pixels.iter_mut().enumerate() {
+        if i % 3 == 0 {
+            p.coverage = 0.0;
+            p.point = [f64::NAN; 3];
+            p.normal = [f64::INFINITY; 3];
+            p.material.albedo = [f64::NAN; 3];
+            p.material.roughness = f64::NAN;
+            p.material.metallic = f64::NAN;
+        } else if i % 3 == 1 {
+            p.point = case.camera;
+        }
+    }
+    case.raw.positions[..3].copy_from_slice(&case.pixels[2].point);
+    let found = run(&gpu, shapes(&gpu)[0], &case, [11, 3], None);
+    for i in 0..case.pixels.len() {
+        let all =
+            [&found.direct[3 * i..3 * i + 3], &found.materials[4 * i..4 * i + 4], &found.metallic[i..=i]].concat();
+        assert!(all.iter().all(|x| x.is_finite()), "{i}: {all:?}");
+        if i % 3 == 0 {
+            assert_eq!(all, [0.0, 0.0, 0.0, BEFORE, BEFORE, BEFORE, BEFORE, BEFORE], "{i}");
+        }
+    }
+}
+
+#[test]
+fn lights_that_are_off_cost_nothing_and_send_nothing() {
+    let gpu = Gpu::new();
+    for on in [&[][..], &[2], &[0, 4], &[0, 1, 2, 3, 4]] {
+        let mut case = Lit::random([17, 3], SMALL, false, 5);
+        for (i, gain) in case.raw.gains.iter_mut().enumerate() {
+            *gain = if on.contains(&i) { 0.5 + i as f64 } else { 0.0 };
+        }
+        check_pixels(&gpu, &case, [17, 3], 2e-4);
+    }
+}
+
+#[test]
+fn perturbed_lights_are_those_of_the_reference() {
+    let gpu = Gpu::new();
+    let model = LightModel { lights: 40, lobes: 3, axes: Axes::Free };
+    let case = Lit::random([13, 7], model, false, 8);
+    let mut seen = Vec::new();
+    for copy in [0, 1] {
+        let p = Perturbation::published(copy, 1.0);
+        let moved = Lit { raw: twin::perturb(&case.raw, case.seed, &p), ..case.clone() };
+        let off = moved.raw.gains.iter().filter(|g| **g == 0.0).count();
+        assert!((4..24).contains(&off), "{off} of 40 lights are off");
+        let [diffuse, specular] = twin::lights(&case.pixels, &moved.lights(), case.camera, case.normalizer());
+        let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
+        let found = run(&gpu, shapes(&gpu)[0], &case, [13, 7], Some(&p));
+        assert_close("radiance", &whole, &found.direct, Tolerance::new(1e-5 * scale(&whole), 2e-4));
+        seen.push(found.direct);
+    }
+    assert_ne!(seen[0], seen[1]);
+}
+
+#[test]
+fn lights_are_the_same_every_time() {
+    let gpu = Gpu::new();
+    let case = Lit::random([31, 9], SMALL, true, 12);
+    let once = || {
+        let f = run(&gpu, shapes(&gpu)[0], &case, [31, 9], None);
+        [f.direct, f.split.concat(), f.materials, f.metallic].concat().iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+    };
+    let first = once();
+    assert!((0..3).all(|_| once() == first));
+}
+
+/// The checks above would notice what is wrong by a thousandth, or one light too few.
+#[test]
+fn checks_of_lights_can_fail() {
+    let case = Lit::random([9, 4], SMALL, true, 21);
+    let sum = |case: &Lit| -> Vec<f64> {
+        let [d, s] = twin::lights(&case.pixels, &case.lights(), case.camera, case.normalizer());
+        d.iter().zip(&s).map(|(d, s)| d + s).collect()
+    };
+    let expected = sum(&case);
+    let tolerance = Tolerance::new(1e-2 * 2e-4 * scale(&expected), 2e-4);
+    let excess = |found: &[f64]| {
+        let found: Vec<f32> = found.iter().map(|&x| x as f32).collect();
+        sgs_tests::worst(&expected, &found, tolerance).unwrap().3
+    };
+    assert!(excess(&expected) < 1.0);
+    let mut other = case.clone();
+    other.raw.gains[3] = 1.01;
+    assert!(excess(&sum(&other)) > 1.0);
+    let mut other = case.clone();
+    other.pixels[7].material.roughness *= 1.05;
+    assert!(excess(&sum(&other)) > 1.0);
+    let mut other = case.clone();
+    other.raw.lobes[8] += 0.1;
+    assert!(excess(&sum(&other)) > 1.0);
+}
