@@ -9,8 +9,6 @@ const float PI = 3.14159265358979;
 const float ALPHA_MIN = 1e-3;
 // Smallest n.v, for surfaces seen edge-on or from behind.
 const float NV_MIN = 1e-4;
-// Pixels with less blended opacity are not shaded.
-const float COVERAGE_MIN = 1e-3;
 const vec3 LUMINANCE = vec3(0.212671, 0.715160, 0.072169);
 
 // A pixel's surface, with what does not depend on the light.

@@ -3,6 +3,7 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "brdf.glsl"
+#include "coverage.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 64;
 layout(local_size_x_id = 0) in;
@@ -24,7 +25,7 @@ INOUT(float, metallic_gradient);
 void main() {
     uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (pixel >= params.step.camera.size.x * params.step.camera.size.y) return;
-    if (coverage[pixel] < COVERAGE_MIN) return;
+    if (!is_covered(coverage[pixel])) return;
     vec3 g = radiance_gradient[pixel];
     uint at = (METALLIC != 0 ? 4u : 2u) * pixel;
     vec3 lambert = g * sums[at] / PI;

@@ -18,6 +18,7 @@ layout(constant_id = 3) const uint PER_LANE = 1;     // pixels of a lane
 layout(constant_id = 4) const bool SPREAD = false;   // lanes fetch a number of a lobe each, for devices that load lane by lane
 
 #include "brdf.glsl"
+#include "coverage.glsl"
 #include "lights.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -45,7 +46,7 @@ uint pixel_of(uint block, uint p) { return (block * PER_LANE + p) * SUBGROUP + g
 bool shaded(uint pixel, uint count) {
     bool inside = pixel < count;
     float c = coverage[min(pixel, count - 1u)];
-    return inside && c >= COVERAGE_MIN;
+    return inside && is_covered(c);
 }
 
 // The surface of a pixel; one without a normal, which cannot face anything, where there is none.

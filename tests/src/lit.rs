@@ -4,8 +4,9 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{Material, V3, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::shade::Pixels;
 use sgs_passes::shade::lights::{LightModel, LightParameters};
+use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
+use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 
 /// Pixels beyond the view's that buffers have.
@@ -139,7 +140,11 @@ impl Lit {
         inputs.push((parameters.positions, floats(self.raw.positions.iter().copied())));
         inputs.push((parameters.lobes, floats(self.raw.lobes.iter().copied())));
         inputs.push((parameters.gains, floats(self.raw.gains.iter().copied())));
-        let pixels = Pixels { step, points, normals, coverage, materials, metallic, largest };
+        let pixels = Pixels {
+            screen: Screen { step, largest, tile: [8, 8] },
+            surfaces: Surfaces { points, normals, coverage },
+            materials: PixelMaterials { materials, metallic },
+        };
         Bound { pixels, parameters, gradient, inputs }
     }
 }

@@ -32,7 +32,7 @@ fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Opt
     let mut g = Graph::new("lights");
     let mut bound = case.bind(&mut g, largest);
     let pixels = bound.pixels;
-    let step = pixels.step;
+    let step = pixels.screen.step;
     let model = case.raw.model;
     let prepared =
         lights_prepare(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation).unwrap();

@@ -8,10 +8,11 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{Material, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::shade::Pixels;
 use sgs_passes::shade::lights::{
     LightModel, LightParameters, Lights, Shape, lights, lights_materials_bwd, lights_prepare, lights_train,
 };
+use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
+use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 
 const CAMERA: [f32; 3] = [0.2, 0.1, -1.2];
@@ -99,13 +100,13 @@ fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
     values.camera.position = CAMERA;
     let step = g.uniform("step", size_of::<Step>() as u64);
     let pixels = Pixels {
-        step,
-        points: g.input("points", 12 * n),
-        normals: g.input("normals", 12 * n),
-        coverage: g.input("coverage", 4 * n),
-        materials: g.input("materials", 16 * n),
-        metallic: None,
-        largest: size,
+        screen: Screen { step, largest: size, tile: [8, 8] },
+        surfaces: Surfaces {
+            points: g.input("points", 12 * n),
+            normals: g.input("normals", 12 * n),
+            coverage: g.input("coverage", 4 * n),
+        },
+        materials: PixelMaterials { materials: g.input("materials", 16 * n), metallic: None },
     };
     let parameters = LightParameters {
         positions: g.input("positions", model.position_bytes()),
@@ -115,10 +116,10 @@ fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
     let gradient = g.input("radiance_gradient", 12 * n);
     let inputs = vec![
         (step, bytes(&[values])),
-        (pixels.points, bytes(&lit.points)),
-        (pixels.normals, bytes(&lit.normals)),
-        (pixels.coverage, bytes(&vec![1.0_f32; lit.points.len()])),
-        (pixels.materials, bytes(&lit.materials)),
+        (pixels.surfaces.points, bytes(&lit.points)),
+        (pixels.surfaces.normals, bytes(&lit.normals)),
+        (pixels.surfaces.coverage, bytes(&vec![1.0_f32; lit.points.len()])),
+        (pixels.materials.materials, bytes(&lit.materials)),
         (parameters.positions, bytes(&lit.positions)),
         (parameters.lobes, bytes(&lit.lobes)),
         (parameters.gains, bytes(&vec![1.0_f32; model.lights as usize])),
@@ -134,7 +135,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut g = Graph::new("lights");
     let b = bind(&mut g, &lit, size, model);
     let n = lit.points.len();
-    let prepared = lights_prepare(&mut g, c.tuning, "lights_prepare", b.pixels.step, model, &b.parameters, None)?;
+    let prepared =
+        lights_prepare(&mut g, c.tuning, "lights_prepare", b.pixels.screen.step, model, &b.parameters, None)?;
     let what = Lights {
         pixels: b.pixels,
         prepared,

@@ -69,28 +69,28 @@ pub struct Sums {
 pub fn lights(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<(), GraphError> {
     let p = &a.pixels;
     let bindings = render::Bindings {
-        params: p.step.into(),
+        params: p.screen.step.into(),
         prepared: a.prepared.lights.into(),
         prepared_floats: a.prepared.lights.into(),
         light_list: a.prepared.list.into(),
-        points: p.points.into(),
-        normals: p.normals.into(),
-        coverage: p.coverage.into(),
-        materials: p.materials.into(),
-        metallic: p.metallic.unwrap_or(p.materials).into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
         direct: direct.into(),
     };
     let specs = render::Specs {
         subgroup: a.shape.subgroup,
         lobes: a.prepared.model.lobes,
-        metallic: p.metallic.is_some(),
+        metallic: p.materials.metallic.is_some(),
         per_lane: a.shape.per_lane,
         spread: a.shape.spread,
     };
     let push = render::Push { normalizer: a.normalizer };
     stage(g, "lights", &render::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
-        .dispatch(groups(p.most(), a.shape.block()))
+        .dispatch(groups(p.screen.pixels(), a.shape.block()))
 }
 
 /// As [`lights`], and writes the diffuse part of it to `diffuse`, `[P * 3]`; the rest is specular.
@@ -100,29 +100,29 @@ pub fn lights(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<(), GraphErro
 pub fn lights_split(g: &mut Graph, a: &Lights, direct: Buffer, diffuse: Buffer) -> Result<(), GraphError> {
     let p = &a.pixels;
     let bindings = split::Bindings {
-        params: p.step.into(),
+        params: p.screen.step.into(),
         prepared: a.prepared.lights.into(),
         prepared_floats: a.prepared.lights.into(),
         light_list: a.prepared.list.into(),
-        points: p.points.into(),
-        normals: p.normals.into(),
-        coverage: p.coverage.into(),
-        materials: p.materials.into(),
-        metallic: p.metallic.unwrap_or(p.materials).into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
         direct: direct.into(),
         diffuse: diffuse.into(),
     };
     let specs = split::Specs {
         subgroup: a.shape.subgroup,
         lobes: a.prepared.model.lobes,
-        metallic: p.metallic.is_some(),
+        metallic: p.materials.metallic.is_some(),
         per_lane: a.shape.per_lane,
         spread: a.shape.spread,
     };
     let push = split::Push { normalizer: a.normalizer };
     stage(g, "lights_split", &split::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
-        .dispatch(groups(p.most(), a.shape.block()))
+        .dispatch(groups(p.screen.pixels(), a.shape.block()))
 }
 
 /// As [`lights`], and leaves what [`lights_materials_bwd`] needs.
@@ -131,31 +131,31 @@ pub fn lights_split(g: &mut Graph, a: &Lights, direct: Buffer, diffuse: Buffer) 
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn lights_train(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<Sums, GraphError> {
     let p = &a.pixels;
-    let sums = g.transient("lights.sums", p.most() * if p.metallic.is_some() { 48 } else { 24 });
+    let sums = g.transient("lights.sums", p.screen.pixels() * if p.materials.metallic.is_some() { 48 } else { 24 });
     let bindings = train::Bindings {
-        params: p.step.into(),
+        params: p.screen.step.into(),
         prepared: a.prepared.lights.into(),
         prepared_floats: a.prepared.lights.into(),
         light_list: a.prepared.list.into(),
-        points: p.points.into(),
-        normals: p.normals.into(),
-        coverage: p.coverage.into(),
-        materials: p.materials.into(),
-        metallic: p.metallic.unwrap_or(p.materials).into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
         direct: direct.into(),
         sums: sums.into(),
     };
     let specs = train::Specs {
         subgroup: a.shape.subgroup,
         lobes: a.prepared.model.lobes,
-        metallic: p.metallic.is_some(),
+        metallic: p.materials.metallic.is_some(),
         per_lane: a.shape.per_lane,
         spread: a.shape.spread,
     };
     let push = train::Push { normalizer: a.normalizer };
     stage(g, "lights_train", &train::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
-        .dispatch(groups(p.most(), a.shape.block()))?;
+        .dispatch(groups(p.screen.pixels(), a.shape.block()))?;
     Ok(Sums { buffer: sums })
 }
 
@@ -173,22 +173,22 @@ pub fn lights_materials_bwd(
     materials_gradient: Buffer,
     metallic_gradient: Option<Buffer>,
 ) -> Result<(), GraphError> {
-    let size = groups(pixels.most(), tuning.workgroup);
+    let size = groups(pixels.screen.pixels(), tuning.workgroup);
     let name = "lights_materials_bwd";
-    if let Some(metallic) = pixels.metallic {
+    if let Some(metallic) = pixels.materials.metallic {
         let metallic_gradient = match metallic_gradient {
             Some(buffer) => buffer,
             None => {
-                let unwanted = g.transient("lights.metallic_gradient", 4 * pixels.most());
+                let unwanted = g.transient("lights.metallic_gradient", 4 * pixels.screen.pixels());
                 g.fill("lights.clear_metallic_gradient", unwanted, 0)?;
                 unwanted
             }
         };
         let bindings = with_metallic::Bindings {
-            params: pixels.step.into(),
+            params: pixels.screen.step.into(),
             sums: sums.buffer.into(),
-            coverage: pixels.coverage.into(),
-            materials: pixels.materials.into(),
+            coverage: pixels.surfaces.coverage.into(),
+            materials: pixels.materials.materials.into(),
             metallic: metallic.into(),
             radiance_gradient: radiance_gradient.into(),
             materials_gradient: materials_gradient.into(),
@@ -198,9 +198,9 @@ pub fn lights_materials_bwd(
         return stage(g, name, &with_metallic::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(size);
     }
     let bindings = materials::Bindings {
-        params: pixels.step.into(),
+        params: pixels.screen.step.into(),
         sums: sums.buffer.into(),
-        coverage: pixels.coverage.into(),
+        coverage: pixels.surfaces.coverage.into(),
         radiance_gradient: radiance_gradient.into(),
         materials_gradient: materials_gradient.into(),
     };
