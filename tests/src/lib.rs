@@ -4,6 +4,7 @@
 pub mod busy;
 pub mod cli;
 pub mod compare;
+pub mod environment;
 pub mod feature_view;
 pub mod gpu;
 pub mod kernels;

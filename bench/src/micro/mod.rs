@@ -6,6 +6,7 @@ mod blend;
 mod blend_bwd;
 pub mod densify;
 mod lights;
+mod environment;
 mod masks;
 mod photometric;
 mod primitives;
@@ -52,4 +53,5 @@ pub const STAGES: [(&str, Stage); 11] = [
     ("lights", lights::all),
     ("adam", adam::one),
     ("densify", densify::one),
+    ("environment", environment::all),
 ];

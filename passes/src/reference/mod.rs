@@ -8,6 +8,7 @@ pub mod correspondence;
 pub mod cross_view;
 pub mod densify;
 pub mod edge_aware;
+pub mod environment;
 pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;

@@ -4,6 +4,7 @@
 //! results are bit-identical from run to run; pixels without a surface are zero, and so are their gradients. Leaves how
 //! radiance becomes a picture to the losses.
 
+pub mod environment;
 mod gbuffer;
 pub mod lights;
 mod materials;

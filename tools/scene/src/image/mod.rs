@@ -5,6 +5,7 @@
 //! [`View::load_image`](crate::View::load_image).
 
 mod color;
+mod environment;
 mod exr;
 mod file;
 mod npy;
@@ -14,6 +15,7 @@ mod resize;
 mod undistort;
 
 pub use color::{linear_to_srgb, srgb_to_linear};
+pub use environment::{read_environment, write_environment};
 pub use exr::{ExrImage, read_exr, write_exr};
 pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size};
 pub use npy::NpyArray;

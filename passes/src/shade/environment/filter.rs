@@ -1,0 +1,176 @@
+//! `environment_mips` and `environment_prefilter`: from texels to levels, and back by the exact adjoints.
+//!
+//! Cost: [`super::Environment::levels`] has for each level how far its lobe reaches; a product is about 20 operations, in
+//! blocks of 32 texels and more (of a subgroup) that share what they read.
+
+use super::levels::Level;
+use super::smoothness::Smoothness;
+use super::{Environment, EnvironmentSums, EnvironmentTables};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
+use sgs_shaders::{
+    environment_collect, environment_mips, environment_mips_bwd, environment_prefilter, environment_prefilter_bwd,
+};
+
+/// An environment as surfaces see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Filtered {
+    /// `[texels of all levels * 3]`.
+    pub radiance: Buffer,
+    /// `[texels of all levels]`: one over the sum of each filter's weights.
+    pub inverse_sums: Buffer,
+    /// The mip that smoothness is measured on, where it is not the cube itself.
+    pub(super) smoothed: Option<Buffer>,
+}
+
+/// Columns of a block and rows of a lane. A processor shares each texel that it fetches among several; where the cone is
+/// narrow, a block that is nearly square sees fewest texels that only some of its own need.
+fn block(t: &Tuning, level: &Level) -> [u32; 2] {
+    let narrow = level.reach() < 16.0 * std::f64::consts::FRAC_PI_2 / f64::from(level.size);
+    match (t.narrow(), narrow) {
+        (true, true) => [4, 2],
+        (true, false) => [8, 4],
+        (false, _) => [8, 1],
+    }
+}
+
+fn floats(texels: u32) -> u64 {
+    12 * u64::from(texels)
+}
+
+/// What the kernels know of a lobe.
+macro_rules! push {
+    ($kernel:ident, $level:expr) => {
+        $kernel::Push {
+            size: $level.size,
+            steep: $level.steep() as f32,
+            cutoff: $level.cutoff as f32,
+            fade: $level.fade() as f32,
+            reach: $level.reach() as f32,
+        }
+    };
+}
+
+/// Workgroups of a level.
+fn blocks(t: &Tuning, level: &Level) -> [u32; 3] {
+    let [columns, rows] = block(t, level);
+    let height = t.subgroup_size / columns * rows;
+    groups(u64::from(6 * (level.size / columns) * (level.size / height)), 1)
+}
+
+/// Adds the passes that filter the environment whose texels are `texels`.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn environment_filter(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    texels: Buffer,
+) -> Result<Filtered, GraphError> {
+    // Down to the coarsest mip that a level is made from; the last one is always of 16.
+    let mut mips = vec![(e.size, texels)];
+    while let Some(&(size, finer)) = mips.last()
+        && size > 16
+    {
+        let half = size / 2;
+        let coarser = g.transient(format!("environment.mip{half}"), floats(6 * half * half));
+        let bindings = environment_mips::Bindings { finer: finer.into(), coarser: coarser.into() };
+        let specs = environment_mips::Specs { workgroup: t.workgroup };
+        let push = environment_mips::Push { size: half };
+        let name = format!("environment_mips{half}");
+        stage(g, &name, &environment_mips::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+            .dispatch(groups(u64::from(6 * half * half), t.workgroup))?;
+        mips.push((half, coarser));
+    }
+    let mip = |size: u32| mips.iter().find(|(s, _)| *s == size).map_or(texels, |(_, b)| *b);
+    let radiance = g.transient("environment.radiance", floats(e.filtered_texels()));
+    let inverse_sums = g.transient("environment.inverse_sums", 4 * u64::from(e.filtered_texels()));
+    for (i, level) in e.levels.iter().enumerate() {
+        let part = |buffer: Buffer, floats: u64| Slice {
+            buffer,
+            offset: 4 * floats * u64::from(level.first),
+            bytes: 4 * floats * u64::from(level.texels()),
+        };
+        let bindings = environment_prefilter::Bindings {
+            source: mip(level.size).into(),
+            areas: e.areas(tables, level.size),
+            target: part(radiance, 3),
+            inverse_sums: part(inverse_sums, 1),
+        };
+        let [columns, rows] = block(t, level);
+        let specs = environment_prefilter::Specs { subgroup: t.subgroup_size, rows, columns };
+        let push = push!(environment_prefilter, level);
+        let (kernel, name) = (&environment_prefilter::KERNEL, format!("environment_prefilter{i}"));
+        stage(g, &name, kernel, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+            .subgroup_size(Some(t.subgroup_size))
+            .dispatch(blocks(t, level))?;
+    }
+    let smoothed = (e.size > Environment::SMOOTHED).then(|| mip(Environment::SMOOTHED));
+    Ok(Filtered { radiance, inverse_sums, smoothed })
+}
+
+/// Adds the passes that write `gradient`, of the texels, from the sums that [`super::environment_bwd`] left and from
+/// smoothness.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn environment_filter_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    filtered: &Filtered,
+    sums: &EnvironmentSums,
+    smoothness: Option<&Smoothness>,
+    gradient: Buffer,
+) -> Result<(), GraphError> {
+    let texels = e.filtered_texels();
+    let scaled = g.transient("environment.scaled", floats(texels));
+    let bindings = environment_collect::Bindings {
+        texel_sums: sums.texel_sums.into(),
+        largest: sums.largest.into(),
+        inverse_sums: filtered.inverse_sums.into(),
+        scaled: scaled.into(),
+    };
+    let specs = environment_collect::Specs { workgroup: t.workgroup, fixed_bits: sums.bits };
+    let push = environment_collect::Push { texels };
+    let (kernel, bytes) = (&environment_collect::KERNEL, bytemuck::bytes_of(&push));
+    stage(g, "environment_collect", kernel, bindings.entries(), specs.entries(), bytes)
+        .dispatch(groups(3 * u64::from(texels), t.workgroup))?;
+
+    let parts = e.parts(smoothness.is_some());
+    let smoothed = parts[e.levels.len()..].iter().map(|(_, size)| 6 * size * size).sum::<u32>();
+    let mip_gradients = g.transient("environment.mip_gradients", floats(texels + smoothed));
+    for (i, level) in e.levels.iter().enumerate() {
+        let part = |buffer: Buffer| Slice { buffer, offset: floats(level.first), bytes: floats(level.texels()) };
+        let bindings = environment_prefilter_bwd::Bindings {
+            source: part(scaled),
+            areas: e.areas(tables, level.size),
+            target: part(mip_gradients),
+        };
+        let [columns, rows] = block(t, level);
+        let specs = environment_prefilter_bwd::Specs { subgroup: t.subgroup_size, rows, columns };
+        let push = push!(environment_prefilter_bwd, level);
+        let (kernel, name) = (&environment_prefilter_bwd::KERNEL, format!("environment_prefilter{i}_bwd"));
+        stage(g, &name, kernel, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+            .subgroup_size(Some(t.subgroup_size))
+            .dispatch(blocks(t, level))?;
+    }
+    if let Some(s) = smoothness {
+        let part = Slice { buffer: mip_gradients, offset: floats(texels), bytes: floats(smoothed) };
+        s.add(g, t, part)?;
+    }
+    let mut push = environment_mips_bwd::Push { size: e.size, ..Default::default() };
+    for (i, (first, size)) in parts.iter().enumerate() {
+        push.first[i] = *first;
+        push.shift[i] = (e.size / size).ilog2();
+    }
+    let bindings = environment_mips_bwd::Bindings { mip_gradients: mip_gradients.into(), gradient: gradient.into() };
+    let specs = environment_mips_bwd::Specs { workgroup: t.workgroup, parts: parts.len() as u32 };
+    let (kernel, bytes) = (&environment_mips_bwd::KERNEL, bytemuck::bytes_of(&push));
+    stage(g, "environment_mips_bwd", kernel, bindings.entries(), specs.entries(), bytes)
+        .dispatch(groups(u64::from(6 * e.size * e.size), t.workgroup))
+}

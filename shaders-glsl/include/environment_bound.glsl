@@ -1,0 +1,10 @@
+// No pixel gives more than this to a texel. Not finite where a pixel's gradient or material is not: it gives nothing. Needs
+// METALLIC, `materials`, `metallic` and `radiance_gradient`.
+float environment_bound(uint i) {
+    vec3 g = abs(vec3(radiance_gradient[3u * i], radiance_gradient[3u * i + 1u], radiance_gradient[3u * i + 2u]));
+    vec3 a = abs(vec3(materials[4u * i], materials[4u * i + 1u], materials[4u * i + 2u]));
+    float metal = METALLIC ? abs(metallic[i]) : 0.0;
+    // F0 a + b with a, b <= 1, and (1 - M) A. Added rather than compared, so that what is not finite stays so.
+    float most = 1.04 + (1.0 + metal) * (a.x + a.y + a.z + 1.0);
+    return (g.x + g.y + g.z) * most;
+}
