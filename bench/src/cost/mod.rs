@@ -6,6 +6,7 @@
 //! specialization constants say about it, and not from what a kernel happens to do: a kernel that does more than it must
 //! shows a lower share.
 
+mod environment;
 mod meaning;
 mod model;
 mod shade;

@@ -5,8 +5,8 @@ mod adam;
 mod blend;
 mod blend_bwd;
 pub mod densify;
-mod lights;
 mod environment;
+mod lights;
 mod masks;
 mod photometric;
 mod primitives;
@@ -41,7 +41,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 11] = [
+pub const STAGES: [(&str, Stage); 12] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),

@@ -1,0 +1,37 @@
+//! The cost of the kernels of the environment.
+
+use super::{Cost, Counts, Stage};
+
+/// A product of texel and weight: distance 8, lobe 9 with its division, three channels and the weight 8.
+const PRODUCT: f64 = 25.0;
+/// A bilinear lookup: place 30, texels 60, three channels 24.
+const LOOKUP: f64 = 114.0;
+/// Surface: view 12, mirrored 10, level and table 60, colors 20.
+const SURFACE: f64 = 102.0;
+
+/// A kernel's cost, if it is one of these.
+pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    let size = (s.push)(0);
+    let texels = 6.0 * size * size;
+    let p = c.pixels;
+    let (bytes, operations) = match s.kernel {
+        // Of the mip that is made.
+        "environment_mips" => (60.0 * texels, 12.0 * texels),
+        // A cone of squared reach e covers e / 4 of the sphere.
+        "environment_prefilter" | "environment_prefilter_bwd" => {
+            let reach = f64::from(f32::from_bits((s.push)(2) as u32));
+            (28.0 * texels, PRODUCT * texels * texels * reach / 4.0)
+        }
+        "environment" => (56.0 * p, (3.0 * LOOKUP + SURFACE) * p),
+        "environment_scale" => (32.0 * p, 20.0 * p),
+        // Twelve texels with three sums of two words each.
+        "environment_bwd" => (84.0 * p, (6.0 * LOOKUP + 2.0 * SURFACE + 36.0 * 20.0) * p),
+        "environment_collect" => (40.0 * size, 20.0 * size),
+        "environment_mips_bwd" => (24.0 * texels, 18.0 * texels),
+        // About ten entries a row.
+        "environment_smoothness" => (108.0 * size, 150.0 * size),
+        "environment_background" => (12.0 * p, (LOOKUP + 20.0) * p),
+        _ => return None,
+    };
+    Some(Cost { bytes, operations })
+}
