@@ -7,6 +7,7 @@
 //! shows a lower share.
 
 mod environment;
+mod material;
 mod meaning;
 mod model;
 mod shade;

@@ -70,7 +70,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
                 .or_else(|| densify(s, c))
                 .or_else(|| super::meaning::kernel(s, c))
                 .or_else(|| super::shade::kernel(s, c))
-                .or_else(|| super::environment::kernel(s, c));
+                .or_else(|| super::environment::kernel(s, c))
+                .or_else(|| super::material::kernel(s, c));
         }
     };
     Some(Cost { bytes, operations })

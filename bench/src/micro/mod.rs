@@ -8,6 +8,7 @@ pub mod densify;
 mod environment;
 mod lights;
 mod masks;
+mod materials;
 mod photometric;
 mod primitives;
 mod semantic;
@@ -41,7 +42,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 12] = [
+pub const STAGES: [(&str, Stage); 13] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -51,6 +52,7 @@ pub const STAGES: [(&str, Stage); 12] = [
     ("correspondence", semantic::correspondence),
     ("masks", masks::both),
     ("lights", lights::all),
+    ("materials", materials::all),
     ("adam", adam::one),
     ("densify", densify::one),
     ("environment", environment::all),
