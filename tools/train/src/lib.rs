@@ -23,6 +23,7 @@ mod run;
 mod schedule;
 mod semantics;
 mod settings;
+mod visibility;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use convert::{camera, gaussian_data, splats};
@@ -44,3 +45,4 @@ pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, ProviderSettings, Rates, Settings,
 };
+pub use visibility::VisibilityFile;
