@@ -70,7 +70,7 @@ void spread_layers(uint item) {
     EACH_HELD(h) {
         float at = fma(spread_pair[3u * HELD + h], reach, spread_points[item * HELD + h]);
         at = fma(spread_pair[h], x, fma(spread_pair[HELD + h], y, fma(spread_pair[2u * HELD + h], z, at)));
-        hidden[h] = max(at, 0.0);
+        hidden[h] = rectified(at);
         sum[h] = 0.0;
     }
     FIELD_EACH(k, WIDTH) {
@@ -78,7 +78,7 @@ void spread_layers(uint item) {
         EACH_HELD(h) sum[h] = fma(spread_second[k * HELD + h], x, sum[h]);
     }
     float logit = 0.0;
-    EACH_HELD(h) logit = fma(spread_last[h], max(sum[h], 0.0), logit);
+    EACH_HELD(h) logit = fma(spread_last[h], rectified(sum[h]), logit);
     spread_logits[item] = logit;
 }
 
@@ -121,14 +121,14 @@ void alone_project(uint block) {
 void alone_second(uint block) {
     vec4 sum = vec4(0.0);
     FIELD_EACH(k, WIDTH) sum = fma(shared_second[block * WIDTH + k], vec4(alone_hidden[k]), sum);
-    FIELD_EACH(j, 4u) alone_logit = fma(shared_last[block * 4u + j], max(sum[j], 0.0), alone_logit);
+    FIELD_EACH(j, 4u) alone_logit = fma(shared_last[block * 4u + j], rectified(sum[j]), alone_logit);
 }
 
 void alone_layers(vec4 way) {
     FIELD_EACH(n, WIDTH) {
         vec4 w = shared_pair[n];
         float at = fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, alone_point[n]))));
-        alone_hidden[n] = max(at, 0.0);
+        alone_hidden[n] = rectified(at);
     }
     alone_logit = 0.0;
     FIELD_BLOCKS(alone_second)
@@ -160,13 +160,6 @@ void field_project() {
 void field_pixel(vec3 position) {
     field_encode(position);
     field_project();
-}
-
-// Direction from the light, which is zero at the light, and distance.
-vec4 field_way(vec3 position, vec3 light) {
-    vec3 way = position - light;
-    float reach = sqrt(dot(way, way));
-    return vec4(way * (1.0 / max(reach, 1e-12)), reach);
 }
 
 // Both in the box's coordinates.

@@ -3,6 +3,9 @@
 // Mueller et al. 2022, section 3: a level is a grid over the box; grids that fit their table are stored as they are, the
 // others are hashed into it. Corners beyond the last one count as the last one.
 
+// Pixels that are less opaque are not shaded.
+const float LEAST_COVERAGE = 1e-3;
+
 struct FieldLevel {
     float scale;     // grid steps across the box
     uint resolution; // grid points along an axis
@@ -27,6 +30,13 @@ struct FieldStep {
 // Where the box's corners are 0 and 1; points outside count as on its faces.
 vec3 field_position(FieldStep field, vec3 world) {
     return clamp((world - field.box_min) * field.box_inverse, vec3(0.0), vec3(1.0));
+}
+
+// Direction from the light, which is zero at the light, and distance.
+vec4 field_way(vec3 position, vec3 light) {
+    vec3 way = position - light;
+    float reach = sqrt(dot(way, way));
+    return vec4(way * (1.0 / max(reach, 1e-12)), reach);
 }
 
 // The cell of a level that a point lies in.

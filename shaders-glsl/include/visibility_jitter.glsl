@@ -1,9 +1,6 @@
 // How points and lights are moved for the field's smoothness: one draw a pixel and one a light, the same for all pairs.
 // Needs random.glsl and visibility_grid.glsl.
 
-// Pixels that are less opaque than this are not shaded.
-const float LEAST_COVERAGE = 1e-3;
-
 const uint POINTS = 0x51a7u, LIGHTS = 0xb0c3u;
 
 vec3 jitter_of(FieldStep field, uint kind, uint index) {

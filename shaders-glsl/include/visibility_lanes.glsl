@@ -20,6 +20,9 @@ float from_lane(float x, uint c) {
     return subgroupShuffle(x, SIDES > 1u ? gl_SubgroupInvocationID / ACROSS * ACROSS + c : c);
 }
 
+// Held where products stay numbers, whatever the weights have become.
+float rectified(float x) { return min(max(x, 0.0), 1e18); }
+
 #define EACH_HELD(h) [[unroll]] for (uint h = 0u; h < HELD; h++)
 #define EACH_ITEM(f) f(0u); f(1u); f(2u); f(3u); f(4u); f(5u); f(6u); f(7u);
 

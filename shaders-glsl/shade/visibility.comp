@@ -1,7 +1,6 @@
 // How much of the lights each pixel sees by the visibility field: the mean over them, or one of them.
 #version 460
 #include "common.glsl"
-#include "random.glsl"
 #include "visibility_grid.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 64;
@@ -23,7 +22,6 @@ IN(float, coverage);
 OUT(float, visibility);
 
 #include "visibility_field.glsl"
-#include "visibility_jitter.glsl"
 
 void main() {
     field_weights();

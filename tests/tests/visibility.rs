@@ -3,7 +3,9 @@
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::visibility as twin;
-use sgs_passes::shade::visibility::{Field, FieldConfig, View, visibility, visibility_encode};
+use sgs_passes::shade::visibility::{
+    BackwardOptions, Constant, Field, FieldConfig, Gradients, View, visibility, visibility_bwd, visibility_encode,
+};
 use sgs_shaders::structs::FieldStep;
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -195,4 +197,139 @@ fn a_wrong_entry_is_noticed() {
     let mut other = case.clone();
     other.tables.iter_mut().skip(1).step_by(2).for_each(|t| *t *= 1.01);
     assert_close("mean", &other.expected(None), &case.forward(&gpu, None, true), VALUES);
+}
+
+/// What a backward pass left.
+struct Found {
+    mlp: Vec<f32>,
+    lights: Vec<f32>,
+    tables: Vec<f32>,
+    /// Of the tables, as they are.
+    words: Vec<u32>,
+    touched: Vec<u32>,
+}
+
+/// What the loss asks: gradients of pixels, radiance of lights.
+struct Asked {
+    pixels: Vec<[f32; 3]>,
+    lights: Vec<[f32; 3]>,
+    options: BackwardOptions,
+}
+
+impl Asked {
+    fn random(case: &Case, scale: f64, seed: u32) -> Asked {
+        let mut rng = Pcg::new(seed);
+        let mut colors = |n: usize, low: f64| -> Vec<[f32; 3]> {
+            (0..n).map(|_| [0; 3].map(|_| (scale.sqrt() * rng.range(low, 1.0)) as f32)).collect()
+        };
+        let (pixels, lights) = (colors(case.points.len(), -1.0), colors(case.lights.len(), 0.0));
+        Asked { pixels, lights, options: BackwardOptions::default() }
+    }
+
+    fn by_visibility(&self, pixel: usize, light: usize) -> f64 {
+        (0..3).map(|k| f64::from(self.pixels[pixel][k]) * f64::from(self.lights[light][k])).sum()
+    }
+}
+
+fn whole(words: &[u32], inverse: f32) -> f32 {
+    let value = (u64::from(words[0]) | u64::from(words[1]) << 32) as i64;
+    (value as f64 * f64::from(inverse)) as f32
+}
+
+impl Case {
+    fn backward(&self, gpu: &Gpu, asked: &Asked) -> Found {
+        let (mut g, mut inputs) = (Graph::new("visibility_bwd"), Vec::new());
+        let (field, view) = self.declare(&mut g, &mut inputs);
+        let mut given = |name: &str, data: Vec<u8>| {
+            let buffer = g.external(name, data.len() as u64);
+            inputs.push((buffer, data));
+            buffer
+        };
+        let constant = Constant {
+            radiance: given("radiance", bytes(&asked.lights)),
+            radiance_gradient: given("radiance_gradient", bytes(&asked.pixels)),
+        };
+        let entries = self.config.entries() as usize;
+        let tables = given("table_gradients", vec![0; 16 * entries]);
+        let touched = given("touched", vec![0; 4 * entries.div_ceil(32)]);
+        let most = self.lights.len() as u32 + 2;
+        let into = Gradients {
+            mlp: g.external("mlp_gradient", 4 * self.config.weights() as u64),
+            lights: g.external("light_gradients", 12 * u64::from(most)),
+            tables,
+            touched,
+            scale: g.external("scale", 8),
+        };
+        visibility_bwd(&mut g, gpu.tuning(), &field, &view, most, &constant, &asked.options, &into).unwrap();
+        let out = gpu.run(g, &inputs);
+        let scale = out.get::<f32>(into.scale);
+        assert_eq!(scale[0] * scale[1], 1.0);
+        let words = out.get::<u32>(tables);
+        let mut lights = out.get::<f32>(into.lights);
+        assert!(lights[3 * self.lights.len()..].iter().all(|x| *x == 0.0), "lights that are not there have gradients");
+        lights.truncate(3 * self.lights.len());
+        Found {
+            mlp: out.get(into.mlp),
+            lights,
+            tables: words.chunks(2).map(|w| whole(w, scale[1])).collect(),
+            words,
+            touched: out.get(touched),
+        }
+    }
+
+    /// The same by the reference.
+    fn expected_gradients(&self, asked: &Asked) -> twin::Gradients {
+        let field = self.twin();
+        let lights: Vec<[f64; 3]> = self.lights.iter().map(|l| Case::wide(*l)).collect();
+        let mut into = field.zeros(lights.len());
+        for i in (0..self.points.len()).filter(|i| self.coverage[*i] >= 1e-3) {
+            let point = Case::wide(self.points[i]);
+            for j in 0..lights.len() {
+                let mut gradient = asked.by_visibility(i, j);
+                if asked.options.regularized {
+                    let by = twin::jitter(self.step.seed, 1, j as u32, f64::from(self.step.jitter));
+                    let moved = [0, 1, 2].map(|k| lights[j][k] + by[k]);
+                    let other = field.visibility(jittered(self, i), moved);
+                    let sign = (field.visibility(point, lights[j]) - other).signum();
+                    gradient += f64::from(self.step.regularizer) * sign;
+                }
+                field.visibility_bwd(point, &lights, j, gradient, &mut into);
+            }
+        }
+        into
+    }
+
+    fn check_gradients(&self, gpu: &Gpu, asked: &Asked, share: f64) -> Found {
+        let found = self.backward(gpu, asked);
+        let expected = self.expected_gradients(asked);
+        let close = |what: &str, expected: &[f64], found: &[f32]| {
+            let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
+            assert_close(what, expected, found, Tolerance::new(share * largest, 1e-3));
+        };
+        close("layers", &expected.mlp, &found.mlp);
+        close("tables", &expected.tables, &found.tables);
+        if asked.options.places {
+            close("lights", expected.lights.as_flattened(), &found.lights);
+        }
+        for (entry, g) in expected.tables.chunks(2).enumerate() {
+            let touched = found.touched[entry / 32] >> (entry % 32) & 1 == 1;
+            let zero = found.words[4 * entry..][..4].iter().all(|w| *w == 0);
+            assert!(touched || zero, "entry {entry} was changed, but is not said to be");
+            assert!(touched || g.iter().all(|x| x.abs() < 1e-6), "entry {entry} should have been touched");
+        }
+        found
+    }
+}
+
+#[test]
+fn gradients_are_the_references() {
+    let gpu = Gpu::new();
+    let one = FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 };
+    for (config, pixels, lights, regularizer) in [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1)] {
+        let mut case = Case::random(config, pixels, lights, 8);
+        case.step.regularizer = regularizer;
+        let mut asked = Asked::random(&case, 1.0, 9);
+        asked.options.regularized = regularizer > 0.0;
+        case.check_gradients(&gpu, &asked, 1e-5);
+    }
 }

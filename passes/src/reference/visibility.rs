@@ -42,6 +42,8 @@ struct Trace {
     second: Vec<f64>,
     reach: f64,
     value: f64,
+    /// Derivative of the value by the logit.
+    slope: f64,
 }
 
 fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -128,7 +130,9 @@ impl Field {
         let first = rectified(&layer(one, &inputs));
         let second = rectified(&layer(two, &first));
         let logit = layer(three, &second)[0];
-        Trace { corners, inputs, first, second, reach, value: 1.0 / (1.0 + (-logit).exp()) }
+        let e = (-logit.abs()).exp();
+        let slope = e / (1.0 + e).powi(2);
+        Trace { corners, inputs, first, second, reach, value: 1.0 / (1.0 + (-logit).exp()), slope }
     }
 
     /// How much of a light a point sees; both in the world.
@@ -157,7 +161,7 @@ impl Field {
         let t = self.trace(point, lights[light]);
         let (inputs, width) = (t.inputs.len(), FIELD_WIDTH);
         let (second_at, last_at) = (width * inputs, width * (inputs + width));
-        let logit = gradient * t.value * (1.0 - t.value);
+        let logit = gradient * t.slope;
         let mut first = vec![0.0; width];
         for o in 0..width {
             into.mlp[last_at + o] += logit * t.second[o];

@@ -10,8 +10,10 @@
 //!
 //! Cost: 128 gathers of 8 bytes and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
 
+mod bwd;
 mod config;
 
+pub use bwd::{BackwardOptions, Constant, Gradients, visibility_bwd};
 pub use config::{FIELD_FEATURES, FIELD_LEVELS, FIELD_WIDTH, FieldConfig, FieldError};
 
 use crate::Tuning;

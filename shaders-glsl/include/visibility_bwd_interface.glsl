@@ -1,0 +1,24 @@
+// Constants and buffers of visibility_bwd.glsl.
+
+layout(constant_id = 10) const uint LEVELS = 16;
+layout(constant_id = 11) const bool REGULARIZED = true; // with the smoothness term
+layout(constant_id = 12) const bool PLACES = true;      // with gradients by the lights' places
+layout(constant_id = 13) const uint SAMPLE = 1;         // one of so many pairs counts, for as many
+
+layout(push_constant, scalar) uniform Push {
+    uint first; // pixel
+    uint count;
+    uint most; // lights that there is room for
+} push;
+
+layout(scalar) uniform FieldBlock { FieldStep field; } params;
+
+IN(float, mlp);
+IN(vec3, points);
+IN(float, coverage);
+IN(float, rows);            // count x 32: what the first layer makes of points
+IN(float, moved_rows);      // likewise, moved
+OUT(float, row_gradients);  // count x 32
+OUT(float, sums_of);        // by workgroup and side
+INOUT(float, place_sums);   // by workgroup and side, light
+INOUT(uint, extent);        // largest magnitude of row_gradients, as bits

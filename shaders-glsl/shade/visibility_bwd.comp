@@ -1,0 +1,28 @@
+// The way back through the visibility field, first half, for lights of constant radiance: a pair's part of the loss is
+// visibility times the light's radiance times the gradient of the pixel's.
+#version 460
+#include "common.glsl"
+#include "finite.glsl"
+#include "random.glsl"
+#include "visibility_grid.glsl"
+#include "visibility_jitter.glsl"
+
+layout(constant_id = 0) const uint SUBGROUP = 32;
+layout(local_size_x_id = 0) in;
+#include "visibility_bwd_interface.glsl"
+
+IN(vec3, light_positions); // world
+IN(vec3, light_radiance);
+IN(vec3, radiance_gradient);
+
+vec3 asked;
+
+vec3 light_place(uint light) { return light_positions[light]; }
+
+void pair_begin(uint pixel) { asked = radiance_gradient[pixel]; }
+
+bool pair_matters(uint light) { return dot(asked, light_radiance[light]) != 0.0; }
+
+float pair_gradient(uint light) { return dot(asked, light_radiance[light]); }
+
+#include "visibility_bwd.glsl"
