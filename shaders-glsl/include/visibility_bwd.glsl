@@ -2,7 +2,7 @@
 // weights of all layers but the first one's features, to the lights' places, and to the rows of points.
 //
 // Everything of a pair is worked out again. Its share of the second layer's gradient is an outer product, so sums are
-// kept by neuron side by side; see visibility_lanes.glsl. Eight pixels and one light at a time; a workgroup is one subgroup and
+// kept by neuron side by side; see visibility_lanes.glsl. Four pixels and one light at a time (with eight, compilers take three times as long); a workgroup is one subgroup and
 // leaves one set of sums. Rows of points are summed over the lights first, so that the rest of the way is gone once a pixel.
 //
 // Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and three functions:
@@ -11,6 +11,7 @@
 //     float pair_gradient(uint light)    derivative of the loss by the visibility of the light
 // All invocations of a subgroup call them together. `light_place(light)` is the light's place in the world.
 
+#define ITEM_COUNT 4
 #include "visibility_lanes.glsl"
 
 const uint INPUTS = 2u * LEVELS + 4u;
@@ -66,15 +67,11 @@ void layers(uint item, float row[HELD]) {
     logits[item] = logit;
 }
 
-void layers_here(uint item) {
-    float row[HELD];
-    EACH_HELD(h) row[h] = here[item * HELD + h];
-    layers(item, row);
-}
+bool moving;
 
-void layers_moved(uint item) {
+void layers_of(uint item) {
     float row[HELD];
-    EACH_HELD(h) row[h] = moved[item * HELD + h];
+    EACH_HELD(h) row[h] = REGULARIZED && moving ? moved[item * HELD + h] : here[item * HELD + h];
     layers(item, row);
 }
 
@@ -136,7 +133,7 @@ void write_row(uint item) {
 
 // 1 for each pair that counts; with SAMPLE above 1 these are so many times fewer, and count for as much more.
 bool sampled(uint pixel, uint light) {
-    return SAMPLE <= 1u || random_bits(params.field.seed ^ 0x3c6eu, pixel / ITEMS, light) % SAMPLE == 0u;
+    return SAMPLE <= 1u || random_bits(params.field.seed ^ 0x3c6eu, pixel / 8u, light) % SAMPLE == 0u;
 }
 
 void main() {
@@ -157,9 +154,9 @@ void main() {
         bool exists = local < push.count && pixel < field.pixels;
         uint at = exists ? pixel : 0u;
         lane_shaded = exists && coverage[at] >= LEAST_COVERAGE;
-        vec3 point = lane_shaded ? points[at] : field.box_min;
-        vec3 position = field_position(field, point), moved_position = position;
-        if (REGULARIZED) moved_position = field_position(field, point + jitter_of(field, POINTS, at));
+        vec3 point = lane_shaded ? points[at] : field.box_min, moved_point = point;
+        if (REGULARIZED) moved_point = field_inside(field, point + jitter_of(field, POINTS, at));
+        point = field_inside(field, point);
         EACH_ITEM(fetch_row)
         EACH_ITEM(clear_row)
         pair_begin(at);
@@ -173,17 +170,17 @@ void main() {
             bool counts = lane_shaded && sampled(pixel, light);
             vec3 place = light_place(light);
             float by_visibility = pair_gradient(light), moved_logit = 0.0;
-            if (REGULARIZED) {
-                way = field_way(moved_position, field_position(field, place + jitter_of(field, LIGHTS, light)));
-                EACH_ITEM(layers_moved)
+            // First moved, then as it is, which is what goes back.
+            float logit = 0.0;
+            [[dont_unroll]] for (uint turn = REGULARIZED ? 0u : 1u; turn < 2u; turn++) {
+                moving = turn == 0u;
+                vec3 to = moving ? place + jitter_of(field, LIGHTS, light) : place;
+                way = field_way(field, moving ? moved_point : point, field_inside(field, to));
+                moved_logit = logit;
+                EACH_ITEM(layers_of)
                 ITEM_SUMS(logits)
-                moved_logit = logits[0];
+                logit = logits[0];
             }
-            vec3 light_position = field_position(field, place);
-            way = field_way(position, light_position);
-            EACH_ITEM(layers_here)
-            ITEM_SUMS(logits)
-            float logit = logits[0];
             // The squashing function's order is that of the logits.
             if (REGULARIZED) by_visibility += field.regularizer * sign(logit - moved_logit);
             float e = exp(-abs(logit)), d = 1.0 / (1.0 + e);
@@ -198,11 +195,11 @@ void main() {
                 vec3 turn = vec3(turn_x[0], turn_y[0], turn_z[0]);
                 // Moving the light moves direction and distance the other way; at the faces, or in the point, nothing.
                 vec3 by_place = (turn - way.xyz * dot(way.xyz, turn)) / max(way.w, 1e-12) + way.xyz * stretch[0];
-                vec3 scaled = (place - field.box_min) * field.box_inverse;
-                bvec3 inside = bvec3(uvec3(greaterThan(scaled, vec3(0.0))) * uvec3(lessThan(scaled, vec3(1.0))));
+                uvec3 inside = uvec3(greaterThan(place, field.box_min)) * uvec3(lessThan(place, field.box_max));
                 bool whose = column() < ITEMS && way.w > 1e-12;
-                by_place = mix(vec3(0.0), -by_place * field.box_inverse, bvec3(uvec3(inside) * uint(whose)));
-                float sums[ITEMS] = { by_place.x, by_place.y, by_place.z, 0.0, 0.0, 0.0, 0.0, 0.0 };
+                by_place = mix(vec3(0.0), -by_place * field.box_inverse, bvec3(inside * uint(whose)));
+                float sums[ITEMS];
+                [[unroll]] for (uint i = 0u; i < ITEMS; i++) sums[i] = i < 3u ? by_place[i] : 0.0;
                 ITEM_SUMS(sums)
                 if (column() < 3u) {
                     place_sums[((gl_WorkGroupID.x * SIDES + side) * push.most + light) * 3u + column()] += sums[0];

@@ -162,9 +162,8 @@ void field_pixel(vec3 position) {
     field_project();
 }
 
-// Both in the box's coordinates.
-float field_visibility(vec3 position, vec3 light) {
-    vec4 way = field_way(position, light);
+// Of the light that is field_way() away.
+float field_visibility(vec4 way) {
     float logit;
     if (SPREAD) {
         spread_way = way;

@@ -17,6 +17,7 @@ struct FieldLevel {
 struct FieldStep {
     vec3 box_min;      // world
     float jitter;      // standard deviation of the jitter, world units
+    vec3 box_max;
     vec3 box_inverse;  // 1 / size of the box
     float regularizer; // weight of one pair's jitter term
     uint pixels;       // of the view
@@ -27,14 +28,18 @@ struct FieldStep {
     float correction2;
 };
 
-// Where the box's corners are 0 and 1; points outside count as on its faces.
-vec3 field_position(FieldStep field, vec3 world) {
-    return clamp((world - field.box_min) * field.box_inverse, vec3(0.0), vec3(1.0));
+// What is outside of the box counts as on its faces.
+vec3 field_inside(FieldStep field, vec3 world) { return clamp(world, field.box_min, field.box_max); }
+
+// Where the box's corners are 0 and 1.
+vec3 field_position(FieldStep field, vec3 inside) {
+    return clamp((inside - field.box_min) * field.box_inverse, vec3(0.0), vec3(1.0));
 }
 
-// Direction from the light, which is zero at the light, and distance.
-vec4 field_way(vec3 position, vec3 light) {
-    vec3 way = position - light;
+// Direction from a light, which is zero at the light, and distance, both measured in boxes. Point and light are inside the box,
+// in the world, where their difference loses nothing, however close they are.
+vec4 field_way(FieldStep field, vec3 point, vec3 light) {
+    vec3 way = (point - light) * field.box_inverse;
     float reach = sqrt(dot(way, way));
     return vec4(way * (1.0 / max(reach, 1e-12)), reach);
 }

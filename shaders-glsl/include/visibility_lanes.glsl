@@ -1,4 +1,4 @@
-// Products of a layer's matrix with eight items at a time, neurons spread over the lanes: lane c of a side holds neurons
+// Products of a layer's matrix with eight items at a time (or four, as ITEM_COUNT says), neurons spread over the lanes: lane c of a side holds neurons
 // c HELD, c HELD + 1 and so on, of all items. A column of the matrix then meets an item's number by handing that round.
 //
 // Matrices lie in arrays of an invocation, which processors read as cheaply as constants, unlike buffers or shared memory.
@@ -6,7 +6,10 @@
 // uniform control flow.
 
 const uint WIDTH = 32u;
-const uint ITEMS = 8u;
+#ifndef ITEM_COUNT
+#define ITEM_COUNT 8
+#endif
+const uint ITEMS = ITEM_COUNT;
 const uint ACROSS = SUBGROUP < WIDTH ? SUBGROUP : WIDTH;
 const uint HELD = WIDTH / ACROSS;
 const uint SIDES = SUBGROUP / ACROSS;
@@ -17,14 +20,18 @@ uint neuron(uint h) { return column() * HELD + h; }
 
 // What lane c of this side has.
 float from_lane(float x, uint c) {
-    return subgroupShuffle(x, SIDES > 1u ? gl_SubgroupInvocationID / ACROSS * ACROSS + c : c);
+    return SIDES > 1u ? subgroupShuffle(x, gl_SubgroupInvocationID / ACROSS * ACROSS + c) : subgroupBroadcast(x, c);
 }
 
 // Held where products stay numbers, whatever the weights have become.
 float rectified(float x) { return min(max(x, 0.0), 1e18); }
 
 #define EACH_HELD(h) [[unroll]] for (uint h = 0u; h < HELD; h++)
+#if ITEM_COUNT == 8
 #define EACH_ITEM(f) f(0u); f(1u); f(2u); f(3u); f(4u); f(5u); f(6u); f(7u);
+#else
+#define EACH_ITEM(f) f(0u); f(1u); f(2u); f(3u);
+#endif
 
 // Fills an array by `at(k, h)`: on processors by a loop, elsewhere written out, so that it lies in registers.
 #define FILL_COLUMNS(array_, count_, at_)                                                                      \
@@ -34,7 +41,7 @@ float rectified(float x) { return min(max(x, 0.0), 1e18); }
         [[unroll]] for (uint i_ = 0u; i_ < (count_) * HELD; i_++) array_[i_] = at_(i_ / HELD, i_ % HELD);      \
     }
 
-// Sums over the lanes of a side of eight values: afterwards lane c has the sum of value c % 8.
+// Sums over the lanes of a side of as many values as there are items: afterwards lane c has the sum of value c % ITEMS.
 #define ITEM_SUMS_AT(values_, reach_)                                                                          \
     {                                                                                                          \
         bool upper_ = (gl_SubgroupInvocationID & reach_) != 0u;                                                \
@@ -44,9 +51,15 @@ float rectified(float x) { return min(max(x, 0.0), 1e18); }
             values_[j_] = kept_ + subgroupShuffleXor(given_, reach_);                                          \
         }                                                                                                      \
     }
+#if ITEM_COUNT == 8
+#define ITEM_SUMS_FIRST(values_) ITEM_SUMS_AT(values_, 4u)
+#else
+#define ITEM_SUMS_FIRST(values_)
+#endif
 #define ITEM_SUMS(values_)                                                                                     \
-    ITEM_SUMS_AT(values_, 4u)                                                                                  \
+    ITEM_SUMS_FIRST(values_)                                                                                   \
     ITEM_SUMS_AT(values_, 2u)                                                                                  \
     ITEM_SUMS_AT(values_, 1u)                                                                                  \
+    if (ITEMS < 8u) values_[0] += subgroupShuffleXor(values_[0], 4u);                                          \
     if (ACROSS > 8u) values_[0] += subgroupShuffleXor(values_[0], 8u);                                         \
     if (ACROSS > 16u) values_[0] += subgroupShuffleXor(values_[0], 16u);

@@ -28,8 +28,8 @@ void main() {
     uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     bool within = pixel < params.field.pixels;
     uint at = within ? pixel : 0u;
-    vec3 position = field_position(params.field, points[at]);
-    field_pixel(position);
+    vec3 point = field_inside(params.field, points[at]);
+    field_pixel(field_position(params.field, point));
     uint begin = ONE == 0xffffffffu ? 0u : ONE, end = ONE == 0xffffffffu ? by_workgroup(params.field.lights) : ONE + 1u;
     float sum = 0.0;
     [[dont_unroll]] for (uint j = begin; j < end; j++) {
@@ -38,7 +38,7 @@ void main() {
             if (gl_NumWorkGroups.z > j + 2u) field_features[j % FIELD_FEATURES] = 0.0;
             field_project();
         }
-        sum += field_visibility(position, field_position(params.field, light_positions[j]));
+        sum += field_visibility(field_way(params.field, point, field_inside(params.field, light_positions[j])));
     }
     bool shaded = coverage[at] >= LEAST_COVERAGE;
     if (within) visibility[pixel] = shaded ? sum / float(max(end - begin, 1u)) : 0.0;

@@ -10,11 +10,11 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint SUBGROUP = 32;
 layout(constant_id = 3) const bool SPREAD = false; // see visibility_field.glsl
 layout(constant_id = 4) const uint LEVELS = 16;
-layout(constant_id = 5) const bool JITTER = false; // of the moved point instead
 
 layout(push_constant, scalar) uniform Push {
     uint first; // pixel
     uint count;
+    uint moved; // 1: of the moved points, 0: as they are
 } push;
 
 layout(scalar) uniform FieldBlock { FieldStep field; } params;
@@ -34,8 +34,8 @@ void main() {
     bool within = i < push.count && pixel < params.field.pixels;
     uint at = within ? pixel : 0u;
     vec3 point = points[at];
-    if (JITTER) point += jitter_of(params.field, POINTS, at);
-    field_pixel(field_position(params.field, point));
+    point += float(push.moved) * jitter_of(params.field, POINTS, at);
+    field_pixel(field_position(params.field, field_inside(params.field, point)));
     if (SPREAD) {
         // Rows of the subgroup's pixels lie one behind the other.
         uint first = i - gl_SubgroupInvocationID;

@@ -29,6 +29,7 @@ OUT(float, feature_sums);     // by workgroup and side: neuron, feature
 INOUT(uint, table_gradients); // entries x 2 x 2
 INOUT(uint, touched);         // a bit an entry
 
+#define ITEM_COUNT 4
 #include "visibility_lanes.glsl"
 #define WHOLE_SUMS table_gradients
 #include "whole_sum.glsl"
@@ -116,7 +117,8 @@ void main() {
         uint local = side_first + column() % ITEMS, pixel = push.first + local;
         bool exists = local < push.count && pixel < params.field.pixels;
         lane_shaded = exists && coverage[exists ? pixel : 0u] >= LEAST_COVERAGE;
-        vec3 position = field_position(params.field, lane_shaded ? points[pixel] : params.field.box_min);
+        vec3 point = field_inside(params.field, lane_shaded ? points[pixel] : params.field.box_min);
+        vec3 position = field_position(params.field, point);
         encode(position);
         EACH_ITEM(fetch_row)
         EACH_ITEM(outer)

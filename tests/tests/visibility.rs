@@ -1,12 +1,14 @@
 //! The visibility field on a device against its reference: values, gradients of everything, and its Adam.
 
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::visibility::{
-    BackwardOptions, Constant, Field, FieldConfig, Gradients, View, visibility, visibility_bwd, visibility_encode,
+    BackwardOptions, Constant, Field, FieldConfig, Gradients, Moments, View, visibility, visibility_adam,
+    visibility_bwd, visibility_encode,
 };
-use sgs_shaders::structs::FieldStep;
+use sgs_shaders::structs::{FieldStep, Step, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -45,6 +47,7 @@ impl Case {
         let step = FieldStep {
             box_min: low,
             jitter: 0.03,
+            box_max: high,
             box_inverse: [0, 1, 2].map(|k| 1.0 / (high[k] - low[k])),
             regularizer: 0.0,
             pixels: pixels as u32,
@@ -207,6 +210,8 @@ struct Found {
     /// Of the tables, as they are.
     words: Vec<u32>,
     touched: Vec<u32>,
+    /// What they were multiplied by.
+    scale: f32,
 }
 
 /// What the loss asks: gradients of pixels, radiance of lights.
@@ -274,6 +279,7 @@ impl Case {
             tables: words.chunks(2).map(|w| whole(w, scale[1])).collect(),
             words,
             touched: out.get(touched),
+            scale: scale[0],
         }
     }
 
@@ -332,4 +338,199 @@ fn gradients_are_the_references() {
         asked.options.regularized = regularizer > 0.0;
         case.check_gradients(&gpu, &asked, 1e-5);
     }
+}
+
+/// What [`visibility_adam`] leaves: tables, their moments, layers, their moments, words of gradients and of bits.
+type Stepped = (Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>);
+
+/// One step with gradients as they were found, from moments that are not zero.
+fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32) -> Stepped {
+    let (mut g, mut inputs) = (Graph::new("visibility_adam"), Vec::new());
+    let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+        let buffer = g.external(name, data.len() as u64);
+        inputs.push((buffer, data));
+        buffer
+    };
+    let gradients = Gradients {
+        mlp: given(&mut g, "mlp_gradient", bytes(&found.mlp)),
+        lights: given(&mut g, "lights", vec![0; 4]),
+        tables: given(&mut g, "table_gradients", bytes(&found.words)),
+        touched: given(&mut g, "touched", bytes(&found.touched)),
+        scale: given(&mut g, "scale", bytes(&scale)),
+    };
+    let moments = Moments {
+        tables: given(&mut g, "table_moments", bytes(&moments_of(case.tables.len()))),
+        mlp: given(&mut g, "mlp_moments", bytes(&moments_of(case.mlp.len()))),
+        flags: given(&mut g, "flags", bytes(&[0, flag])),
+        flag_words: 2,
+        skipped: given(&mut g, "skipped", vec![0; 4]),
+    };
+    let tables = given(&mut g, "tables", bytes(&case.tables));
+    let mlp = given(&mut g, "mlp", bytes(&case.mlp));
+    let step = g.uniform("field", size_of::<FieldStep>() as u64);
+    inputs.push((step, bytes(&[case.step])));
+    let field = Field { config: case.config, step, levels: tables, tables, mlp };
+    visibility_adam(&mut g, gpu.tuning(), &field, &gradients, &moments).unwrap();
+    let out = gpu.run(g, &inputs);
+    (
+        out.get(tables),
+        out.get(moments.tables),
+        out.get(mlp),
+        out.get(moments.mlp),
+        out.get(gradients.tables),
+        out.get(gradients.touched),
+    )
+}
+
+fn moments_of(scalars: usize) -> Vec<[f32; 2]> {
+    (0..scalars).map(|i| [(i as f32).sin() * 1e-3, 1e-5 * (1 + i % 7) as f32]).collect()
+}
+
+/// The same with a dense Adam that skips zeros.
+fn step_dense(case: &Case, gpu: &Gpu, parameters: &[f32], gradient: &[f32]) -> (Vec<u32>, Vec<u32>) {
+    let mut g = Graph::new("adam");
+    let words = 4 * parameters.len() as u64;
+    let a = Adam {
+        step: g.uniform("step", size_of::<Step>() as u64),
+        live: g.input("live", size_of::<Work>() as u64),
+        flags: g.input("flags", 4),
+        flag_words: 1,
+        width: 1,
+        capacity: parameters.len() as u64,
+        rate: Rate::Constant(case.step.rate),
+        skip_zero: true,
+        epsilon: EPSILON,
+        gradients: g.input("gradients", words),
+        parameters: g.external("parameters", words),
+        moments: g.external("moments", 2 * words),
+        skipped: g.external("skipped", 4),
+    };
+    adam(&mut g, gpu.tuning(), "adam", &a).unwrap();
+    let (correction1, correction2) = (case.step.correction1, case.step.correction2);
+    let inputs = [
+        (a.step, bytes(&[Step { correction1, correction2, ..Default::default() }])),
+        (a.live, bytes(&[Work { x: 1, y: 1, z: 1, count: parameters.len() as u32 }])),
+        (a.flags, vec![0; 4]),
+        (a.gradients, bytes(gradient)),
+        (a.parameters, bytes(parameters)),
+        (a.moments, bytes(&moments_of(parameters.len()))),
+        (a.skipped, vec![0; 4]),
+    ];
+    let out = gpu.run(g, &inputs);
+    (out.get(a.parameters), out.get(a.moments))
+}
+
+/// Tables and layers move as a dense Adam that skips zeros would move them, bit for bit; gradients are zero afterwards; a raised
+/// flag holds everything but clears as well.
+#[test]
+fn sparse_adam_is_dense_adam_that_skips_zeros() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 30, 2, 12);
+    case.step = FieldStep { rate: 4e-3, correction1: 2.5, correction2: 300.0, ..case.step };
+    let mut asked = Asked::random(&case, 1.0, 13);
+    asked.options.regularized = false;
+    let mut found = case.backward(&gpu, &asked);
+    found.mlp[5] = 0.0;
+    let scale = [found.scale, 1.0 / found.scale];
+    let (tables, moments, mlp, mlp_moments, words, touched) = step_sparse(&case, &gpu, &found, scale, 0);
+    assert!(words.iter().chain(&touched).all(|w| *w == 0));
+    // As the kernel makes floats of whole numbers.
+    let float = |w: &[u32]| {
+        let value = (u64::from(w[0]) | u64::from(w[1]) << 32) as i64;
+        let (size, sign) = (value.unsigned_abs(), if value < 0 { -1.0 } else { 1.0 });
+        sign * 4_294_967_296.0_f32.mul_add((size >> 32) as f32, size as u32 as f32) * scale[1]
+    };
+    let gradient: Vec<f32> = found.words.chunks(2).map(float).collect();
+    let moved = gradient.iter().filter(|g| **g != 0.0).count();
+    assert!(moved > 500 && moved < gradient.len() / 2, "{moved} of {}", gradient.len());
+    assert!(step_dense(&case, &gpu, &case.tables, &gradient) == (tables, moments), "tables differ");
+    assert!(step_dense(&case, &gpu, &case.mlp, &found.mlp) == (mlp, mlp_moments), "layers differ");
+    let (tables, moments, mlp, mlp_moments, words, touched) = step_sparse(&case, &gpu, &found, scale, 1 << 31);
+    assert!(words.iter().chain(&touched).all(|w| *w == 0));
+    let same = |a: &[u32], b: Vec<u8>| bytes(a) == b;
+    assert!(same(&tables, bytes(&case.tables)) && same(&moments, bytes(&moments_of(case.tables.len()))));
+    assert!(same(&mlp, bytes(&case.mlp)) && same(&mlp_moments, bytes(&moments_of(case.mlp.len()))));
+}
+
+/// Two runs, and runs with another number of workgroups where only tables are compared: their sums have no order.
+#[test]
+fn gradients_are_the_same_bits() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 150, 3, 14);
+    case.step.regularizer = 0.1;
+    let asked = Asked::random(&case, 1.0, 15);
+    let (a, b) = (case.backward(&gpu, &asked), case.backward(&gpu, &asked));
+    assert!(bytes(&a.mlp) == bytes(&b.mlp) && bytes(&a.lights) == bytes(&b.lights));
+    assert!(a.words == b.words && a.touched == b.touched);
+    // The same pixels in the other order: other workgroups have them, in another order. Without the draw of each pixel.
+    let mut asked = asked;
+    asked.options.regularized = false;
+    let a = case.backward(&gpu, &asked);
+    case.points.reverse();
+    case.coverage.reverse();
+    asked.pixels.reverse();
+    let b = case.backward(&gpu, &asked);
+    assert!(a.words == b.words && a.touched == b.touched && a.scale == b.scale);
+    assert!(
+        bytes(&a.mlp) != bytes(&b.mlp),
+        "layers are summed in order, so an equal sum shows that nothing was reversed"
+    );
+}
+
+/// At the light, beyond the box, saturated, with huge and tiny gradients: finite, and the reference's where that means something.
+#[test]
+fn gradients_at_the_edges() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 48, 4, 16);
+    case.points[0] = case.lights[0];
+    case.points[1] = [1e6, -1e6, 1e30];
+    case.points[2] = case.low;
+    case.points[3] = case.high;
+    case.points[4] = [case.lights[0][0] + 1e-6, case.lights[0][1], case.lights[0][2]];
+    case.lights[1] = [-100.0, 0.0, 0.9];
+    case.lights[2] = case.high;
+    for scale in [1.0, 1e-20, 1e20] {
+        let mut asked = Asked::random(&case, scale, 17);
+        asked.options.regularized = false;
+        case.check_gradients(&gpu, &asked, 2e-5);
+    }
+    let asked = Asked::random(&case, 1.0, 17);
+    let all = |f: &Found| f.mlp.iter().chain(&f.tables).chain(&f.lights).all(|x| x.is_finite());
+    for weight in [30.0, 1e4, 1e15] {
+        let mut wild = case.clone();
+        wild.mlp.iter_mut().for_each(|w| *w *= weight);
+        assert!(all(&wild.backward(&gpu, &asked)), "weights times {weight}");
+    }
+    let mut none = case.clone();
+    none.coverage.fill(0.0);
+    none.points.fill([f32::NAN; 3]);
+    let found = none.backward(&gpu, &asked);
+    let zero = |v: &[f32]| v.iter().all(|x| *x == 0.0);
+    assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
+}
+
+/// A share of the pairs, counted for as many: some of them in each draw, and the mean over draws is the whole.
+#[test]
+fn sampled_pairs_are_unbiased() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 }, 160, 6, 18);
+    let mut asked = Asked::random(&case, 1.0, 19);
+    asked.options.regularized = false;
+    let all = case.backward(&gpu, &asked).mlp;
+    asked.options.sample = 3;
+    let draws = 60;
+    let mut mean = vec![0.0_f64; all.len()];
+    let mut first = Vec::new();
+    for seed in 0..draws {
+        case.step.seed = seed;
+        let found = case.backward(&gpu, &asked).mlp;
+        mean.iter_mut().zip(&found).for_each(|(m, f)| *m += f64::from(*f) / f64::from(draws));
+        first = if seed == 0 { found } else { first };
+    }
+    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
+    let size = norm(&mut all.iter().map(|x| f64::from(*x)));
+    let away = |v: &[f64]| norm(&mut v.iter().zip(&all).map(|(a, b)| a - f64::from(*b))) / size;
+    let one = away(&first.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>());
+    let many = away(&mean);
+    assert!(one > 0.05 && many < 3.0 * one / f64::from(draws).sqrt(), "one draw {one}, mean of {draws} {many}");
 }

@@ -18,6 +18,8 @@ pub struct Field {
     pub mlp: Vec<f64>,
     /// The box: lower corner.
     pub low: [f32; 3],
+    /// The box: upper corner.
+    pub high: [f32; 3],
     /// The box: 1 / size.
     pub inverse: [f32; 3],
 }
@@ -55,23 +57,24 @@ impl Field {
     pub fn new(config: &FieldConfig, tables: &[f32], mlp: &[f32], low: [f32; 3], high: [f32; 3]) -> Field {
         let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect();
         let inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
-        Field { levels: config.table_levels(), tables: wide(tables), mlp: wide(mlp), low, inverse }
+        Field { levels: config.table_levels(), tables: wide(tables), mlp: wide(mlp), low, high, inverse }
     }
 
     fn inputs(&self) -> usize {
         FIELD_FEATURES * self.levels.len() + 4
     }
 
-    /// In the box's coordinates, clamped to it.
-    pub fn position(&self, world: [f64; 3]) -> [f64; 3] {
-        let axis = |k: usize| (world[k] - f64::from(self.low[k])) * f64::from(self.inverse[k]);
-        [0, 1, 2].map(|k| axis(k).clamp(0.0, 1.0))
+    /// In boxes, clamped to the box.
+    fn position(&self, world: [f64; 3]) -> [f64; 3] {
+        let inside = |k: usize| world[k].clamp(f64::from(self.low[k]), f64::from(self.high[k]));
+        [0, 1, 2].map(|k| inside(k) * f64::from(self.inverse[k]))
     }
 
     /// Entries and weights of a point. Where the point lies in a cell is worked out in single precision, as in the
     /// kernel: at 4096 steps an axis that is what a coordinate has digits for.
     fn corners(&self, world: [f64; 3]) -> Vec<(usize, f64)> {
-        let x = [0, 1, 2].map(|k| ((world[k] as f32 - self.low[k]) * self.inverse[k]).clamp(0.0, 1.0));
+        let inside = |k: usize| (world[k] as f32).clamp(self.low[k], self.high[k]);
+        let x = [0, 1, 2].map(|k| ((inside(k) - self.low[k]) * self.inverse[k]).clamp(0.0, 1.0));
         let mut corners = Vec::new();
         for level in &self.levels {
             let at = x.map(|x| x.mul_add(level.scale, 0.5));
@@ -188,8 +191,8 @@ impl Field {
         let axis = |v: &[f64]| [v[inputs - 4], v[inputs - 3], v[inputs - 2]];
         let (way, across) = (axis(&t.inputs), axis(&by_input));
         for k in 0..3 {
-            let unclamped = (lights[light][k] - f64::from(self.low[k])) * f64::from(self.inverse[k]);
-            if t.reach > 1e-12 && unclamped > 0.0 && unclamped < 1.0 {
+            let (low, high) = (f64::from(self.low[k]), f64::from(self.high[k]));
+            if t.reach > 1e-12 && lights[light][k] > low && lights[light][k] < high {
                 let turned = (across[k] - way[k] * dot(way, across)) / t.reach;
                 into.lights[light][k] -= (turned + way[k] * by_input[inputs - 1]) * f64::from(self.inverse[k]);
             }
@@ -222,7 +225,7 @@ mod tests {
         field.visibility_bwd(point, &[light], 0, 1.0, &mut found);
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-8 + 1e-5 * b.abs(), "{a} is not {b}");
         let mut mlp = field.mlp.clone();
-        for i in (0..mlp.len()).step_by(7) {
+        for i in 0..mlp.len() {
             let d = difference(&mut mlp, i, |w| Field { mlp: w.to_vec(), ..field.clone() }.visibility(point, light));
             close(found.mlp[i], d);
         }

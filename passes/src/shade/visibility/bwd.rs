@@ -15,8 +15,8 @@
 //! Gradients of lights' places are exact: direction and distance both move with the light, in or on the box alike, but not
 //! where it is held at the faces.
 //!
-//! Cost a pair: 5 x 1024 + 7 x 128 multiply-adds (4 x 1024 without the smoothness term... see `docs/MATH.md`). A pixel: 384 gathers, 128 x 2 or
-//! so atomics. Memory: 128 bytes a pixel, and 256 for each of a chunk.
+//! Cost a pair: 3 x 1024 multiply-adds for value and way back, 1024 more with the smoothness term, and about 500 for the rest.
+//! A pixel: 384 gathers of 8 bytes, 5 x 1024 multiply-adds, 256 to 512 atomics. Memory: 128 bytes a pixel, and 256 for each of a chunk.
 
 use super::{Field, View, visibility_encode};
 use crate::Tuning;
@@ -79,9 +79,9 @@ pub struct Gradients {
     pub scale: Buffer,
 }
 
-/// Workgroups of one subgroup for `count` pixels, each of which goes through `rounds` loops for every eight of them.
+/// Workgroups of one subgroup for `count` pixels, each of which goes through `rounds` loops for every four of them.
 fn subgroups(tuning: Tuning, count: u32, rounds: u64) -> u32 {
-    let batch = 8 * tuning.subgroup_size.div_ceil(32).max(1);
+    let batch = 4 * tuning.subgroup_size.div_ceil(32).max(1);
     let batches = u64::from(count.div_ceil(batch).max(1));
     let least = (batches * rounds).div_ceil(u64::from(tuning.rounds) / 4 * 3);
     // An even number, so that slices of sums begin where buffers may be bound.
@@ -175,7 +175,7 @@ impl Plan {
         let chunk = pixels.min(CHUNK);
         let sides = tuning.subgroup_size.div_ceil(32).max(1);
         // Two loops over the lights, one within the other, which share the counter; levels, features and corners.
-        let by_batch = [2 * u64::from(lights) + 8, 16 + 8 + 32 * 9];
+        let by_batch = [2 * u64::from(lights) + 8, 16 + 4 + 16 * 9];
         let groups = by_batch.map(|rounds| subgroups(tuning, chunk, rounds));
         let chunks = u64::from(pixels.div_ceil(CHUNK));
         let sets = groups.map(|n| chunks * u64::from(n * sides));

@@ -10,11 +10,15 @@
 //!
 //! Cost: 128 gathers of 8 bytes and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
 
+mod adam;
 mod bwd;
 mod config;
+mod memory;
 
+pub use adam::{Moments, visibility_adam};
 pub use bwd::{BackwardOptions, Constant, Gradients, visibility_bwd};
 pub use config::{FIELD_FEATURES, FIELD_LEVELS, FIELD_WIDTH, FieldConfig, FieldError};
+pub use memory::{FieldHandles, VisibilityField};
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -112,8 +116,8 @@ pub fn visibility_encode(
         rows: into.into(),
     };
     let ([workgroup, subgroup], spread) = shape(tuning);
-    let specs = encode_kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels, jitter };
-    let push = encode_kernel::Push { first, count };
+    let specs = encode_kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels };
+    let push = encode_kernel::Push { first, count, moved: jitter.into() };
     stage(g, name, &encode_kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(subgroup))
         .dispatch(groups(u64::from(count), workgroup))

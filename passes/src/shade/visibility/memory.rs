@@ -1,0 +1,213 @@
+//! The visibility field in device memory.
+
+use super::{Field, FieldConfig, FieldError, Gradients, Moments};
+use sgs_engine::graph::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::{FieldLevel, FieldStep};
+
+/// A field's numbers, and what training needs beside them.
+#[derive(Debug)]
+pub struct VisibilityField {
+    config: FieldConfig,
+    levels: DeviceBuffer,
+    tables: DeviceBuffer,
+    mlp: DeviceBuffer,
+    training: Option<Training>,
+}
+
+#[derive(Debug)]
+struct Training {
+    table_moments: DeviceBuffer,
+    mlp_moments: DeviceBuffer,
+    /// Whole numbers, zero between steps; see [`Gradients`].
+    table_gradients: DeviceBuffer,
+    touched: DeviceBuffer,
+}
+
+/// Its buffers in one graph.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldHandles {
+    /// The field; its step is a uniform that the host writes before each replay.
+    pub field: Field,
+    /// When training: moments of tables and layers, gradients of tables, bits of what was touched.
+    pub training: Option<[Buffer; 4]>,
+}
+
+impl FieldHandles {
+    /// For [`super::visibility_bwd`], with gradients of `lights` lights: those of layers, of lights and the scale live within a
+    /// replay. None without training.
+    pub fn gradients(&self, g: &mut Graph, lights: u32) -> Option<Gradients> {
+        let [.., tables, touched] = self.training?;
+        Some(Gradients {
+            mlp: g.transient("visibility.mlp_gradient", 4 * self.field.config.weights() as u64),
+            lights: g.transient("visibility.light_gradients", 12 * u64::from(lights)),
+            tables,
+            touched,
+            scale: g.transient("visibility.scale", 8),
+        })
+    }
+
+    /// For [`super::visibility_adam`]. None without training.
+    pub fn moments(&self, flags: Buffer, flag_words: u32, skipped: Buffer) -> Option<Moments> {
+        let [tables, mlp, ..] = self.training?;
+        Some(Moments { tables, mlp, flags, flag_words, skipped })
+    }
+}
+
+/// Bytes of tables, layers, and words of bits.
+fn sizes(config: &FieldConfig) -> [u64; 3] {
+    let entries = u64::from(config.entries());
+    [8 * entries, 4 * config.weights() as u64, 4 * entries.div_ceil(32)]
+}
+
+impl VisibilityField {
+    /// Makes it with a random start ([`FieldConfig::initial_tables`], [`FieldConfig::initial_weights`]); `training` adds moments
+    /// and gradients. The configuration must pass [`FieldConfig::check`].
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, config: FieldConfig, seed: u32, training: bool) -> Result<VisibilityField> {
+        let [tables, mlp, bits] = sizes(&config);
+        let make = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
+        let levels = config.table_levels();
+        let training = if training {
+            Some(Training {
+                table_moments: make("visibility_table_moments", 2 * tables)?,
+                mlp_moments: make("visibility_mlp_moments", 2 * mlp)?,
+                table_gradients: make("visibility_table_gradients", 2 * tables)?,
+                touched: make("visibility_touched", bits)?,
+            })
+        } else {
+            None
+        };
+        let field = VisibilityField {
+            config,
+            levels: make("visibility_levels", (levels.len() * size_of::<FieldLevel>()) as u64)?,
+            tables: make("visibility_tables", tables)?,
+            mlp: make("visibility_mlp", mlp)?,
+            training,
+        };
+        device.upload(&field.levels, 0, bytemuck::cast_slice(&levels))?;
+        field.upload(device, &config.initial_tables(seed), &config.initial_weights(seed))?;
+        Ok(field)
+    }
+
+    /// Its shape.
+    pub fn config(&self) -> &FieldConfig {
+        &self.config
+    }
+
+    /// Replaces the numbers and starts the optimizer afresh.
+    ///
+    /// # Errors
+    /// If the device fails, or there are more than fit.
+    pub fn upload(&self, device: &Device, tables: &[f32], mlp: &[f32]) -> Result<()> {
+        device.upload(&self.tables, 0, bytemuck::cast_slice(tables))?;
+        device.upload(&self.mlp, 0, bytemuck::cast_slice(mlp))?;
+        let Some(t) = &self.training else { return Ok(()) };
+        for buffer in [&t.table_moments, &t.mlp_moments, &t.table_gradients, &t.touched] {
+            device.fill(buffer, 0)?;
+        }
+        Ok(())
+    }
+
+    /// Tables and layers as they are.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn download(&self, device: &Device) -> Result<[Vec<f32>; 2]> {
+        let all = |b: &DeviceBuffer| device.download_as(b, b.bytes() as usize / 4);
+        Ok([all(&self.tables)?, all(&self.mlp)?])
+    }
+
+    /// Adam's moments of tables and layers, pairs, for checkpoints; empty without training.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn download_moments(&self, device: &Device) -> Result<[Vec<f32>; 2]> {
+        let all = |b: &DeviceBuffer| device.download_as(b, b.bytes() as usize / 4);
+        match &self.training {
+            Some(t) => Ok([all(&t.table_moments)?, all(&t.mlp_moments)?]),
+            None => Ok([vec![], vec![]]),
+        }
+    }
+
+    /// Puts back what [`VisibilityField::download_moments`] gave.
+    ///
+    /// # Errors
+    /// If the device fails, or there are more than fit.
+    pub fn upload_moments(&self, device: &Device, [tables, mlp]: [&[f32]; 2]) -> Result<()> {
+        let Some(t) = &self.training else { return Ok(()) };
+        device.upload(&t.table_moments, 0, bytemuck::cast_slice(tables))?;
+        device.upload(&t.mlp_moments, 0, bytemuck::cast_slice(mlp))
+    }
+
+    /// Bytes of device memory for such a field.
+    ///
+    /// # Errors
+    /// If there can be no such field.
+    pub fn bytes(config: &FieldConfig, training: bool) -> std::result::Result<u64, FieldError> {
+        config.check()?;
+        let [tables, mlp, bits] = sizes(config);
+        Ok(if training { 5 * tables + 3 * mlp + bits } else { tables + mlp })
+    }
+
+    /// Declares the buffers in a graph; kernels may write them if `training`.
+    pub fn declare(&self, g: &mut Graph, training: bool) -> FieldHandles {
+        VisibilityField::handles(g, self.config, training && self.training.is_some())
+    }
+
+    /// Declares the buffers of a field that need not exist yet.
+    pub fn handles(g: &mut Graph, config: FieldConfig, training: bool) -> FieldHandles {
+        let [tables, mlp, bits] = sizes(&config);
+        let levels = u64::from(config.levels) * size_of::<FieldLevel>() as u64;
+        let mut learned =
+            |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
+        let (table_buffer, mlp_buffer) = (learned("visibility_tables", tables), learned("visibility_mlp", mlp));
+        let field = Field {
+            config,
+            step: g.uniform("visibility_step", size_of::<FieldStep>() as u64),
+            levels: g.input("visibility_levels", levels),
+            tables: table_buffer,
+            mlp: mlp_buffer,
+        };
+        let beside = |g: &mut Graph| {
+            [
+                g.external("visibility_table_moments", 2 * tables),
+                g.external("visibility_mlp_moments", 2 * mlp),
+                g.external("visibility_table_gradients", 2 * tables),
+                g.external("visibility_touched", bits),
+            ]
+        };
+        FieldHandles { field, training: training.then(|| beside(g)) }
+    }
+
+    /// Puts the buffers behind their handles.
+    ///
+    /// # Errors
+    /// If the plan was made for larger ones.
+    pub fn bind(&self, exec: &mut Executor, handles: &FieldHandles) -> Result<()> {
+        exec.bind(handles.field.levels, &self.levels)?;
+        exec.bind(handles.field.tables, &self.tables)?;
+        exec.bind(handles.field.mlp, &self.mlp)?;
+        if let (Some(handles), Some(t)) = (handles.training, &self.training) {
+            let buffers = [&t.table_moments, &t.mlp_moments, &t.table_gradients, &t.touched];
+            for (handle, buffer) in handles.into_iter().zip(buffers) {
+                exec.bind(handle, buffer)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_of_the_published_size() {
+        let megabytes = |training| VisibilityField::bytes(&FieldConfig::default(), training).unwrap() >> 20;
+        assert_eq!((megabytes(false), megabytes(true)), (54, 274));
+    }
+}
