@@ -57,3 +57,17 @@ vec3 lobe_axis(RawLobe l, uint lobe) {
 float lobe_root(float raw) { return 0.849321800288 * exp(0.5 * min(raw, SHARPNESS_MAX)); }
 
 vec3 lobe_amplitude(vec3 raw) { return exp(min(raw, vec3(AMPLITUDE_MAX))); }
+
+// Gradient of the raw axis from that of the unit one.
+vec3 by_raw_axis(RawLobe l, uint lobe, vec3 g) {
+    if (FREE) {
+        float size = length(l.axis);
+        vec3 b = l.axis / max(size, AXIS_MIN);
+        return size > AXIS_MIN ? (g - b * dot(b, g)) / size : vec3(0.0);
+    }
+    vec4 angles = lobe_angles(l.axis, lobe);
+    float sin_p = sin(angles.x), cos_p = cos(angles.x), sin_a = sin(angles.y), cos_a = cos(angles.y);
+    float by_polar = cos_p * (cos_a * g.x + sin_a * g.y) - sin_p * g.z;
+    float by_azimuth = sin_p * (cos_a * g.y - sin_a * g.x);
+    return vec3(by_polar * angles.z, by_azimuth * angles.w, 0.0);
+}

@@ -4,8 +4,8 @@ use sgs_engine::graph::Graph;
 use sgs_passes::reference::brdf::unit;
 use sgs_passes::reference::lights as twin;
 use sgs_passes::shade::lights::{
-    Axes, LightModel, Lights, Perturbation, Shape, lights, lights_materials_bwd, lights_prepare, lights_split,
-    lights_train,
+    Axes, LightModel, LightParameterGradients, Lights, Perturbation, Shape, lights, lights_bwd, lights_materials_bwd,
+    lights_prepare, lights_prepare_bwd, lights_split, lights_train,
 };
 use sgs_tests::lit::{Lit, SPARE};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -16,15 +16,17 @@ struct Found {
     split: [Vec<f32>; 2],
     materials: Vec<f32>,
     metallic: Vec<f32>,
+    positions: Vec<f32>,
+    lobes: Vec<f32>,
 }
 
 /// What materials' gradients are added to.
 const BEFORE: f32 = 0.5;
 
-/// The device's own shape, and those of other devices.
-fn shapes(gpu: &Gpu) -> [Shape; 3] {
+/// Shapes of other devices than this one; small, so that processors compile them quickly.
+fn shapes(gpu: &Gpu) -> [Shape; 2] {
     let own = Shape::for_device(gpu.tuning());
-    [own, Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
+    [Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
 }
 
 fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
@@ -47,6 +49,12 @@ fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Opt
     let metallic = g.external("metallic_gradient", 4 * room);
     let wanted = case.metallic.then_some(metallic);
     lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
+    let into = LightParameterGradients {
+        positions: g.external("positions_gradient", model.position_bytes()),
+        lobes: g.external("lobes_gradient", model.lobe_bytes()),
+    };
+    let gradients = lights_bwd(&mut g, tuning, &what, bound.gradient).unwrap();
+    lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, &into).unwrap();
     bound.inputs.push((materials, vec![BEFORE; 4 * case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
     bound.inputs.push((metallic, vec![BEFORE; case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
     let out = gpu.run(g, &bound.inputs);
@@ -61,6 +69,8 @@ fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Opt
         split: [radiance(whole), radiance(diffuse)],
         materials: out.get::<f32>(materials)[..4 * n].to_vec(),
         metallic: out.get::<f32>(metallic)[..n].to_vec(),
+        positions: out.get(into.positions),
+        lobes: out.get(into.lobes),
     };
     // Kernels of one body, with more or less beside it.
     for other in [radiance(again), found.split[0].clone()] {
@@ -80,12 +90,12 @@ fn scale(x: &[f64]) -> f64 {
 
 /// Radiance and materials' gradients of a case are those of the reference. Errors may be `relative` of a value, or a
 /// hundredth of that of the usual value.
-fn check_pixels(gpu: &Gpu, case: &Lit, largest: [u32; 2], relative: f64) {
+fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
     let lights = case.lights();
     let [diffuse, specular] = twin::lights(&case.pixels, &lights, case.camera, case.normalizer());
     let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
     let bwd = twin::lights_materials_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient);
-    for shape in shapes(gpu) {
+    for &shape in shapes {
         let found = run(gpu, shape, case, largest, None);
         let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-30, relative);
         assert_close("radiance", &whole, &found.direct, tolerance(&whole));
@@ -100,6 +110,22 @@ fn check_pixels(gpu: &Gpu, case: &Lit, largest: [u32; 2], relative: f64) {
             check_added("gradient of metallic", &expected, &found.metallic, tolerance(&expected));
         } else {
             assert!(found.metallic.iter().all(|&x| x == BEFORE));
+        }
+    }
+}
+
+/// Gradients of lights are the reference's differences. `relative` as in [`check_pixels`], of each kind of number by itself.
+fn check_lights(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
+    let expected = twin::lights_bwd(&case.raw, &case.pixels, case.camera, case.normalizer(), &case.gradient);
+    let row = case.raw.model.row() as usize;
+    for &shape in shapes {
+        let found = run(gpu, shape, case, largest, None);
+        let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-20, relative);
+        assert_close("positions", &expected.positions, &found.positions, tolerance(&expected.positions));
+        for i in 0..row {
+            let e: Vec<f64> = expected.lobes.iter().copied().skip(i).step_by(row).collect();
+            let f: Vec<f32> = found.lobes.iter().copied().skip(i).step_by(row).collect();
+            assert_close(&format!("number {i} of lobes"), &e, &f, tolerance(&e));
         }
     }
 }
@@ -121,7 +147,11 @@ fn lights_at_odd_sizes() {
     for (i, size) in sizes.into_iter().enumerate() {
         for metallic in [false, true] {
             let case = Lit::random(size, SMALL, metallic, i as u32);
-            check_pixels(&gpu, &case, size.map(|s| s as u32), 2e-4);
+            let [a, b] = shapes(&gpu);
+            let own = Shape::for_device(gpu.tuning());
+            let shapes = if metallic { vec![a, b] } else { vec![a, own] };
+            check_pixels(&gpu, &shapes, &case, size.map(|s| s as u32), 2e-4);
+            check_lights(&gpu, &shapes, &case, size.map(|s| s as u32), 1e-3);
         }
     }
 }
@@ -131,7 +161,8 @@ fn lights_of_any_number_of_lobes() {
     let gpu = Gpu::new();
     for (lights, lobes, axes) in [(1, 1, Axes::Free), (9, 5, Axes::Grid), (70, 2, Axes::Free), (3, 32, Axes::Grid)] {
         let case = Lit::random([13, 5], LightModel { lights, lobes, axes }, true, lobes);
-        check_pixels(&gpu, &case, [20, 9], 2e-4);
+        check_pixels(&gpu, &shapes(&gpu), &case, [20, 9], 2e-4);
+        check_lights(&gpu, &shapes(&gpu), &case, [20, 9], 1e-3);
     }
 }
 
@@ -246,7 +277,8 @@ fn lights_at_extremes() {
         case.pixels.iter_mut().for_each(|p| p.coverage = sgs_tests::lit::narrow(p.coverage));
         case.pixels.iter_mut().for_each(|p| p.material.roughness = sgs_tests::lit::narrow(p.material.roughness));
         eprintln!("{}", hard.name);
-        check_pixels(&gpu, &case, [9, 4], hard.relative);
+        check_pixels(&gpu, &shapes(&gpu), &case, [9, 4], hard.relative);
+        check_lights(&gpu, &shapes(&gpu), &case, [9, 4], 1e-3);
     }
 }
 
@@ -269,6 +301,11 @@ fn lights_of_nothing_are_nothing() {
     }
     case.raw.positions[..3].copy_from_slice(&case.pixels[2].point);
     let found = run(&gpu, shapes(&gpu)[0], &case, [11, 3], None);
+    assert!(found.positions.iter().chain(&found.lobes).all(|x| x.is_finite()));
+    // Where the camera is in the point there is no direction of view to compare.
+    let mut seen = case.clone();
+    seen.pixels.iter_mut().skip(1).step_by(3).for_each(|p| p.coverage = 0.0);
+    check_lights(&gpu, &shapes(&gpu), &seen, [11, 3], 1e-3);
     for i in 0..case.pixels.len() {
         let all =
             [&found.direct[3 * i..3 * i + 3], &found.materials[4 * i..4 * i + 4], &found.metallic[i..=i]].concat();
@@ -287,7 +324,8 @@ fn lights_that_are_off_cost_nothing_and_send_nothing() {
         for (i, gain) in case.raw.gains.iter_mut().enumerate() {
             *gain = if on.contains(&i) { 0.5 + i as f64 } else { 0.0 };
         }
-        check_pixels(&gpu, &case, [17, 3], 2e-4);
+        check_pixels(&gpu, &shapes(&gpu), &case, [17, 3], 2e-4);
+        check_lights(&gpu, &shapes(&gpu), &case, [17, 3], 1e-3);
     }
 }
 
@@ -317,7 +355,11 @@ fn lights_are_the_same_every_time() {
     let case = Lit::random([31, 9], SMALL, true, 12);
     let once = || {
         let f = run(&gpu, shapes(&gpu)[0], &case, [31, 9], None);
-        [f.direct, f.split.concat(), f.materials, f.metallic].concat().iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+        [f.direct, f.split.concat(), f.materials, f.metallic, f.positions, f.lobes]
+            .concat()
+            .iter()
+            .map(|x| x.to_bits())
+            .collect::<Vec<_>>()
     };
     let first = once();
     assert!((0..3).all(|_| once() == first));

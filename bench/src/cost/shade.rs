@@ -14,6 +14,13 @@ const SURFACE: f64 = 100.0;
 /// What training adds: the logarithmic derivative by roughness and three sums.
 const BY_ROUGHNESS: f64 = 35.0;
 
+/// Backward a lobe: the above, weights 3, their product with amplitudes 5, what axis, sharpness and amplitudes add 11, the
+/// derivative by the direction 8.
+const LOBE_BWD: f64 = 48.0;
+
+/// And a surface: the above without the sums, the derivatives of masking, highlight and Fresnel term, the place.
+const SURFACE_BWD: f64 = 200.0;
+
 /// Point 3, normal 3, coverage 1, material 4.
 const PIXEL_BYTES: f64 = 44.0;
 
@@ -33,6 +40,19 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "lights_train" => {
             let left = 36.0 + 28.0 * metallic;
             ((PIXEL_BYTES + left) * p, c.lights * (RAY + facing + 0.5 * BY_ROUGHNESS) * p)
+        }
+        "lights_bwd" => {
+            let rows = 4.0 * 8.0 * spec("LIGHTS") * (1.0 + lobes) * s.groups;
+            let facing = 0.5 * (LOBE_BWD * lobes + SURFACE_BWD);
+            ((PIXEL_BYTES + 12.0 + 4.0 * metallic) * p + rows, c.lights * (RAY + facing) * p)
+        }
+        "lights_reduce" => {
+            let sums = (s.push)(0) * (s.push)(1);
+            (4.0 * sums, sums)
+        }
+        "lights_prepare_bwd" => {
+            let rows = (s.push)(0) * lobes;
+            (100.0 * rows, 80.0 * rows)
         }
         "lights_materials_bwd" => ((24.0 + 4.0 + 12.0 + 32.0) * p, 20.0 * p),
         "lights_materials_bwd_metallic" => ((48.0 + 8.0 + 16.0 + 12.0 + 40.0) * p, 60.0 * p),

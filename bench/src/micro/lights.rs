@@ -9,7 +9,8 @@ use sgs_passes::reference::brdf::{Material, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{
-    LightModel, LightParameters, Lights, Shape, lights, lights_materials_bwd, lights_prepare, lights_train,
+    LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_bwd, lights_materials_bwd,
+    lights_prepare, lights_prepare_bwd, lights_train,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -45,6 +46,8 @@ impl Lit {
             positions: model.start_positions([-1.3; 3], [1.3; 3]),
             lobes: model.start_lobes(),
         };
+        // Few pixels have a gradient, so that the twin can follow; kernels do not ask for it.
+        let each = ((width * height) / 200).max(1);
         lit.lobes.iter_mut().for_each(|x| *x += (0.3 * rng.normal()) as f32);
         for p in 0..width * height {
             let (x, y) =
@@ -62,7 +65,8 @@ impl Lit {
             let tile = (f64::from(point[0]) * 4.0).floor() + (f64::from(point[1]) * 4.0).floor();
             let albedo = 0.5 + 0.3 * (tile * 0.5).sin();
             lit.materials.push([albedo, 0.8 * albedo, 0.5, 0.3 + 0.5 * albedo].map(|x| x as f32));
-            lit.gradient.push([0; 3].map(|_| rng.range(-1.0, 1.0) as f32));
+            let asked = f64::from(u8::from(p.is_multiple_of(each)));
+            lit.gradient.push([0; 3].map(|_| (asked * rng.range(-1.0, 1.0)) as f32));
         }
         lit
     }
@@ -128,6 +132,19 @@ fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
     Bound { pixels, parameters, gradient, inputs }
 }
 
+/// Gradients of one kind, `width` numbers a row, may be off by a thousandth, or by 1e-5 of the usual size of their column.
+fn compare(what: &str, width: usize, expected: &[f64], found: &[f32]) -> anyhow::Result<()> {
+    for column in 0..width {
+        let all = || expected.iter().zip(found).skip(column).step_by(width);
+        let scale = (all().map(|(e, _)| e * e).sum::<f64>() / all().count() as f64).sqrt();
+        for (e, &f) in all() {
+            let off = (e - f64::from(f)).abs() > 1e-3 * e.abs() + 1e-5 * scale;
+            anyhow::ensure!(!off && f.is_finite(), "The gradient of {what} is {f}, but should be {e}.");
+        }
+    }
+    Ok(())
+}
+
 /// Forward for pictures and for training, and back.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model) = (c.workload.largest, LightModel::default());
@@ -149,6 +166,12 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let materials = g.external("materials_gradient", 16 * n as u64);
     g.fill("clear_gradients", materials, 0)?;
     lights_materials_bwd(&mut g, c.tuning, &b.pixels, &sums, b.gradient, materials, None)?;
+    let into = LightParameterGradients {
+        positions: g.external("positions_gradient", model.position_bytes()),
+        lobes: g.external("lobes_gradient", model.lobe_bytes()),
+    };
+    let gradients = lights_bwd(&mut g, c.tuning, &what, b.gradient)?;
+    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, &into)?;
     let mut rig = Rig::new(c.device, g, b.inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let counts = Counts { pixels: n as f64, lights: f64::from(model.lights), ..Default::default() };
@@ -175,6 +198,9 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             anyhow::ensure!(!off, "Gradient {k} of pixel {i}'s material is {f}, but should be {e}.");
         }
     }
-    report.check(format!("lights: radiance and materials' gradients of {} pixels are those of the twin", sample.len()));
+    let expected = twin::lights_bwd(&lit.raw(model), &pixels, camera, normalizer, &gradient);
+    compare("positions", 3, &expected.positions, &rig.get(into.positions)?)?;
+    compare("lobes", model.row() as usize, &expected.lobes, &rig.get(into.lobes)?)?;
+    report.check(format!("lights: radiance and all gradients from {} pixels are those of the twin", sample.len()));
     Ok(())
 }

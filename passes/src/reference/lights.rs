@@ -189,3 +189,52 @@ pub fn lights_materials_bwd(
     };
     pixels.iter().zip(gradient.chunks(3)).map(one).collect()
 }
+
+/// Gradients of raw parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawGradients {
+    /// `[lights * 3]`.
+    pub positions: Vec<f64>,
+    /// `[lights * lobes * row]`.
+    pub lobes: Vec<f64>,
+}
+
+/// Gradients of the lights' raw parameters: zero for lights that are off, and for a light in a pixel's very point, where
+/// there is none.
+pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, gradient: &[f64]) -> RawGradients {
+    let mut raw = raw.clone();
+    let mut found = RawGradients { positions: vec![0.0; raw.positions.len()], lobes: vec![0.0; raw.lobes.len()] };
+    let shown: Vec<(&Pixel, &[f64])> =
+        pixels.iter().zip(gradient.chunks(3)).filter(|(p, _)| p.coverage >= f64::from(1e-3_f32)).collect();
+    let all = |raw: &Raw, light: usize, shown: &[(&Pixel, &[f64])]| {
+        let Some(light) = prepare_one(raw, light) else { return 0.0 };
+        normalizer * shown.iter().map(|(p, g)| loss(p, &light, camera, g)).sum::<f64>()
+    };
+    for light in 0..raw.model.lights as usize {
+        let place = [0, 1, 2].map(|i| raw.positions[3 * light + i]);
+        let apart = |p: &Pixel| {
+            let d = along(place, -1.0, p.point);
+            dot(d, d).sqrt()
+        };
+        let others: Vec<_> = shown.iter().copied().filter(|(p, _)| apart(p) > 0.0).collect();
+        let nearest = others.iter().map(|(p, _)| apart(p)).fold(1.0, f64::min);
+        for i in 3 * light..3 * light + 3 {
+            let x = raw.positions[i];
+            found.positions[i] = slope(x, 1e-6 * nearest, |x| {
+                raw.positions[i] = x;
+                all(&raw, light, &others)
+            });
+            raw.positions[i] = x;
+        }
+        let row = (raw.model.lobes * raw.model.row()) as usize;
+        for i in row * light..row * (light + 1) {
+            let x = raw.lobes[i];
+            found.lobes[i] = slope(x, 1e-6, |x| {
+                raw.lobes[i] = x;
+                all(&raw, light, &shown)
+            });
+            raw.lobes[i] = x;
+        }
+    }
+    found
+}

@@ -14,7 +14,7 @@ use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::Pixels;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{lights_bwd as kernel, lights_prepare_bwd as finish, semantic_reduce as reduce};
+use sgs_shaders::{lights_bwd as kernel, lights_prepare_bwd as finish, lights_reduce as reduce};
 
 /// Gradients of prepared lights.
 #[derive(Clone, Copy, Debug)]
@@ -89,10 +89,10 @@ pub fn lights_bwd(
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(u64::from(workgroups), 1))?;
     let buffer = g.transient("lights_bwd.sums", 4 * u64::from(width));
-    let bindings = reduce::Bindings { partials: partials.into(), accumulated: buffer.into() };
+    let bindings = reduce::Bindings { partials: partials.into(), light_gradients: buffer.into() };
     let parts = if tuning.narrow() { 1 } else { 8 };
-    let specs = reduce::Specs { workgroup: tuning.workgroup, add: false, parts };
-    let push = reduce::Push { width, groups: workgroups };
+    let specs = reduce::Specs { workgroup: tuning.workgroup, parts };
+    let push = reduce::Push { width, rows: workgroups };
     stage(g, "lights_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch(groups(u64::from(width), tuning.workgroup / parts))?;
     Ok(LightGradients { buffer })

@@ -46,7 +46,7 @@ impl Shape {
     /// What suits a device.
     pub fn for_device(tuning: Tuning) -> Shape {
         let narrow = tuning.narrow();
-        Shape { subgroup: tuning.subgroup_size, per_lane: if narrow { 8 } else { 2 }, spread: narrow }
+        Shape { subgroup: tuning.subgroup_size, per_lane: if narrow { 16 } else { 2 }, spread: narrow }
     }
 
     /// Pixels of a workgroup.

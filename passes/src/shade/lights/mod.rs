@@ -9,7 +9,8 @@
 //! 1. [`lights_prepare`]: raw parameters to what shading reads, and the list of lights that are on;
 //! 2. [`lights_train`]: radiance and, a pixel, sums that make [`lights_materials_bwd`] cheap; for pictures [`lights`] or
 //!    [`lights_split`];
-//! 3. [`lights_materials_bwd`]: gradients of albedo, roughness, metallic.
+//! 3. [`lights_materials_bwd`]: gradients of albedo, roughness, metallic;
+//! 4. [`lights_bwd`], [`lights_prepare_bwd`]: gradients of the lights.
 //!
 //! What a pair of pixel and light costs, in operations (a multiply-add counts two, an exponential, root or division four):
 //! 20 for direction and cosine, of all pairs; of those that face each other, about half of them in a room, 21 a lobe and 100
@@ -20,10 +21,12 @@
 //! How far a light is seen is decided by an include file: `visibility_none.glsl` says always. The kernels' bodies are include
 //! files, too, so that a field or traced shadows need a few lines of their own (`lights_pixels.glsl` has the rules).
 
+mod backward;
 mod forward;
 mod model;
 mod prepare;
 
+pub use backward::{LightGradients, LightParameterGradients, lights_bwd, lights_prepare_bwd};
 pub use forward::{Lights, Shape, Sums, lights, lights_materials_bwd, lights_split, lights_train};
 pub use model::{Axes, LightModel, LightParameters};
 pub use prepare::{Perturbation, Prepared, lights_prepare};
