@@ -8,6 +8,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool METALLIC = false;
+layout(constant_id = 2) const bool ADD = false; // to what other views of the step left
 layout(local_size_x_id = 0) in;
 
 IN(uint, column_starts); // [Gaussians + 1]
@@ -18,9 +19,9 @@ IN(float, metallic_gradient);
 IN(vec3, albedo);             // raw
 IN(float, roughness);
 IN(float, metallic);
-OUT(vec3, grad_albedo);       // by raw
-OUT(float, grad_roughness);
-OUT(float, grad_metallic);
+INOUT(vec3, grad_albedo);     // by raw
+INOUT(float, grad_roughness);
+INOUT(float, grad_metallic);
 
 const uint LANES = 8u;
 
@@ -51,7 +52,15 @@ void main() {
     }
     if (!real || lane != 0u) return;
     vec3 a = albedo[i];
-    grad_albedo[i] = MATERIAL_RANGE * sum.xyz * vec3(sigmoid_slope(a.x), sigmoid_slope(a.y), sigmoid_slope(a.z));
-    grad_roughness[i] = MATERIAL_RANGE * sum.w * sigmoid_slope(roughness[i]);
-    if (METALLIC) grad_metallic[i] = metal * sigmoid_slope(metallic[i]);
+    vec3 by_albedo = MATERIAL_RANGE * sum.xyz * vec3(sigmoid_slope(a.x), sigmoid_slope(a.y), sigmoid_slope(a.z));
+    float by_roughness = MATERIAL_RANGE * sum.w * sigmoid_slope(roughness[i]);
+    if (METALLIC) metal *= sigmoid_slope(metallic[i]);
+    if (ADD) {
+        by_albedo += grad_albedo[i];
+        by_roughness += grad_roughness[i];
+        if (METALLIC) metal += grad_metallic[i];
+    }
+    grad_albedo[i] = by_albedo;
+    grad_roughness[i] = by_roughness;
+    if (METALLIC) grad_metallic[i] = metal;
 }

@@ -98,7 +98,7 @@ fn run(gpu: &Gpu, scene: &Gaussians, camera: &Camera, raw: &Materials, gradient:
         roughness: floats(&mut g, "grad_roughness", 1),
         metallic: metals.then(|| floats(&mut g, "grad_metallic", 1)),
     };
-    materials_bwd(&mut g, &t, &given, &matrix, n, &asked, &grads).unwrap();
+    materials_bwd(&mut g, &t, &given, &matrix, n, &asked, false, &grads).unwrap();
     let mut values = Step { camera: scenes::gpu_camera(camera), ..Default::default() };
     values.camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
     let data = scenes::data(scene);

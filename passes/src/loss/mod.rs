@@ -5,6 +5,7 @@ pub mod correspondence;
 pub mod cross_view;
 pub mod edge_aware;
 pub mod geometry_loss;
+pub mod gray_picture;
 pub mod material_pictures;
 pub mod material_sum;
 pub mod msg;
@@ -24,6 +25,7 @@ pub use correspondence::{
 pub use cross_view::{CrossPicture, CrossView, cross_view};
 pub use edge_aware::{EdgeAware, EdgeSums, edge_aware};
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
+pub use gray_picture::{gray_picture, gray_picture_bwd};
 pub use material_pictures::{MaterialPictures, Materials, material_pictures, material_pictures_bwd, pictures};
 pub use material_sum::{MaterialLosses, material_sum};
 pub use msg::{Msg, MsgLoss, msg, relight};

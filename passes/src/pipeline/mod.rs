@@ -5,8 +5,10 @@
 
 mod densify;
 mod geometry;
+mod intrinsic;
 mod labeler;
 mod render;
+mod shading;
 mod status;
 mod surface;
 mod view;
@@ -15,12 +17,18 @@ pub use densify::{DensifyStep, OpacityReset};
 pub use geometry::{
     GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, PSEUDO_VIEWS, SemanticInputs, SemanticSizes,
 };
+pub use intrinsic::{
+    EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes,
+    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues,
+};
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
+pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{
-    Camera, Densify as DensifySettings, DensifyStats, LossStats, SemanticTarget, Step, StepReport,
+    Camera, Densify as DensifySettings, DensifyStats, IntrinsicReport, LossStats, MaterialStats, MaterialWeights,
+    SemanticTarget, Step, StepReport,
 };

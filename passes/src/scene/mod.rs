@@ -5,7 +5,9 @@
 mod decoder;
 mod gaussians;
 mod model;
+mod trainable;
 
 pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
 pub use model::{Group, Model, SEMANTIC_FEATURES};
+pub use trainable::{StepWords, Trainable, TrainableHandles};

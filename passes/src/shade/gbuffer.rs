@@ -15,7 +15,9 @@ use crate::kernel::{groups, stage};
 use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
 use crate::splat::{Blended, Channels, Entries, Screen, Visible, group_sizes, per_lane};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{column_starts, gbuffer as kernel, weights as fill, weights_count, weights_transpose};
+use sgs_shaders::{
+    column_starts, gbuffer as kernel, surface_depth as depth, weights as fill, weights_count, weights_transpose,
+};
 
 /// What has to be blended for [`gbuffer`].
 pub const GBUFFER_CHANNELS: Channels = Channels { colors: false, normals: true, depth: true };
@@ -73,6 +75,32 @@ pub fn gbuffer(
     let specs = kernel::Specs { workgroup: t.workgroup };
     stage(g, "gbuffer", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))
+}
+
+/// What [`surface_depth`] leaves in a picture of two channels.
+pub const SURFACE_DEPTH: Channels = Channels { colors: false, normals: false, depth: true };
+
+/// Depth of surfaces as blending leaves it, for what works on blended views: [`SURFACE_DEPTH`] (without the squares) and
+/// transmittance.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn surface_depth(g: &mut Graph, t: &Tuning, screen: &Screen, seen: &Surfaces) -> Result<Blended, GraphError> {
+    let into = Blended {
+        image: g.transient("surface_depth", 8 * screen.pixels()),
+        transmittance: g.transient("surface_transmittance", 4 * screen.pixels()),
+    };
+    let bindings = depth::Bindings {
+        params: screen.step.into(),
+        points: seen.points.into(),
+        coverage: seen.coverage.into(),
+        image: into.image.into(),
+        transmittance: into.transmittance.into(),
+    };
+    let specs = depth::Specs { workgroup: t.workgroup };
+    stage(g, "surface_depth", &depth::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(screen.pixels(), t.workgroup))?;
+    Ok(into)
 }
 
 /// How many entries there are and what is done if they do not fit.

@@ -11,7 +11,7 @@ use super::Weights;
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::splat::Screen;
-use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{material_values, materials as kernel, materials_bwd as backward};
 
 /// Raw materials of the Gaussians, or their gradients.
@@ -84,7 +84,8 @@ pub fn values(g: &mut Graph, t: &Tuning, raw: &RawMaterials, gaussians: u32) -> 
     Ok(into)
 }
 
-/// Backward of [`materials`] and [`values`]: gradients of the raw materials of all `gaussians`, overwritten.
+/// Backward of [`materials`] and [`values`]: gradients of the raw materials of all `gaussians`, overwritten, or added to those
+/// of other views of a step.
 ///
 /// # Errors
 /// If the graph refuses the pass.
@@ -95,9 +96,10 @@ pub fn materials_bwd(
     weights: &Weights,
     gaussians: u32,
     gradient: &PixelMaterials,
+    add: bool,
     into: &RawMaterials,
 ) -> Result<(), GraphError> {
-    let bindings = backward::Bindings {
+    let bindings = backward::Bindings::<Slice> {
         column_starts: weights.column_starts.into(),
         rows: weights.rows.into(),
         row_weights: weights.row_weights.into(),
@@ -110,10 +112,14 @@ pub fn materials_bwd(
         grad_roughness: into.roughness.into(),
         grad_metallic: or_nothing(g, into.metallic).into(),
     };
-    let specs = backward::Specs { workgroup: t.workgroup, metallic: raw.metallic.is_some() };
-    stage(g, "materials_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), &[])
-        .subgroup_size(Some(t.subgroup_size))
-        .dispatch(groups(8 * u64::from(gaussians), t.workgroup))
+    let metallic = raw.metallic.is_some();
+    let specs = backward::Specs { workgroup: t.workgroup, metallic, add };
+    let mut pass = stage(g, "materials_bwd", &backward::KERNEL, [], specs.entries(), &[]);
+    for (name, slice) in bindings.entries() {
+        let overwritten = !add && name.starts_with("grad_");
+        pass = if overwritten { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
+    }
+    pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(8 * u64::from(gaussians), t.workgroup))
 }
 
 /// What is not there has a word behind it that specialized kernels never touch: they may not write another one's memory.

@@ -11,6 +11,8 @@ mod materials;
 mod pixels;
 pub mod visibility;
 
-pub use gbuffer::{GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Surfaces, Weights, gbuffer, weights};
+pub use gbuffer::{
+    GBUFFER_CHANNELS, LEAST_COVERAGE, Room, SURFACE_DEPTH, Surfaces, Weights, gbuffer, surface_depth, weights,
+};
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
 pub use pixels::Pixels;

@@ -3,6 +3,7 @@
 use crate::classify::Classifier;
 use crate::convert::camera;
 use crate::error::Result;
+use crate::evaluate_shaded::ShadedMetrics;
 use crate::head::SemanticHead;
 use crate::metrics;
 use serde::Serialize;
@@ -30,6 +31,9 @@ pub struct ViewMetrics {
     /// Classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,
+    /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
+    #[serde(flatten)]
+    pub shaded: Option<ShadedMetrics>,
 }
 
 /// Image metrics.
@@ -62,6 +66,9 @@ pub struct Means {
     /// Classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,
+    /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
+    #[serde(flatten)]
+    pub shaded: Option<ShadedMetrics>,
 }
 
 /// Metrics of a split.
@@ -170,7 +177,7 @@ pub fn evaluate_classes(
         let semantic = semantic.map(|accuracy| Semantic { accuracy });
         look(&view.camera.name, &rendered)?;
         let name = view.camera.name.clone();
-        out.push(ViewMetrics { name, nvs, normal_mae_deg: normal, depth_rel: depth, semantic });
+        out.push(ViewMetrics { name, nvs, normal_mae_deg: normal, depth_rel: depth, semantic, shaded: None });
     }
     let n = out.len().max(1) as f64;
     let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
@@ -183,6 +190,7 @@ pub fn evaluate_classes(
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         depth_rel: some(&|v| v.depth_rel),
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
+        shaded: None,
     };
     Ok(Evaluation { mean, views: out })
 }
@@ -198,7 +206,7 @@ fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
 }
 
 /// A measure in which no pixel counts (a view of the sky alone) is absent, as one without ground truth is.
-fn known(value: std::result::Result<f64, metrics::MetricError>) -> Result<Option<f64>> {
+pub(crate) fn known(value: std::result::Result<f64, metrics::MetricError>) -> Result<Option<f64>> {
     match value {
         Err(metrics::MetricError::Empty { .. }) => Ok(None),
         other => Ok(Some(other?)),

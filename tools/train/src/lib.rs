@@ -11,9 +11,11 @@ mod correspondence;
 mod data;
 mod error;
 mod evaluate;
+mod evaluate_shaded;
 mod floats;
 mod geometry;
 mod head;
+mod intrinsic;
 mod memory;
 pub mod metrics;
 mod normals;
@@ -23,6 +25,7 @@ mod run;
 mod schedule;
 mod semantics;
 mod settings;
+mod shaded;
 mod visibility;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
@@ -34,15 +37,20 @@ pub use evaluate::{
     Evaluation, Means, Nvs, Rendered, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth,
     render_view,
 };
+pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;
+pub use intrinsic::{Intrinsic, LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
-pub use run::{RunDirectory, StepLog};
+pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
-    Backward, DensifyOptions, GeometrySettings, LossWeights, MemorySettings, ProviderSettings, Rates, Settings,
+    Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
+    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, ProviderSettings, Rates,
+    Settings, VisibilityKind, VisibilitySettings,
 };
+pub use shaded::{ShadedView, Shading, Texels, displayed, light_of, shaded_scene};
 pub use visibility::VisibilityFile;

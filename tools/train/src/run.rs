@@ -3,7 +3,7 @@
 use crate::error::{Result, TrainError};
 use crate::settings::{Settings, one_line};
 use serde::Serialize;
-use sgs_passes::pipeline::StepReport;
+use sgs_passes::pipeline::{IntrinsicReport, StepReport};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -46,6 +46,45 @@ pub struct StepLog {
     pub entries: u32,
     /// Splats skipped so far because their gradients were not finite.
     pub skipped: u32,
+}
+
+/// One line of `log.jsonl` of the intrinsic stage.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct IntrinsicLog {
+    /// `intrinsic`.
+    pub stage: &'static str,
+    /// The step.
+    pub step: u32,
+    /// Weighted loss of the shaded picture.
+    pub shaded: f32,
+    /// Its mean absolute difference.
+    pub l1: f32,
+    /// Its SSIM.
+    pub ssim: f32,
+    /// Weighted loss of the albedo prior.
+    pub albedo: f32,
+    /// Weighted loss of the roughness prior.
+    pub roughness: f32,
+    /// Weighted loss of the metallic prior.
+    pub metallic: f32,
+    /// Gradients skipped so far because they were not finite.
+    pub skipped: u32,
+}
+
+impl From<&IntrinsicReport> for IntrinsicLog {
+    fn from(r: &IntrinsicReport) -> IntrinsicLog {
+        IntrinsicLog {
+            stage: "intrinsic",
+            step: r.step,
+            shaded: r.shaded,
+            l1: r.shaded_l1,
+            ssim: r.shaded_ssim,
+            albedo: r.albedo,
+            roughness: r.roughness,
+            metallic: r.metallic,
+            skipped: r.skipped,
+        }
+    }
 }
 
 impl From<&StepReport> for StepLog {
@@ -106,6 +145,11 @@ impl RunDirectory {
         self.root.join("checkpoint").join("geometry.safetensors")
     }
 
+    /// The resumable state of the intrinsic stage.
+    pub fn intrinsic_checkpoint(&self) -> PathBuf {
+        self.root.join("checkpoint").join("intrinsic.safetensors")
+    }
+
     /// The settings it was trained with.
     ///
     /// # Errors
@@ -129,9 +173,24 @@ impl RunDirectory {
     /// # Errors
     /// If something cannot be removed.
     pub fn forget(&self) -> Result<()> {
-        let names = ["scene.ply", SEMANTICS, "training.json", "metrics.json", "log.jsonl"];
+        let names = ["scene.ply", SEMANTICS, "training.json", "log.jsonl"];
         // The checkpoint goes first: were it left with other settings, resuming would go on from it.
-        for path in std::iter::once(self.checkpoint()).chain(names.map(|n| self.path(n))) {
+        self.remove(std::iter::once(self.checkpoint()))?;
+        self.forget_intrinsic()?;
+        self.remove(names.map(|n| self.path(n)))
+    }
+
+    /// Removes what an earlier intrinsic stage left.
+    ///
+    /// # Errors
+    /// If something cannot be removed.
+    pub fn forget_intrinsic(&self) -> Result<()> {
+        let names = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
+        self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))
+    }
+
+    fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+        for path in paths {
             match std::fs::remove_file(&path) {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
                     return Err(error(&path, format!("cannot be removed: {e}")));
@@ -176,22 +235,61 @@ impl RunDirectory {
         self.write(&path, text.as_bytes())
     }
 
+    /// `training.json`, or null where there is none.
+    ///
+    /// # Errors
+    /// If it is damaged.
+    pub fn training_summary(&self) -> Result<serde_json::Value> {
+        let path = self.path("training.json");
+        match std::fs::read_to_string(&path) {
+            Ok(text) => serde_json::from_str(&text).map_err(|e| error(&path, format!("is not valid: {e}"))),
+            Err(_) => Ok(serde_json::Value::Null),
+        }
+    }
+
+    /// Puts what the intrinsic stage came to into `training.json`.
+    ///
+    /// # Errors
+    /// If the file is damaged or cannot be written.
+    pub fn add_intrinsic_summary(&self, summary: &impl Serialize) -> Result<()> {
+        let path = self.path("training.json");
+        let mut all = match self.training_summary()? {
+            serde_json::Value::Object(all) => all,
+            _ => serde_json::Map::new(),
+        };
+        let value = serde_json::to_value(summary).map_err(|e| error(&path, e.to_string()))?;
+        all.insert("intrinsic".to_owned(), value);
+        self.write_json("training.json", &all)
+    }
+
     fn write(&self, path: &Path, bytes: &[u8]) -> Result<()> {
         Ok(sgs_scene::atomic_write(path, |f| f.write_all(bytes))?)
     }
 
-    /// Opens the log; lines after `step` (of an interrupted run) are dropped.
+    /// Opens the log of the geometry stage; lines after `step` (of an interrupted run) and of later stages are dropped.
     ///
     /// # Errors
     /// If it cannot be written.
     pub fn log(&self, step: u32) -> Result<File> {
+        self.log_of(|stage, s| stage.is_none() && s <= u64::from(step))
+    }
+
+    /// Opens the log of the intrinsic stage, whose lines say so; those of it after `step` are dropped.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn intrinsic_log(&self, step: u32) -> Result<File> {
+        self.log_of(|stage, s| stage.is_none() || s <= u64::from(step))
+    }
+
+    fn log_of(&self, keep: impl Fn(Option<&str>, u64) -> bool) -> Result<File> {
         let path = self.path("log.jsonl");
         let kept: String = std::fs::read_to_string(&path)
             .unwrap_or_default()
             .lines()
             .filter(|l| {
                 let value: Option<serde_json::Value> = serde_json::from_str(l).ok();
-                value.and_then(|v| v["step"].as_u64()).is_some_and(|s| s <= u64::from(step))
+                value.is_some_and(|v| v["step"].as_u64().is_some_and(|s| keep(v["stage"].as_str(), s)))
             })
             .map(|l| format!("{l}\n"))
             .collect();

@@ -135,7 +135,8 @@ pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
         Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(channels));
     let file = ::exr::image::Image::from_layer(layer);
     atomic_write(path, |out| {
-        file.write().to_buffered(out).map_err(|error| match error {
+        // One thread: several would write their blocks in any order, and equal pictures be different files.
+        file.write().non_parallel().to_buffered(out).map_err(|error| match error {
             ::exr::error::Error::Io(error) => error,
             other => io::Error::other(other.to_string()),
         })

@@ -7,7 +7,10 @@ use crate::common::Common;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Image, Scene, Splats, write_png};
-use sgs_train::{Evaluation, Nvs, RunDirectory, Semantic, Settings, evaluate_classes};
+use sgs_train::{
+    Evaluation, Nvs, RunDirectory, Semantic, Settings, ShadedMetrics, Shading, displayed, evaluate_classes,
+    evaluate_shaded, light_of, shaded_scene,
+};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -70,31 +73,55 @@ pub fn measure(
         legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
     }
     let background = settings.geometry.background;
-    let result = evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), |name, rendered| {
-        let Some(dir) = images else { return Ok(()) };
-        write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
-        let view = scene.views.iter().position(|v| v.camera.name == name);
-        let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
-        row.push(rendered.rgb.clone());
-        if let Some(normal) = &rendered.normal {
-            let mut shown = normal.clone();
-            shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
-            write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
-            row.push(shown);
-        }
-        write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
-        let mut shown = rendered.depth.clone();
-        let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-        shown.data.iter_mut().for_each(|v| *v /= far);
-        write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
-        if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
-            let size = [rendered.rgb.width, rendered.rgb.height];
-            legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
-        }
-        Ok(())
-    })?;
+    let mut result =
+        evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), |name, rendered| {
+            let Some(dir) = images else { return Ok(()) };
+            write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+            let view = scene.views.iter().position(|v| v.camera.name == name);
+            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+            row.push(rendered.rgb.clone());
+            if let Some(normal) = &rendered.normal {
+                let mut shown = normal.clone();
+                shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
+                write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+                row.push(shown);
+            }
+            write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
+            let mut shown = rendered.depth.clone();
+            let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
+            shown.data.iter_mut().for_each(|v| *v /= far);
+            write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+            if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
+                let size = [rendered.rgb.width, rendered.rgb.height];
+                legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
+            }
+            Ok(())
+        })?;
+    if splats.albedo.is_some() && splats.roughness.is_some() {
+        let (lights, environment) = light_of(run, settings)?;
+        let shaded = shaded_scene(device, splats, lights.as_ref(), environment.as_ref())?;
+        let mut shading = Shading::new(device, shaded)?;
+        evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, shaded| {
+            let Some(dir) = images else { return Ok(()) };
+            let view = scene.views.iter().position(|v| v.camera.name == name);
+            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+            row.push(displayed(&shaded.radiance(background)));
+            row.push(displayed(&shaded.albedo()));
+            row.push(gray(&shaded.roughness()));
+            row.push(displayed(&shaded.direct()));
+            row.push(displayed(&shaded.ambient()));
+            write_png(&dir.join(format!("{name}_shaded.png")), &beside(&row))?;
+            Ok(())
+        })?;
+    }
     record(run, if split == Split::Test { "test" } else { "train" }, &result, splats.len())?;
     Ok(result)
+}
+
+/// One channel as three.
+fn gray(image: &Image) -> Image {
+    let data = image.data.iter().flat_map(|v| [*v; 3]).collect();
+    Image { channels: 3, data, ..image.clone() }
 }
 
 /// Color images of one height next to each other.
@@ -134,4 +161,26 @@ fn print_table(e: &Evaluation) {
         line(&v.name, &v.nvs, v.normal_mae_deg, v.depth_rel, v.semantic);
     }
     line("mean", &e.mean.nvs, e.mean.normal_mae_deg, e.mean.depth_rel, e.mean.semantic);
+    if let Some(m) = &e.mean.shaded {
+        print_shaded(m);
+    }
+}
+
+/// Means of what shading comes to.
+fn print_shaded(m: &ShadedMetrics) {
+    println!();
+    if let Some(v) = &m.pbr {
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM", "shaded picture", v.psnr, v.ssim);
+    }
+    if let Some(v) = &m.albedo {
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled", "albedo", v.psnr, v.ssim, v.psnr_scaled);
+    }
+    for (name, value) in [("roughness MSE", m.roughness_mse), ("metallic MSE", m.metallic_mse)] {
+        if let Some(v) = value {
+            println!("{name:<20} {v:>8.5}");
+        }
+    }
+    for (name, v) in &m.relit {
+        println!("{name:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled", v.psnr, v.ssim, v.psnr_scaled);
+    }
 }

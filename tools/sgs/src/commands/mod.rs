@@ -4,6 +4,7 @@ pub mod ablate;
 pub mod devices;
 pub mod eval;
 pub mod export;
+pub mod intrinsic;
 pub mod plan;
 pub mod priors;
 pub mod pseudo;

@@ -1,5 +1,6 @@
 //! `sgs train`: from a scene directory to a run directory.
 
+use super::intrinsic::{IntrinsicEnded, intrinsic_into};
 use crate::common::Common;
 use crate::ui::{Bar, interrupted};
 use anyhow::bail;
@@ -22,6 +23,9 @@ pub struct Options {
     /// Steps of the geometry stage.
     #[arg(long, value_name = "N")]
     pub geometry_steps: Option<u32>,
+    /// Steps of the intrinsic stage.
+    #[arg(long, value_name = "N")]
+    pub intrinsic_steps: Option<u32>,
     /// Training views, spread evenly; all by default.
     #[arg(long, value_name = "N")]
     pub views: Option<usize>,
@@ -52,9 +56,12 @@ pub struct Args {
     /// Run directory to make.
     #[arg(short, long, value_name = "RUN")]
     output: PathBuf,
-    /// Which stage.
+    /// Which stage: geometry, or materials, lights and shadows on the geometry that is in the run, or both.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
+    /// Geometry for the intrinsic stage from elsewhere, as a PLY file of 3DGS.
+    #[arg(long, value_name = "FILE.ply")]
+    start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
     /// Go on where an interrupted run stopped.
@@ -65,6 +72,8 @@ pub struct Args {
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Stage {
     Geometry,
+    Intrinsic,
+    All,
 }
 
 /// Settings from file, then from `--set`, then from the options of their own.
@@ -93,6 +102,9 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
     s.scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     if let Some(n) = o.geometry_steps {
         s.geometry.steps = n;
+    }
+    if let Some(n) = o.intrinsic_steps {
+        s.intrinsic.steps = n;
     }
     if let Some(n) = o.views {
         s.views = n;
@@ -179,34 +191,71 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let Stage::Geometry = a.stage;
-    let resuming = a.resume && a.output.join("config.toml").is_file();
-    let mut settings = if resuming { resumed(a)? } else { settings(&a.scene, &a.options)? };
+    if a.start.is_some() && a.stage != Stage::Intrinsic {
+        bail!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
+    }
+    let there = a.output.join("config.toml").is_file();
+    let resuming = a.resume && there;
+    let mut settings = if resuming {
+        resumed(a)?
+    } else if a.stage == Stage::Intrinsic && there && a.start.is_none() {
+        // The geometry is the run's, and so are the settings that it came from.
+        settings_over(RunDirectory::open(&a.output)?.settings()?.to_table()?, &a.scene, &a.options)?
+    } else {
+        settings(&a.scene, &a.options)?
+    };
     let scene = open_scene(&settings)?;
     // What was chosen for the scene belongs to the run: it is measured and resumed alike.
     settings.exposure = scene.exposure();
     let device = common.open_device()?;
     let stop = interrupted()?;
-    let summary = match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training")? {
-        Ended::Done(summary) => summary,
-        Ended::Stopped(step) => {
-            eprintln!(
-                "stopped after step {step}; go on with: sgs train {} -o {} --resume",
-                a.scene.display(),
-                a.output.display()
-            );
-            std::process::exit(1);
-        }
+    let stopped = |step: u32| -> ! {
+        let stage = match a.stage {
+            Stage::Geometry => "",
+            Stage::Intrinsic => " --stage intrinsic",
+            Stage::All => " --stage all",
+        };
+        let (scene, output) = (a.scene.display(), a.output.display());
+        eprintln!("stopped after step {step}; go on with: sgs train {scene} -o {output}{stage} --resume");
+        std::process::exit(1)
     };
-    if !common.answer(&summary)? && !common.quiet {
-        eprintln!(
-            "{} Gaussians after {} steps in {:.0} s; wrote {}",
-            summary.gaussians,
-            summary.steps,
-            summary.seconds,
-            a.output.display()
-        );
+    // What has got to its second stage is done with its first.
+    let second = resuming && RunDirectory::open(&a.output)?.intrinsic_checkpoint().is_file();
+    let mut summary = serde_json::Value::Null;
+    if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && second) {
+        match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training")? {
+            Ended::Done(done) => {
+                if !common.quiet {
+                    eprintln!(
+                        "{} Gaussians after {} steps in {:.0} s; wrote {}",
+                        done.gaussians,
+                        done.steps,
+                        done.seconds,
+                        a.output.display()
+                    );
+                }
+                summary = serde_json::to_value(&done)?;
+            }
+            Ended::Stopped(step) => stopped(step),
+        }
     }
+    if a.stage != Stage::Geometry {
+        match intrinsic_into(common, &device, &scene, &settings, &a.output, a.start.as_deref(), second, &stop)? {
+            IntrinsicEnded::Done(done) => {
+                if !common.quiet {
+                    eprintln!(
+                        "materials and lights after {} steps in {:.0} s; wrote {}",
+                        done.steps,
+                        done.seconds,
+                        a.output.display()
+                    );
+                }
+                summary = RunDirectory::open(&a.output)?.training_summary()?;
+            }
+            IntrinsicEnded::Stopped(step) => stopped(step),
+        }
+    }
+    common.answer(&summary)?;
     validated(&device)
 }
 
@@ -303,7 +352,7 @@ pub fn train_into(
         head.save(&run.semantics())?;
     }
     let times = training.take_times();
-    write_profile(&run, &times)?;
+    write_profile(&run, "profile.json", "geometry step", &times)?;
     let page = html(training.executor()?.plan(), &times);
     sgs_scene::atomic_write(&run.path("graph.html"), |f| f.write_all(page.as_bytes()))?;
     let seconds = started.elapsed().as_secs_f64();
@@ -321,10 +370,10 @@ pub fn train_into(
 }
 
 /// The last step as a Chrome trace.
-fn write_profile(run: &RunDirectory, times: &[PassTime]) -> anyhow::Result<()> {
+pub fn write_profile(run: &RunDirectory, file: &str, name: &str, times: &[PassTime]) -> anyhow::Result<()> {
     let replay = times.iter().map(|t| t.start.len()).min().unwrap_or(0).saturating_sub(1);
-    let text = trace(&[Track { name: "geometry step", times, replay }]);
-    Ok(sgs_scene::atomic_write(&run.path("profile.json"), |f| f.write_all(text.as_bytes()))?)
+    let text = trace(&[Track { name, times, replay }]);
+    Ok(sgs_scene::atomic_write(&run.path(file), |f| f.write_all(text.as_bytes()))?)
 }
 
 /// In validation mode any message is a failure.

@@ -1,7 +1,12 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
+mod intrinsic;
 mod names;
 
+pub use intrinsic::{
+    EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, Metallic,
+    VisibilityKind, VisibilitySettings,
+};
 pub(crate) use names::{distance, one_line};
 
 use crate::error::TrainError;
@@ -34,6 +39,8 @@ pub struct Settings {
     pub provider: ProviderSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
+    /// The intrinsic stage.
+    pub intrinsic: IntrinsicSettings,
 }
 
 impl Default for Settings {
@@ -49,6 +56,7 @@ impl Default for Settings {
             memory: MemorySettings::default(),
             provider: ProviderSettings::default(),
             geometry: GeometrySettings::default(),
+            intrinsic: IntrinsicSettings::default(),
         }
     }
 }
@@ -424,7 +432,8 @@ impl Settings {
         if d.max_gaussians == 0 {
             return fail("geometry.densify.max_gaussians is 0, but must be at least 1.".into());
         }
-        Ok(())
+        let table = toml::Table::try_from(&self.intrinsic).unwrap_or_default();
+        self.intrinsic.check(&table)
     }
 }
 

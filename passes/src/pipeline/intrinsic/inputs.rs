@@ -1,0 +1,207 @@
+//! What an intrinsic step learns and what it reads, and what that takes.
+
+use super::IntrinsicOptions;
+use crate::scene::{Trainable, TrainableHandles};
+use crate::shade::environment::{Environment, EnvironmentTables};
+use crate::shade::lights::LightModel;
+use sgs_engine::graph::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+
+/// Everything that the stage learns.
+#[derive(Debug)]
+pub struct IntrinsicParameters {
+    /// Raw albedo, 3 a Gaussian.
+    pub albedo: Trainable,
+    /// Raw roughness.
+    pub roughness: Trainable,
+    /// Raw metallic, where it is told.
+    pub metallic: Option<Trainable>,
+    /// Positions and lobes of lights.
+    pub lights: Option<[Trainable; 2]>,
+    /// Texels.
+    pub environment: Option<Trainable>,
+}
+
+impl IntrinsicParameters {
+    /// All of them, in an order that never changes.
+    pub fn all(&self) -> Vec<&Trainable> {
+        let mut all = vec![&self.albedo, &self.roughness];
+        all.extend(&self.metallic);
+        all.extend(self.lights.iter().flatten());
+        all.extend(&self.environment);
+        all
+    }
+}
+
+/// Device memory that a step is bound to, beside what a view sees.
+pub struct IntrinsicInputs<'a> {
+    /// What is learned.
+    pub parameters: &'a IntrinsicParameters,
+    /// Factors of the lights: 0 switches one off.
+    pub gains: Option<&'a DeviceBuffer>,
+    /// The environment's tables: what it is, and where they lie.
+    pub environment: Option<(&'a Environment, &'a EnvironmentMemory)>,
+    /// Photographs, packed.
+    pub targets: &'a DeviceBuffer,
+    /// Priors, packed likewise.
+    pub albedo: Option<&'a DeviceBuffer>,
+    /// Likewise.
+    pub roughness: Option<&'a DeviceBuffer>,
+    /// Likewise.
+    pub metallic: Option<&'a DeviceBuffer>,
+}
+
+/// The tables of an environment in device memory.
+#[derive(Debug)]
+pub struct EnvironmentMemory(Vec<DeviceBuffer>);
+
+impl EnvironmentMemory {
+    /// Puts them there.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, environment: &Environment) -> Result<EnvironmentMemory> {
+        // Handles of a graph that nobody runs: they only name the contents.
+        let mut g = Graph::new("tables");
+        let tables = environment.declare(&mut g);
+        let put = |(_, bytes): (Buffer, Vec<u8>)| {
+            let buffer = device.buffer("environment_table", bytes.len() as u64, Location::Device)?;
+            device.upload(&buffer, 0, &bytes)?;
+            Ok(buffer)
+        };
+        Ok(EnvironmentMemory(environment.contents(&tables).into_iter().map(put).collect::<Result<_>>()?))
+    }
+
+    /// Puts them behind their handles.
+    ///
+    /// # Errors
+    /// If the plan was made for another environment.
+    pub fn bind(&self, exec: &mut Executor, environment: &Environment, tables: &EnvironmentTables) -> Result<()> {
+        let handles = environment.contents(tables);
+        handles.iter().zip(&self.0).try_for_each(|((handle, _), buffer)| exec.bind(*handle, buffer))
+    }
+}
+
+/// The sizes of [`IntrinsicInputs`], for a plan without them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IntrinsicSizes {
+    /// Bytes of the photographs.
+    pub targets: u64,
+    /// Bytes of the albedo priors.
+    pub albedo: Option<u64>,
+    /// Bytes of the roughness priors.
+    pub roughness: Option<u64>,
+    /// Bytes of the metallic priors.
+    pub metallic: Option<u64>,
+}
+
+impl IntrinsicInputs<'_> {
+    /// What they take.
+    pub fn sizes(&self) -> IntrinsicSizes {
+        IntrinsicSizes {
+            targets: self.targets.bytes(),
+            albedo: self.albedo.map(DeviceBuffer::bytes),
+            roughness: self.roughness.map(DeviceBuffer::bytes),
+            metallic: self.metallic.map(DeviceBuffer::bytes),
+        }
+    }
+
+    pub(super) fn environment(&self) -> Option<&Environment> {
+        self.environment.map(|(e, _)| e)
+    }
+}
+
+/// Lights in a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LightHandles {
+    pub model: LightModel,
+    pub normalizer: f32,
+    pub positions: TrainableHandles,
+    pub lobes: TrainableHandles,
+    pub gains: Buffer,
+}
+
+/// All of it in a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Declared {
+    pub albedo: TrainableHandles,
+    pub roughness: TrainableHandles,
+    pub metallic: Option<TrainableHandles>,
+    pub lights: Option<LightHandles>,
+    pub environment: Option<(TrainableHandles, EnvironmentTables)>,
+    pub targets: Buffer,
+    pub albedo_priors: Option<Buffer>,
+    pub roughness_priors: Option<Buffer>,
+    pub metallic_priors: Option<Buffer>,
+}
+
+impl Declared {
+    pub fn declare(
+        g: &mut Graph,
+        sizes: &IntrinsicSizes,
+        tables: Option<(EnvironmentTables, u32)>,
+        o: &IntrinsicOptions,
+    ) -> Declared {
+        let n = o.shape.gaussians;
+        let mut learned = |name: &'static str, floats: u64| {
+            Trainable::handles(g, name, u32::try_from(floats).unwrap_or(u32::MAX), true)
+        };
+        let albedo = learned("albedo", 3 * u64::from(n));
+        let roughness = learned("roughness", n.into());
+        let metallic = o.metallic.then(|| learned("metallic", n.into()));
+        let lights = o.lights.map(|(model, _)| {
+            (learned("light_positions", model.position_bytes() / 4), learned("light_lobes", model.lobe_bytes() / 4))
+        });
+        let environment = tables.map(|(tables, floats)| (learned("environment", floats.into()), tables));
+        let lights = o.lights.zip(lights).map(|((model, normalizer), (positions, lobes))| LightHandles {
+            model,
+            normalizer,
+            positions,
+            lobes,
+            gains: g.input("light_gains", model.gain_bytes()),
+        });
+        Declared {
+            albedo,
+            roughness,
+            metallic,
+            lights,
+            environment,
+            targets: g.input("targets", sizes.targets),
+            albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),
+            roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
+            metallic_priors: sizes.metallic.map(|bytes| g.input("metallic_priors", bytes)),
+        }
+    }
+
+    pub fn bind(&self, exec: &mut Executor, inputs: &IntrinsicInputs<'_>) -> Result<()> {
+        let p = inputs.parameters;
+        p.albedo.bind(exec, &self.albedo)?;
+        p.roughness.bind(exec, &self.roughness)?;
+        if let (Some(memory), Some(handles)) = (&p.metallic, &self.metallic) {
+            memory.bind(exec, handles)?;
+        }
+        if let (Some([positions, lobes]), Some(handles), Some(gains)) = (&p.lights, &self.lights, inputs.gains) {
+            positions.bind(exec, &handles.positions)?;
+            lobes.bind(exec, &handles.lobes)?;
+            exec.bind(handles.gains, gains)?;
+        }
+        if let (Some(texels), Some((handles, tables)), Some((environment, memory))) =
+            (&p.environment, &self.environment, inputs.environment)
+        {
+            texels.bind(exec, handles)?;
+            memory.bind(exec, environment, tables)?;
+        }
+        exec.bind(self.targets, inputs.targets)?;
+        for (handle, memory) in [
+            (self.albedo_priors, inputs.albedo),
+            (self.roughness_priors, inputs.roughness),
+            (self.metallic_priors, inputs.metallic),
+        ] {
+            if let (Some(handle), Some(memory)) = (handle, memory) {
+                exec.bind(handle, memory)?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,252 @@
+//! One step of the intrinsic stage: shade a view, compare, go back, update materials, lights, surroundings and shadows.
+//!
+//! Geometry stands still. What the view sees of it ([`super::Surface`]) is bound before each step; nothing of the size of
+//! pixels times lights is stored; the host waits for nothing.
+
+mod build;
+mod inputs;
+
+pub use inputs::{EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
+
+use self::build::{Words, build};
+use self::inputs::Declared as Inputs;
+use super::status::RING;
+use super::{Step, Surface, SurfaceHandles, SurfaceShape};
+use crate::Tuning;
+use crate::shade::environment::{Environment, EnvironmentTables};
+use crate::shade::lights::LightModel;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
+use sgs_engine::{Device, DeviceBuffer, Location, Result, Ticket};
+use sgs_shaders::structs::{IntrinsicReport, MaterialWeights};
+use std::sync::Arc;
+
+/// What an intrinsic step is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntrinsicOptions {
+    /// Columns and rows that no view exceeds, Gaussians, and room for weights.
+    pub shape: SurfaceShape,
+    /// Whether there is a metallic value for each Gaussian.
+    pub metallic: bool,
+    /// Point lights, and the factor of all their light: one over their number at the start.
+    pub lights: Option<(LightModel, f32)>,
+    /// Weight of the environment's smoothness; the environment itself is an input.
+    pub environment_smooth: f32,
+    /// Whether albedo and roughness are to be smooth where the photograph is.
+    pub edge_aware: bool,
+    /// Whether their gradients are compared with those of the priors at several scales.
+    pub gradients: bool,
+    /// Pixels that are too bright keep the gradients that lead them back.
+    pub returning: bool,
+    /// Learning rates.
+    pub rates: IntrinsicRates,
+    /// Timestamps around every pass.
+    pub timestamps: bool,
+    /// Replays in flight.
+    pub frames_in_flight: usize,
+}
+
+/// Learning rates of Adam; constant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntrinsicRates {
+    /// Of albedo.
+    pub albedo: f32,
+    /// Of roughness.
+    pub roughness: f32,
+    /// Of metallic.
+    pub metallic: f32,
+    /// Of lights.
+    pub lights: f32,
+    /// Of the environment's texels.
+    pub environment: f32,
+    /// Of the visibility field.
+    pub visibility: f32,
+}
+
+/// The uniforms of a step: what the shaded picture is compared with, and the priors, each with weights and offset of its
+/// own. Camera and step number are those of the first.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct IntrinsicStepValues {
+    /// The photograph.
+    pub shaded: Step,
+    /// The albedo prior.
+    pub albedo: Step,
+    /// The roughness prior.
+    pub roughness: Step,
+    /// The metallic prior.
+    pub metallic: Step,
+    /// Of the other losses of materials.
+    pub weights: MaterialWeights,
+}
+
+/// An intrinsic step, ready to be replayed.
+pub struct IntrinsicStep {
+    exec: Executor,
+    steps: Steps,
+    surface: SurfaceHandles,
+    tile: [u32; 2],
+    options: IntrinsicOptions,
+}
+
+/// The uniforms.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Steps {
+    pub shaded: Buffer,
+    pub albedo: Buffer,
+    pub roughness: Buffer,
+    pub metallic: Buffer,
+    pub weights: Buffer,
+}
+
+/// What steps tell the host: a counter, and a ring of reports.
+#[derive(Debug)]
+pub struct IntrinsicStatus {
+    flags: DeviceBuffer,
+    skipped: DeviceBuffer,
+    reports: DeviceBuffer,
+}
+
+const REPORTS: u64 = RING as u64 * size_of::<IntrinsicReport>() as u64;
+
+impl IntrinsicStatus {
+    /// Makes it, all clear.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device) -> Result<IntrinsicStatus> {
+        let flags = device.buffer("flags", 4, Location::Device)?;
+        let skipped = device.buffer("skipped", 4, Location::Device)?;
+        let reports = device.buffer("reports", REPORTS, Location::Readback)?;
+        for buffer in [&flags, &skipped, &reports] {
+            device.fill(buffer, 0)?;
+        }
+        Ok(IntrinsicStatus { flags, skipped, reports })
+    }
+
+    /// The report of a step that is done.
+    ///
+    /// # Errors
+    /// If the memory is not visible, which would be a defect.
+    pub fn report(&self, step: u32) -> Result<IntrinsicReport> {
+        let bytes = size_of::<IntrinsicReport>() as u64;
+        let mut report = IntrinsicReport::default();
+        self.reports.read(u64::from(step % RING) * bytes, bytemuck::bytes_of_mut(&mut report))?;
+        Ok(report)
+    }
+}
+
+impl IntrinsicStep {
+    /// Builds the graph and binds everything but what a view sees.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(
+        device: &Device,
+        tuning: &Tuning,
+        inputs: &IntrinsicInputs<'_>,
+        status: &IntrinsicStatus,
+        options: IntrinsicOptions,
+    ) -> Result<IntrinsicStep> {
+        let declared = declare(tuning, &inputs.sizes(), inputs.environment(), &options)?;
+        let exec_options = ExecOptions {
+            frames_in_flight: options.frames_in_flight,
+            timestamps: options.timestamps,
+            ..Default::default()
+        };
+        let mut exec = Executor::new(device, declared.plan, exec_options)?;
+        declared.inputs.bind(&mut exec, inputs)?;
+        exec.bind(declared.words.flags, &status.flags)?;
+        exec.bind(declared.words.skipped, &status.skipped)?;
+        exec.bind(declared.words.reports, &status.reports)?;
+        Ok(IntrinsicStep { exec, steps: declared.steps, surface: declared.surface, tile: tuning.tile, options })
+    }
+
+    /// The plan of a step that does not exist yet, for what it would cost.
+    ///
+    /// # Errors
+    /// If the sizes make no graph.
+    pub fn plan(
+        tuning: &Tuning,
+        sizes: &IntrinsicSizes,
+        environment: Option<&Environment>,
+        options: &IntrinsicOptions,
+    ) -> Result<Arc<Plan>> {
+        Ok(declare(tuning, sizes, environment, options)?.plan)
+    }
+
+    /// Replays the step on a view.
+    ///
+    /// # Errors
+    /// If the device fails, or the surface has another shape than the step was made for.
+    pub fn submit(&mut self, surface: &Surface, values: &IntrinsicStepValues) -> Result<Ticket> {
+        surface.bind(&mut self.exec, &self.surface)?;
+        let mut shaded = values.shaded;
+        let size = shaded.camera.size;
+        shaded.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
+        let of = |step: &Step| Step { camera: shaded.camera, step: shaded.step, seed: shaded.seed, ..*step };
+        let [albedo, roughness, metallic] = [&values.albedo, &values.roughness, &values.metallic].map(of);
+        let s = &self.steps;
+        self.exec.submit(&[
+            (s.shaded, bytemuck::bytes_of(&shaded)),
+            (s.albedo, bytemuck::bytes_of(&albedo)),
+            (s.roughness, bytemuck::bytes_of(&roughness)),
+            (s.metallic, bytemuck::bytes_of(&metallic)),
+            (s.weights, bytemuck::bytes_of(&values.weights)),
+        ])
+    }
+
+    /// Waits for every replay in flight.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
+        self.exec.finish()
+    }
+
+    /// What it was made of.
+    pub fn options(&self) -> &IntrinsicOptions {
+        &self.options
+    }
+
+    /// The executor, for its plan and its times.
+    pub fn executor(&mut self) -> &mut Executor {
+        &mut self.exec
+    }
+}
+
+/// A compiled step and what is bound to it.
+struct Declared {
+    plan: Arc<Plan>,
+    steps: Steps,
+    surface: SurfaceHandles,
+    words: Words,
+    inputs: Inputs,
+}
+
+fn declare(
+    t: &Tuning,
+    sizes: &IntrinsicSizes,
+    environment: Option<&Environment>,
+    o: &IntrinsicOptions,
+) -> Result<Declared> {
+    let mut g = Graph::new("intrinsic_step");
+    let mut uniform = |name: &str| g.uniform(name, size_of::<Step>() as u64);
+    let steps = Steps {
+        shaded: uniform("step"),
+        albedo: uniform("albedo_step"),
+        roughness: uniform("roughness_step"),
+        metallic: uniform("metallic_step"),
+        weights: g.uniform("material_weights", size_of::<MaterialWeights>() as u64),
+    };
+    let surface = o.shape.declare(&mut g, "", false);
+    let words = Words {
+        flags: g.input("flags", 4),
+        skipped: g.external("skipped", 4),
+        reports: g.external("reports", REPORTS),
+    };
+    let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
+    let inputs = Inputs::declare(&mut g, sizes, tables, o);
+    build(&mut g, t, &steps, &surface, &inputs, environment, &words, o)?;
+    let plan = Arc::new(g.compile(&CompileOptions::default())?);
+    Ok(Declared { plan, steps, surface, words, inputs })
+}

@@ -1,0 +1,284 @@
+//! Shaded pictures of Gaussians with materials, under point lights and an environment, part by part on the host.
+
+use super::{EnvironmentMemory, Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
+use crate::Tuning;
+use crate::scene::{Gaussians, Trainable, TrainableHandles};
+use crate::shade::environment::{
+    Environment, EnvironmentTables, EnvironmentView, environment as ambient_light, environment_background,
+    environment_filter,
+};
+use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
+use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
+use crate::splat::Screen;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::Camera;
+use std::sync::Arc;
+
+/// Everything that shades, in device memory.
+#[derive(Debug)]
+pub struct ShadedScene {
+    /// Geometry with normals.
+    pub gaussians: Gaussians,
+    /// Raw albedo, 3 a Gaussian.
+    pub albedo: Trainable,
+    /// Raw roughness.
+    pub roughness: Trainable,
+    /// Raw metallic.
+    pub metallic: Option<Trainable>,
+    /// Point lights.
+    pub lights: Option<ShadedLights>,
+    /// The surroundings.
+    pub environment: Option<ShadedEnvironment>,
+}
+
+/// Point lights in device memory.
+#[derive(Debug)]
+pub struct ShadedLights {
+    /// Their number and layout.
+    pub model: LightModel,
+    /// Factor of all their light.
+    pub normalizer: f32,
+    /// `[lights * 3]`
+    pub positions: Trainable,
+    /// Rows of lobes.
+    pub lobes: Trainable,
+    /// `[lights]`: 0 is off.
+    pub gains: Trainable,
+}
+
+/// An environment in device memory.
+#[derive(Debug)]
+pub struct ShadedEnvironment {
+    /// Its tables.
+    pub tables: Environment,
+    /// Where they lie.
+    pub memory: EnvironmentMemory,
+    /// Its texels.
+    pub texels: Trainable,
+}
+
+/// A shaded view. Floats by pixel, row by row; light is linear and what surfaces send, not yet over any background.
+#[derive(Clone, Debug, Default)]
+pub struct Shaded {
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// World, 3.
+    pub points: Vec<f32>,
+    /// World, unit or zero, 3.
+    pub normals: Vec<f32>,
+    /// Opacity, 1.
+    pub coverage: Vec<f32>,
+    /// Linear albedo and roughness, 4.
+    pub materials: Vec<f32>,
+    /// 1; empty without.
+    pub metallic: Vec<f32>,
+    /// Light of lamps, 3.
+    pub direct: Vec<f32>,
+    /// The part of it that is diffuse, 3.
+    pub direct_diffuse: Vec<f32>,
+    /// Light of the surroundings, 3.
+    pub ambient: Vec<f32>,
+    /// The part of it that is diffuse, 3.
+    pub ambient_diffuse: Vec<f32>,
+    /// The surroundings themselves along each ray, 3.
+    pub background: Vec<f32>,
+}
+
+/// Shades again and again.
+pub struct Shader {
+    device: Device,
+    tuning: Tuning,
+    builder: SurfaceBuilder,
+    surface: Option<Surface>,
+    state: Option<State>,
+}
+
+struct State {
+    shape: SurfaceShape,
+    exec: Executor,
+    step: Buffer,
+    surface: SurfaceHandles,
+    outputs: Vec<DeviceBuffer>,
+}
+
+/// Floats a pixel of each output: materials, metallic, direct and its diffuse part, ambient and its, background.
+const OUTPUTS: [(&str, u64); 7] = [
+    ("shaded_materials", 4),
+    ("shaded_metallic", 1),
+    ("shaded_direct", 3),
+    ("shaded_direct_diffuse", 3),
+    ("shaded_ambient", 3),
+    ("shaded_ambient_diffuse", 3),
+    ("shaded_background", 3),
+];
+
+impl Shader {
+    /// Prepares for views of at most `largest` columns and rows; larger ones make room.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, tuning: Tuning, scene: &ShadedScene, largest: [u32; 2]) -> Result<Shader> {
+        let builder = SurfaceBuilder::new(device, tuning, &scene.gaussians, largest)?;
+        Ok(Shader { device: device.clone(), tuning, builder, surface: None, state: None })
+    }
+
+    /// Shades a view.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Shaded> {
+        let largest = self.builder.shape().largest;
+        let needed = [largest[0].max(camera.size[0]), largest[1].max(camera.size[1])];
+        if needed != largest {
+            self.state = None;
+            self.surface = None;
+            self.builder = SurfaceBuilder::new(&self.device, self.tuning, &scene.gaussians, needed)?;
+        }
+        self.builder.measure(&scene.gaussians, camera)?;
+        let shape = self.builder.shape();
+        let surface = match self.surface.take().filter(|s| s.shape() == shape) {
+            Some(surface) => surface,
+            None => Surface::new(&self.device, shape)?,
+        };
+        self.builder.fill(&scene.gaussians, camera, &surface)?;
+        self.builder.finish()?;
+        let mut state = match self.state.take().filter(|s| s.shape == shape) {
+            Some(state) => state,
+            None => State::new(&self.device, &self.tuning, scene, shape)?,
+        };
+        let shaded = state.shade(&self.device, &self.tuning, scene, &surface, camera);
+        self.surface = Some(surface);
+        self.state = Some(state);
+        shaded
+    }
+
+    /// Forgets what was made for a scene whose parts have come or gone.
+    pub fn forget(&mut self) {
+        self.state = None;
+    }
+}
+
+impl State {
+    fn new(device: &Device, t: &Tuning, scene: &ShadedScene, shape: SurfaceShape) -> Result<State> {
+        let mut g = Graph::new("shade");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let surface = shape.declare(&mut g, "", false);
+        let screen = Screen { step, largest: shape.largest, tile: t.tile };
+        let pixels = screen.pixels();
+        let out = OUTPUTS.map(|(name, floats)| g.external(name, 4 * floats * pixels));
+        let mut bound: Vec<(&Trainable, TrainableHandles)> = Vec::new();
+        let take = |g: &mut Graph, what: &'static str, given: &'_ Trainable| {
+            Trainable::handles(g, what, given.floats(), false)
+        };
+        let albedo = take(&mut g, "albedo", &scene.albedo);
+        let roughness = take(&mut g, "roughness", &scene.roughness);
+        bound.extend([(&scene.albedo, albedo), (&scene.roughness, roughness)]);
+        let metallic = scene.metallic.as_ref().map(|m| {
+            let handles = take(&mut g, "metallic", m);
+            bound.push((m, handles));
+            handles.parameters
+        });
+        let raw = RawMaterials { albedo: albedo.parameters, roughness: roughness.parameters, metallic };
+        let of_gaussians = values(&mut g, t, &raw, shape.gaussians)?;
+        let of_pixels = PixelMaterials { materials: out[0], metallic: metallic.map(|_| out[1]) };
+        materials(&mut g, t, &screen, &of_gaussians, &surface.weights, &of_pixels)?;
+        let seen = &surface.surfaces;
+        let lit = Pixels { screen, surfaces: *seen, materials: of_pixels };
+        if let Some(l) = &scene.lights {
+            let [positions, lobes, gains] = [("positions", &l.positions), ("lobes", &l.lobes), ("gains", &l.gains)]
+                .map(|(name, given)| {
+                    let handles = take(&mut g, name, given);
+                    bound.push((given, handles));
+                    handles.parameters
+                });
+            let parameters = LightParameters { positions, lobes, gains };
+            let prepared = lights_prepare(&mut g, *t, "lights_prepare", step, l.model, &parameters, None)?;
+            let lights = Lights { pixels: lit, prepared, normalizer: l.normalizer, shape: Shape::for_device(*t) };
+            lights_split(&mut g, &lights, out[2], out[3])?;
+        } else {
+            g.fill("no_direct", out[2], 0)?;
+            g.fill("no_direct_diffuse", out[3], 0)?;
+        }
+        let mut tables: Option<EnvironmentTables> = None;
+        if let Some(e) = &scene.environment {
+            let declared = e.tables.declare(&mut g);
+            tables = Some(declared);
+            let texels = take(&mut g, "texels", &e.texels);
+            bound.push((&e.texels, texels));
+            let filtered = environment_filter(&mut g, t, &e.tables, &declared, texels.parameters)?;
+            let view = EnvironmentView {
+                step,
+                points: seen.points,
+                normals: seen.normals,
+                coverage: seen.coverage,
+                materials: of_pixels.materials,
+                metallic: of_pixels.metallic,
+                pixels,
+            };
+            ambient_light(&mut g, t, &e.tables, &declared, &view, &filtered, out[4])?;
+            g.fill("no_ambient_diffuse", out[5], 0)?;
+            environment_background(&mut g, t, &e.tables, step, pixels, texels.parameters, out[6])?;
+        } else {
+            for (name, buffer) in ["no_ambient", "no_ambient_diffuse", "no_background"].into_iter().zip(&out[4..]) {
+                g.fill(name, *buffer, 0)?;
+            }
+        }
+        if metallic.is_none() {
+            g.fill("no_metallic", out[1], 0)?;
+        }
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let outputs = OUTPUTS
+            .iter()
+            .map(|(name, floats)| device.buffer(name, 4 * floats * pixels, Location::Device))
+            .collect::<Result<Vec<_>>>()?;
+        let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        for (handle, buffer) in out.iter().zip(&outputs) {
+            exec.bind(*handle, buffer)?;
+        }
+        for (memory, handles) in bound {
+            memory.bind(&mut exec, &handles)?;
+        }
+        if let (Some(e), Some(tables)) = (&scene.environment, &tables) {
+            e.memory.bind(&mut exec, &e.tables, tables)?;
+        }
+        Ok(State { shape, exec, step, surface, outputs })
+    }
+
+    fn shade(
+        &mut self,
+        device: &Device,
+        t: &Tuning,
+        scene: &ShadedScene,
+        surface: &Surface,
+        camera: &Camera,
+    ) -> Result<Shaded> {
+        surface.bind(&mut self.exec, &self.surface)?;
+        let mut camera = *camera;
+        camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+        let step = Step { camera, step: 1, ..Default::default() };
+        self.exec.submit(&[(self.step, bytemuck::bytes_of(&step))])?;
+        self.exec.finish()?;
+        let pixels = camera.size[0] as usize * camera.size[1] as usize;
+        let [points, normals, coverage] = surface.download(device)?;
+        let cut = |mut values: Vec<f32>, width: usize| {
+            values.truncate(width * pixels);
+            values
+        };
+        let read = |i: usize| device.download_as::<f32>(&self.outputs[i], OUTPUTS[i].1 as usize * pixels);
+        Ok(Shaded {
+            size: camera.size,
+            points: cut(points, 3),
+            normals: cut(normals, 3),
+            coverage: cut(coverage, 1),
+            materials: read(0)?,
+            metallic: if scene.metallic.is_some() { read(1)? } else { Vec::new() },
+            direct: read(2)?,
+            direct_diffuse: read(3)?,
+            ambient: read(4)?,
+            ambient_diffuse: read(5)?,
+            background: read(6)?,
+        })
+    }
+}

@@ -1,0 +1,154 @@
+//! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
+
+use sgs_scene::{Image, Scene, SceneOptions, Splats, write_png};
+use sgs_tests::cli::sgs;
+use sgs_tests::rooms::Room;
+use sgs_tests::{Gpu, Place};
+use sgs_train::{Geometry, Intrinsic, RunDirectory, Settings, Shading, displayed, light_of, read_lights, shaded_scene};
+
+/// Albedo of each wall, sRGB.
+const WALLS: [[f32; 3]; 6] =
+    [[0.7, 0.2, 0.2], [0.2, 0.7, 0.2], [0.2, 0.2, 0.7], [0.7, 0.7, 0.2], [0.2, 0.7, 0.7], [0.7, 0.2, 0.7]];
+
+fn settings(steps: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = 20;
+    s.geometry.densify.enabled = false;
+    s.intrinsic.steps = steps;
+    s.intrinsic.environment.resolution = 16;
+    s.intrinsic.lights.grid = 2;
+    (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
+    (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
+    s
+}
+
+/// A room with priors of albedo and roughness; a corner of each view's albedo says nothing.
+fn place() -> (Place, Room) {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    for kind in ["albedo", "roughness", "metallic"] {
+        std::fs::create_dir_all(place.path(&format!("scene/priors/{kind}"))).unwrap();
+    }
+    for camera in room.cameras() {
+        let walls = room.walls(&camera);
+        let (width, height) = (camera.width, camera.height);
+        let albedo = walls.iter().flat_map(|w| WALLS[*w]).collect();
+        let file = |kind: &str| place.path(&format!("scene/priors/{kind}/{}.png", camera.name));
+        write_png(&file("albedo"), &Image { width, height, channels: 3, data: albedo }).unwrap();
+        let one =
+            |f: fn(usize) -> f32| Image { width, height, channels: 1, data: walls.iter().map(|w| f(*w)).collect() };
+        write_png(&file("roughness"), &one(|w| 0.3 + 0.1 * w as f32)).unwrap();
+        write_png(&file("metallic"), &one(|w| if w == 2 { 0.9 } else { 0.1 })).unwrap();
+    }
+    (place, room)
+}
+
+fn geometry(gpu: &Gpu, scene: &Scene) -> Splats {
+    let mut training = Geometry::new(gpu.device(), scene, &settings(1), None).unwrap();
+    training.train(20, |_| {}, || true).unwrap();
+    training.splats().unwrap()
+}
+
+#[test]
+fn it_learns_and_room_and_interruptions_do_not_matter() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = geometry(&gpu, &scene);
+    let train = |bytes: u64, resumed_at: Option<u32>| {
+        let mut s = settings(24);
+        s.intrinsic.surface_bytes = bytes;
+        let mut losses = Vec::new();
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        let mut heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+            losses.push((r.step, r.shaded.to_bits(), r.albedo.to_bits(), r.roughness.to_bits(), r.materials));
+        };
+        if let Some(at) = resumed_at {
+            let file = place.path("state");
+            training.train(at, &mut heard, || true).unwrap();
+            training.save(&file).unwrap();
+            training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+            training.restore(&file).unwrap();
+        }
+        training.train(24, &mut heard, || true).unwrap();
+        (training.splats().unwrap(), training.lights().unwrap(), losses)
+    };
+    let (trained, lights, losses) = train(0, None);
+    let mean = |range: std::ops::Range<usize>| {
+        let n = range.len() as f32;
+        let sum = losses[range].iter().fold([0.0; 3], |s, l| {
+            [s[0] + f32::from_bits(l.1), s[1] + f32::from_bits(l.2), s[2] + f32::from_bits(l.3)]
+        });
+        sum.map(|v| v / n)
+    };
+    let (first, last) = (mean(0..6), mean(18..24));
+    assert!(last[0] < 0.8 * first[0] && last[1] < first[1] && last[2] < 0.95 * first[2], "from {first:?} to {last:?}");
+    assert!(losses.iter().all(|l| l.4.albedo_msg > 0.0 && l.4.albedo_edge > 0.0));
+    // Geometry is as it came; materials are new.
+    assert_eq!((&trained.means, &trained.sh, &trained.normals), (&splats.means, &splats.sh, &splats.normals));
+    let albedo = trained.albedo.as_ref().unwrap();
+    assert!(albedo.iter().flatten().all(|v| v.is_finite()) && albedo.iter().flatten().any(|v| v.abs() > 0.05));
+    assert!(trained.metallic.is_some());
+    // Worked out anew in each step, and interrupted: the same bits.
+    for (bytes, resumed_at) in [(1, None), (0, Some(7)), (1, Some(16))] {
+        let (other, other_lights, heard) = train(bytes, resumed_at);
+        assert_eq!(heard, losses, "{bytes} bytes, resumed at {resumed_at:?}");
+        assert!(other == trained && other_lights == lights, "{bytes} bytes, resumed at {resumed_at:?}");
+    }
+}
+
+#[test]
+fn the_command_leaves_what_shades_and_measures() {
+    let (place, _) = place();
+    let arguments = |run: &str, more: &[&str]| -> Vec<String> {
+        let mut a: Vec<String> = ["train", &place.text("scene"), "-o", &place.text(run)].map(str::to_owned).to_vec();
+        a.extend(["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "12"].map(str::to_owned));
+        for set in [
+            "intrinsic.environment.resolution=16",
+            "intrinsic.lights.grid=2",
+            "intrinsic.visibility.levels=4",
+            "intrinsic.visibility.log2_table=10",
+            "intrinsic.visibility.finest=64",
+        ] {
+            a.extend(["--set".to_owned(), set.to_owned()]);
+        }
+        a.extend(more.iter().map(|s| (*s).to_owned()));
+        a
+    };
+    sgs(&arguments("none", &["--stage", "intrinsic"])).refused(&["none", "--stage geometry", "--start"]);
+    sgs(&arguments("a", &["--stage", "all"])).ok();
+    for file in ["scene.ply", "lights.json", "environment.exr", "training.json", "checkpoint/intrinsic.safetensors"] {
+        assert!(place.path("a").join(file).is_file(), "{file} is missing");
+    }
+    assert_eq!(read_lights(&place.path("a/lights.json")).unwrap().lights.len(), 8);
+    // In two commands, the same.
+    sgs(&arguments("b", &[])).ok();
+    assert!(!place.path("b/lights.json").exists());
+    sgs(&arguments("b", &["--stage", "intrinsic"])).ok();
+    for file in ["scene.ply", "lights.json", "environment.exr"] {
+        assert!(place.read(&format!("a/{file}")) == place.read(&format!("b/{file}")), "{file} differs");
+    }
+    // Geometry from elsewhere.
+    let start = place.text("a/scene.ply");
+    sgs(&arguments("c", &["--stage", "intrinsic", "--start", &start])).ok();
+    assert!(place.read("a/lights.json") == place.read("c/lights.json"));
+    sgs(&arguments("d", &["--start", &start])).refused(&["--start", "--stage intrinsic"]);
+    // What it left is measured and shades.
+    sgs(&["eval", &place.text("a")]).ok();
+    let metrics: serde_json::Value = serde_json::from_slice(&place.read("a/metrics.json")).unwrap();
+    assert!(metrics["test"]["mean"]["pbr"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
+    let run = RunDirectory::open(&place.path("a")).unwrap();
+    let gpu = Gpu::new();
+    let splats = Splats::read_ply(&place.path("a/scene.ply")).unwrap();
+    let (lights, environment) = light_of(&run, &run.settings().unwrap()).unwrap();
+    let scene = shaded_scene(gpu.device(), &splats, lights.as_ref(), environment.as_ref()).unwrap();
+    let mut shading = Shading::new(gpu.device(), scene).unwrap();
+    let opened = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let shaded = shading.shade(&opened.views[0].camera).unwrap();
+    let picture = displayed(&shaded.radiance([0.0; 3]));
+    assert!(picture.data.iter().all(|v| v.is_finite()) && picture.data.iter().any(|v| *v > 0.1));
+    let (all, parts) = (shaded.radiance([0.0; 3]), (shaded.direct(), shaded.ambient()));
+    for ((a, d), e) in all.data.iter().zip(&parts.0.data).zip(&parts.1.data) {
+        assert!((a - d - e).abs() <= 1e-5 * a.abs().max(1.0));
+    }
+}

@@ -1,0 +1,133 @@
+//! The intrinsic stage of `sgs train`: materials, lights and shadows into a run directory that has geometry.
+
+use super::train::write_profile;
+use crate::common::Common;
+use crate::ui::Bar;
+use anyhow::bail;
+use sgs_engine::Device;
+use sgs_engine::graph::dump::html;
+use sgs_scene::{Scene, Splats};
+use sgs_train::{Intrinsic, IntrinsicLog, RunDirectory, Settings};
+use std::io::Write;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Steps at the end whose passes are timed.
+const TIMED: u32 = 4;
+
+/// What `training.json` holds of the stage.
+#[derive(serde::Serialize)]
+pub struct IntrinsicSummary {
+    pub steps: u32,
+    resumed_from: u32,
+    pub seconds: f64,
+    steps_per_second: f64,
+    peak_device_bytes: u64,
+    device: String,
+}
+
+/// How it ended.
+pub enum IntrinsicEnded {
+    /// With all steps.
+    Done(IntrinsicSummary),
+    /// Because somebody wanted it to, after this step.
+    Stopped(u32),
+}
+
+/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised.
+pub fn intrinsic_into(
+    common: &Common,
+    device: &Device,
+    scene: &Scene,
+    settings: &Settings,
+    output: &Path,
+    start: Option<&Path>,
+    resuming: bool,
+    stop: &AtomicBool,
+) -> anyhow::Result<IntrinsicEnded> {
+    let geometry = output.join("scene.ply");
+    let from = match start {
+        Some(file) if !resuming => file,
+        _ => geometry.as_path(),
+    };
+    if !from.is_file() {
+        bail!(
+            "\"{}\" holds no geometry: train it first with --stage geometry or all, or give it with --start.",
+            from.display()
+        );
+    }
+    let mut splats = Splats::read_ply(from)?;
+    // The stage begins afresh or from its checkpoint, never from what an earlier one came to.
+    (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
+    let mut training = Intrinsic::new(device, scene, settings, &splats)?;
+    let run = RunDirectory::create(output)?;
+    if resuming {
+        training.restore(&run.intrinsic_checkpoint())?;
+    } else {
+        run.forget_intrinsic()?;
+        // Resuming needs nothing but the run.
+        if start.is_some() {
+            splats.write_ply(&geometry)?;
+        }
+    }
+    run.write_settings(training.settings())?;
+    let steps = settings.intrinsic.steps;
+    let mut log = run.intrinsic_log(training.step())?;
+    let mut bar = Bar::new(common, "materials", u64::from(steps), u64::from(training.step()));
+    let started = Instant::now();
+    let first = training.step();
+    let interval = match settings.intrinsic.checkpoint_interval {
+        0 => steps.max(1),
+        n => n,
+    };
+    let mut failure = None;
+    while training.step() < steps && !stop.load(Ordering::SeqCst) {
+        let mut next = ((training.step() / interval + 1) * interval).min(steps);
+        let timed = steps.saturating_sub(TIMED);
+        if training.step() < timed {
+            next = next.min(timed);
+        } else {
+            training.set_timestamps(true)?;
+        }
+        let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+            if r.step.is_multiple_of(10) || r.step == 1 || r.step == steps {
+                let line = serde_json::to_string(&IntrinsicLog::from(r)).unwrap_or_default();
+                if let Err(e) = writeln!(log, "{line}") {
+                    failure.get_or_insert(e);
+                }
+            }
+            bar.set(u64::from(r.step), || format!("picture {:.4}, albedo {:.4}", r.shaded, r.albedo));
+        };
+        training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
+        let step = training.step();
+        if step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
+            training.save(&run.intrinsic_checkpoint())?;
+        }
+    }
+    bar.finish();
+    if let Some(e) = failure {
+        tracing::warn!("log.jsonl could not be written: {e}");
+    }
+    if training.step() < steps {
+        return Ok(IntrinsicEnded::Stopped(training.step()));
+    }
+    training.write(&run)?;
+    let times = training.take_times();
+    if !times.is_empty() {
+        write_profile(&run, "profile-intrinsic.json", "intrinsic step", &times)?;
+        let page = html(training.executor()?.executor().plan(), &times);
+        sgs_scene::atomic_write(&run.path("graph-intrinsic.html"), |f| f.write_all(page.as_bytes()))?;
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    let summary = IntrinsicSummary {
+        steps,
+        resumed_from: first,
+        seconds,
+        steps_per_second: f64::from(steps - first) / seconds.max(1e-9),
+        peak_device_bytes: device.memory_use().1,
+        device: device.info().name.clone(),
+    };
+    run.add_intrinsic_summary(&summary)?;
+    Ok(IntrinsicEnded::Done(summary))
+}

@@ -1,0 +1,356 @@
+//! The intrinsic stage: materials, lights, surroundings and shadows on fixed geometry.
+//!
+//! Promises: the result depends on the scene, the splats, the settings and the seed alone, not on how memory was split or
+//! whether training was interrupted; geometry and colors of the splats stay as they were. A step in the steady state waits
+//! only for the one two before it.
+
+mod data;
+mod files;
+mod state;
+mod surfaces;
+
+pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+
+use crate::convert::gaussian_data;
+use crate::data::{Packed, TrainingData};
+use crate::error::{Result, TrainError};
+use crate::schedule::Schedule;
+use crate::settings::{LobeLayout, Metallic, Settings};
+use data::{Kind, MaterialPriors, scene_box, shortest_axes};
+use sgs_engine::graph::exec::PassTime;
+use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{
+    EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
+    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
+};
+use sgs_passes::scene::{Gaussians, Model, Trainable};
+use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
+use sgs_passes::shade::lights::{Axes, LightModel};
+use sgs_scene::{Scene, Splats};
+use surfaces::Surfaces;
+
+/// Replays in flight.
+const IN_FLIGHT: usize = 2;
+
+/// Lobes of a light.
+const LOBES: u32 = 12;
+
+/// The intrinsic stage of one scene.
+pub struct Intrinsic {
+    device: Device,
+    tuning: Tuning,
+    settings: Settings,
+    schedule: Schedule,
+    data: TrainingData,
+    priors: Priors,
+    /// As they came, normals included.
+    splats: Splats,
+    gaussians: Gaussians,
+    surfaces: Surfaces,
+    parameters: IntrinsicParameters,
+    light_model: LightModel,
+    /// What the lights started in.
+    bounds: [[f32; 3]; 2],
+    gains: DeviceBuffer,
+    environment: Option<(Environment, EnvironmentMemory)>,
+    status: IntrinsicStatus,
+    options: IntrinsicOptions,
+    exec: Option<IntrinsicStep>,
+    submitted: u32,
+    done: u32,
+}
+
+/// Priors in device memory.
+struct Priors {
+    albedo: Option<DeviceBuffer>,
+    roughness: Option<DeviceBuffer>,
+    metallic: Option<DeviceBuffer>,
+}
+
+impl Intrinsic {
+    /// Prepares training on given splats.
+    ///
+    /// # Errors
+    /// If data cannot be read or memory runs out.
+    pub fn new(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
+        settings.check()?;
+        if splats.is_empty() {
+            return Err(TrainError::Setting("There are no splats to find materials for.".into()));
+        }
+        let s = &settings.intrinsic;
+        if settings.memory.budget > 0 {
+            device.set_memory_budget(Some(settings.memory.budget));
+        }
+        let cameras: Vec<&sgs_scene::Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
+        let mut splats = splats.clone();
+        let without = splats.normals.as_ref().is_none_or(|n| n.iter().all(|n| *n == [0.0; 3]));
+        if without {
+            tracing::info!("the splats have no normals; the shortest axis of each stands in");
+            splats.normals = Some(shortest_axes(&splats, &cameras));
+        }
+        let bounds = scene_box(&splats, &cameras);
+        let packed = Packed::read(scene, false)?;
+        let read = |kind: Kind, name: &str, weight: f32| -> Result<Option<DeviceBuffer>> {
+            let priors = if weight > 0.0 { MaterialPriors::read(scene, kind)? } else { None };
+            priors.map(|p| p.upload(device, name)).transpose()
+        };
+        let mut priors = Priors {
+            albedo: read(Kind::Albedo, "albedo_priors", s.losses.albedo)?,
+            roughness: read(Kind::Roughness, "roughness_priors", s.losses.roughness)?,
+            metallic: None,
+        };
+        if s.metallic != Metallic::Off {
+            priors.metallic = read(Kind::Metallic, "metallic_priors", s.losses.metallic)?;
+        }
+        let metallic = match s.metallic {
+            Metallic::Auto => priors.metallic.is_some(),
+            Metallic::On => true,
+            Metallic::Off => false,
+        };
+        let tuning = Tuning::for_device(device.info());
+        let model = Model { sh_degree: 0, normals: true, semantics: false };
+        let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
+        gaussians.upload(device, &gaussian_data(&splats, model))?;
+        let data = packed.upload(device)?;
+        let surfaces = Surfaces::new(device, tuning, &gaussians, &data, settings)?;
+        let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
+        let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: LOBES, axes };
+        let seed = settings.seed as u32;
+        let environment = match s.environment.enabled {
+            true => {
+                let smooth = s.losses.environment_smooth > 0.0;
+                let options = EnvironmentOptions::default();
+                let options = EnvironmentOptions { smoothness: options.smoothness.filter(|_| smooth), ..options };
+                let made = Environment::new(s.environment.resolution, &options)
+                    .map_err(|e| TrainError::Setting(e.to_string()))?;
+                let memory = EnvironmentMemory::new(device, &made)?;
+                Some((made, memory))
+            }
+            false => None,
+        };
+        let n = splats.len();
+        let start = |given: Option<Vec<f32>>, width: usize, otherwise: f32| {
+            given.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
+        };
+        let flat = splats.albedo.as_ref().map(|a| a.as_flattened().to_vec());
+        let parameters = IntrinsicParameters {
+            albedo: Trainable::new(device, "albedo", &start(flat, 3, 0.0), true)?,
+            roughness: Trainable::new(device, "roughness", &start(splats.roughness.clone(), 1, 0.0), true)?,
+            metallic: match metallic {
+                true => Some(Trainable::new(device, "metallic", &start(splats.metallic.clone(), 1, -2.0), true)?),
+                false => None,
+            },
+            lights: match s.lights.enabled {
+                true => {
+                    let positions = light_model.start_positions(bounds[0], bounds[1]);
+                    let row = light_model.row() as usize;
+                    let mut lobes = light_model.start_lobes();
+                    let scale = light_scale(&bounds) * s.lights.start.max(1e-30);
+                    lobes.chunks_mut(row).flat_map(|l| &mut l[row - 3..]).for_each(|w| *w += scale.ln());
+                    Some([
+                        Trainable::new(device, "light_positions", positions.as_flattened(), true)?,
+                        Trainable::new(device, "light_lobes", &lobes, true)?,
+                    ])
+                }
+                false => None,
+            },
+            environment: match &environment {
+                Some((e, _)) => {
+                    let texels: Vec<f32> = e.start(seed).iter().map(|v| v * s.environment.start).collect();
+                    Some(Trainable::new(device, "environment", &texels, true)?)
+                }
+                None => None,
+            },
+        };
+        let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
+        device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
+        let r = &s.rates;
+        let options = IntrinsicOptions {
+            shape: surfaces.shape(),
+            metallic,
+            lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
+            environment_smooth: s.losses.environment_smooth,
+            edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
+            gradients: s.losses.gradients > 0.0,
+            returning: s.returning,
+            rates: IntrinsicRates {
+                albedo: r.albedo,
+                roughness: r.roughness,
+                metallic: r.metallic,
+                lights: r.lights,
+                environment: r.environment,
+                visibility: r.visibility,
+            },
+            timestamps: false,
+            frames_in_flight: IN_FLIGHT,
+        };
+        let status = IntrinsicStatus::new(device)?;
+        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let mut training = Intrinsic {
+            device: device.clone(),
+            tuning,
+            settings: settings.clone(),
+            schedule,
+            data,
+            priors,
+            splats,
+            gaussians,
+            surfaces,
+            parameters,
+            light_model,
+            bounds,
+            gains,
+            environment,
+            status,
+            options,
+            exec: None,
+            submitted: 0,
+            done: 0,
+        };
+        training.rebuild()?;
+        Ok(training)
+    }
+
+    /// Steps that are done.
+    pub fn step(&self) -> u32 {
+        self.done
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// The box that the lights started in: its lowest and highest corner.
+    pub fn bounds(&self) -> [[f32; 3]; 2] {
+        self.bounds
+    }
+
+    /// How many splats.
+    pub fn gaussians(&self) -> usize {
+        self.splats.len()
+    }
+
+    /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
+    ///
+    /// # Errors
+    /// If the device fails or training diverges.
+    pub fn train(
+        &mut self,
+        last: u32,
+        mut heard: impl FnMut(&IntrinsicReport),
+        mut go_on: impl FnMut() -> bool,
+    ) -> Result<()> {
+        while self.submitted < last && go_on() {
+            let step = self.submitted + 1;
+            let view = self.schedule.view(step);
+            let values = self.values(step, view);
+            let Some(exec) = &mut self.exec else { return Err(gone()) };
+            self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, exec, &values)?;
+            self.submitted = step;
+            self.look(step.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
+        }
+        self.executor()?.finish()?;
+        self.look(self.submitted, &mut heard)
+    }
+
+    /// The uniforms of a step: weights of photographs and priors, whose offsets are the same.
+    fn values(&self, step: u32, view: usize) -> IntrinsicStepValues {
+        let s = &self.settings.intrinsic;
+        let (camera, offset) = self.data.views[view];
+        let whole = self.schedule.step(step, &camera, offset);
+        let with =
+            |factor: f32| Step { weight_l1: factor * s.losses.l1, weight_dssim: factor * s.losses.dssim, ..whole };
+        IntrinsicStepValues {
+            shaded: with(1.0),
+            albedo: with(s.losses.albedo),
+            roughness: with(s.losses.roughness),
+            metallic: with(s.losses.metallic),
+            weights: MaterialWeights {
+                albedo_msg: s.losses.albedo * s.losses.gradients,
+                roughness_msg: s.losses.roughness * s.losses.gradients,
+                albedo_edge: s.losses.albedo_smooth,
+                roughness_edge: s.losses.roughness_smooth,
+                cross_view: 0.0,
+                relight: 0.0,
+            },
+        }
+    }
+
+    /// Looks at the reports up to a step that is known to be done.
+    fn look(&mut self, until: u32, heard: &mut impl FnMut(&IntrinsicReport)) -> Result<()> {
+        while self.done < until {
+            let step = self.done + 1;
+            let report = self.status.report(step)?;
+            if report.step != step {
+                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+            }
+            let losses = [report.shaded, report.albedo, report.roughness, report.metallic];
+            if losses.iter().any(|l| !l.is_finite()) {
+                let reason = format!("the losses are {losses:?}; lower the learning rates");
+                return Err(TrainError::Diverged { step, reason });
+            }
+            self.done = step;
+            heard(&report);
+        }
+        Ok(())
+    }
+
+    fn rebuild(&mut self) -> Result<()> {
+        self.exec = None;
+        let inputs = IntrinsicInputs {
+            parameters: &self.parameters,
+            gains: Some(&self.gains),
+            environment: self.environment.as_ref().map(|(e, m)| (e, m)),
+            targets: &self.data.targets,
+            albedo: self.priors.albedo.as_ref(),
+            roughness: self.priors.roughness.as_ref(),
+            metallic: self.priors.metallic.as_ref(),
+        };
+        self.exec = Some(IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, self.options)?);
+        Ok(())
+    }
+
+    /// Times every pass from now on, or no more.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
+        if self.options.timestamps != on {
+            self.executor()?.finish()?;
+            self.options.timestamps = on;
+            self.rebuild()?;
+        }
+        Ok(())
+    }
+
+    /// The times of all passes since they are taken.
+    pub fn take_times(&mut self) -> Vec<PassTime> {
+        self.exec.as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
+    }
+
+    /// The executor of a step, for its plan.
+    ///
+    /// # Errors
+    /// If an earlier step failed for lack of memory.
+    pub fn executor(&mut self) -> Result<&mut IntrinsicStep> {
+        self.exec.as_mut().ok_or_else(gone)
+    }
+}
+
+fn gone() -> TrainError {
+    TrainError::Memory("There is no step any more: memory ran out when it was made.".into())
+}
+
+/// By how much lights are brighter than the published start, which is for boxes of side 3: light falls off with the square
+/// of the distance, so that the same picture in a larger unit needs as much more.
+fn light_scale(bounds: &[[f32; 3]; 2]) -> f32 {
+    let side = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max);
+    (side / 3.0).powi(2).max(1e-12)
+}

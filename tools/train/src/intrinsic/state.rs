@@ -1,0 +1,152 @@
+//! Checkpoints of the intrinsic stage, and what it leaves.
+
+use super::{Intrinsic, LightFile, write_lights};
+use crate::error::{Result, TrainError};
+use crate::floats::Floats;
+use crate::run::RunDirectory;
+use safetensors::{Dtype, SafeTensors};
+use sgs_passes::shade::environment::latlong;
+use sgs_scene::{Image, Splats};
+use std::collections::HashMap;
+use std::path::Path;
+
+const FORMAT: &str = "sgs-intrinsic-1";
+
+impl Intrinsic {
+    /// Writes everything that resuming needs.
+    ///
+    /// # Errors
+    /// If the file cannot be written; an earlier one stays whole.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let mut values = Vec::new();
+        for p in self.parameters.all() {
+            values.push((p.name().to_owned(), p.download(&self.device)?));
+            values.push((format!("{}_moments", p.name()), p.download_moments(&self.device)?));
+        }
+        let gains = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
+        values.push(("light_gains".to_owned(), gains));
+        let tensors = values.iter().map(|(name, v)| (name.clone(), Floats(v, vec![v.len()])));
+        let meta = HashMap::from([
+            ("format".to_owned(), FORMAT.to_owned()),
+            ("step".to_owned(), self.done.to_string()),
+            ("splats".to_owned(), self.splats.len().to_string()),
+        ]);
+        let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
+        Ok(())
+    }
+
+    /// Goes on from what [`Intrinsic::save`] wrote.
+    ///
+    /// # Errors
+    /// If the file is damaged or belongs to other settings or splats.
+    pub fn restore(&mut self, path: &Path) -> Result<()> {
+        let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
+        let (_, header) =
+            SafeTensors::read_metadata(&bytes).map_err(|e| file(path, format!("not a checkpoint: {e}")))?;
+        let meta = header.metadata().clone().unwrap_or_default();
+        if meta.get("format").map(String::as_str) != Some(FORMAT) {
+            return Err(file(path, "not a checkpoint of the intrinsic stage".into()));
+        }
+        let number = |name: &str| -> Result<u32> {
+            let value = meta.get(name).and_then(|s| s.parse().ok());
+            value.ok_or_else(|| file(path, format!("the checkpoint does not say its {name}")))
+        };
+        let (step, splats) = (number("step")?, number("splats")?);
+        if splats as usize != self.splats.len() {
+            return Err(file(path, format!("it is of {splats} splats, but there are {}", self.splats.len())));
+        }
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| file(path, format!("damaged: {e}")))?;
+        let floats = |name: &str, count: usize| -> Result<Vec<f32>> {
+            let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
+            if t.dtype() != Dtype::F32 || t.data().len() != 4 * count {
+                return Err(file(path, format!("\"{name}\" does not hold {count} 32-bit floats")));
+            }
+            let values: Vec<f32> =
+                t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+            if values.iter().any(|v| !v.is_finite()) {
+                return Err(file(path, format!("damaged: \"{name}\" holds values that are not finite")));
+            }
+            Ok(values)
+        };
+        // Everything is read before anything is changed.
+        let mut read = Vec::new();
+        for p in self.parameters.all() {
+            let count = p.floats() as usize;
+            read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
+        }
+        let gains = floats("light_gains", self.light_model.lights as usize)?;
+        for (p, (values, moments)) in self.parameters.all().into_iter().zip(&read) {
+            p.upload(&self.device, values)?;
+            p.upload_moments(&self.device, moments)?;
+        }
+        self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
+        self.submitted = step;
+        self.done = step;
+        Ok(())
+    }
+
+    /// The splats with their materials.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn splats(&self) -> Result<Splats> {
+        let mut splats = self.splats.clone();
+        let albedo = self.parameters.albedo.download(&self.device)?;
+        splats.albedo = Some(albedo.as_chunks::<3>().0.to_vec());
+        splats.roughness = Some(self.parameters.roughness.download(&self.device)?);
+        splats.metallic = match &self.parameters.metallic {
+            Some(m) => Some(m.download(&self.device)?),
+            None => None,
+        };
+        Ok(splats)
+    }
+
+    /// The lights, if there are any.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn lights(&self) -> Result<Option<LightFile>> {
+        let Some([positions, lobes]) = &self.parameters.lights else { return Ok(None) };
+        let normalizer = self.options.lights.map_or(0.0, |l| l.1);
+        let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
+        let (positions, lobes) = (positions.download(&self.device)?, lobes.download(&self.device)?);
+        Ok(Some(LightFile::of(&self.light_model, normalizer, &positions, &lobes, &gains)))
+    }
+
+    /// Writes `scene.ply`, `lights.json` and `environment.exr` of a run; what is not modeled is removed.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, run: &RunDirectory) -> Result<()> {
+        self.splats()?.write_ply(&run.path("scene.ply"))?;
+        let lights = run.path("lights.json");
+        match self.lights()? {
+            Some(file) => write_lights(&lights, &file)?,
+            None => remove(&lights)?,
+        }
+        let exr = run.path("environment.exr");
+        match (&self.parameters.environment, &self.environment) {
+            (Some(texels), Some((e, _))) => {
+                let [width, height] = latlong::SIZE;
+                let data = latlong::from_cube(&texels.download(&self.device)?, e.size(), latlong::SIZE);
+                let image = Image { width, height, channels: 3, data };
+                sgs_scene::write_exr(&exr, &image, &["R", "G", "B"])?;
+            }
+            _ => remove(&exr)?,
+        }
+        Ok(())
+    }
+}
+
+/// What an earlier run may have left.
+fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(file(path, format!("cannot be removed: {e}"))),
+        _ => Ok(()),
+    }
+}
+
+fn file(path: &Path, reason: String) -> TrainError {
+    TrainError::File { path: path.to_owned(), reason }
+}

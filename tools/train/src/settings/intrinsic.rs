@@ -1,0 +1,285 @@
+//! Settings of the intrinsic stage, with the defaults of SGS-Intrinsic, stage II.
+
+use crate::error::TrainError;
+use serde::{Deserialize, Serialize};
+
+/// The intrinsic stage: materials, lights and shadows on fixed geometry.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct IntrinsicSettings {
+    /// Training steps.
+    pub steps: u32,
+    /// Whether there is a metallic value for each Gaussian.
+    pub metallic: Metallic,
+    /// Point lights.
+    pub lights: LightSettings,
+    /// The light of the surroundings.
+    pub environment: EnvironmentSettings,
+    /// What lights see.
+    pub visibility: VisibilitySettings,
+    /// Learning rates.
+    pub rates: IntrinsicRates,
+    /// Weights of the losses.
+    pub losses: IntrinsicLosses,
+    /// Pixels that are too bright for the picture keep the gradients that lead them back.
+    pub returning: bool,
+    /// Of how many steps one compares albedo with pseudo-views, and the next one under other lights.
+    pub consistency_interval: u32,
+    /// The first step that compares albedo with pseudo-views.
+    pub cross_view_from: u32,
+    /// The first step that compares albedo under other lights.
+    pub relight_from: u32,
+    /// Most bytes for what views see of the geometry; beyond that it is worked out anew in each step. 0 for what fits.
+    pub surface_bytes: u64,
+    /// Steps between checkpoints; 0 keeps only the last.
+    pub checkpoint_interval: u32,
+}
+
+impl Default for IntrinsicSettings {
+    fn default() -> Self {
+        IntrinsicSettings {
+            steps: 3000,
+            metallic: Metallic::Auto,
+            lights: LightSettings::default(),
+            environment: EnvironmentSettings::default(),
+            visibility: VisibilitySettings::default(),
+            rates: IntrinsicRates::default(),
+            losses: IntrinsicLosses::default(),
+            returning: false,
+            consistency_interval: 3,
+            cross_view_from: 1,
+            relight_from: 1000,
+            surface_bytes: 0,
+            checkpoint_interval: 500,
+        }
+    }
+}
+
+/// Whether metals are told from other materials.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Metallic {
+    /// Where there are priors of it.
+    Auto,
+    /// Always.
+    On,
+    /// Never: everything is a dielectric.
+    Off,
+}
+
+/// Point lights.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LightSettings {
+    /// Whether there are any.
+    pub enabled: bool,
+    /// Lights along each axis of the scene's box at first.
+    pub grid: u32,
+    /// How lobes are laid out.
+    pub layout: LobeLayout,
+    /// Lights that come to less than this share of the brightest one's largest amplitude are switched off; 0 keeps all.
+    pub prune: f32,
+    /// How much darker than the published start they begin; 1 as there.
+    pub start: f32,
+}
+
+impl Default for LightSettings {
+    fn default() -> Self {
+        LightSettings { enabled: true, grid: 4, layout: LobeLayout::Free, prune: 0.0, start: 1.0 }
+    }
+}
+
+/// How the twelve lobes of a light are laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LobeLayout {
+    /// Two rows of six around the vertical, each in its cell, as published.
+    Grid,
+    /// Spread over the sphere, free to turn anywhere.
+    Free,
+}
+
+/// The light of the surroundings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentSettings {
+    /// Whether there is any.
+    pub enabled: bool,
+    /// Texels along an edge of the cube: 16 to 512, a power of two.
+    pub resolution: u32,
+    /// Mean of its texels at first; the published start is 1.
+    pub start: f32,
+}
+
+impl Default for EnvironmentSettings {
+    fn default() -> Self {
+        EnvironmentSettings { enabled: true, resolution: 256, start: 1.0 }
+    }
+}
+
+/// What lights see.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct VisibilitySettings {
+    /// How it is found.
+    pub kind: VisibilityKind,
+    /// Levels of the hash grid.
+    pub levels: u32,
+    /// Logarithm to base 2 of the largest table of a level.
+    pub log2_table: u32,
+    /// Resolution of the coarsest level.
+    pub coarsest: u32,
+    /// Resolution of the finest level.
+    pub finest: u32,
+    /// Standard deviation of the jitter that visibility should not notice, as a share of half the scene's box.
+    pub jitter: f32,
+}
+
+impl Default for VisibilitySettings {
+    fn default() -> Self {
+        VisibilitySettings {
+            kind: VisibilityKind::Field,
+            levels: 16,
+            log2_table: 19,
+            coarsest: 32,
+            finest: 4096,
+            jitter: 0.01 / 1.5,
+        }
+    }
+}
+
+/// How shadows are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum VisibilityKind {
+    /// Learned: a hash grid and a small network.
+    Field,
+    /// Nothing is in the way of any light.
+    None,
+}
+
+/// Learning rates of Adam.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct IntrinsicRates {
+    /// Of albedo.
+    pub albedo: f32,
+    /// Of roughness.
+    pub roughness: f32,
+    /// Of metallic.
+    pub metallic: f32,
+    /// Of lights.
+    pub lights: f32,
+    /// Of the environment's texels.
+    pub environment: f32,
+    /// Of hash tables and network.
+    pub visibility: f32,
+}
+
+impl Default for IntrinsicRates {
+    fn default() -> Self {
+        IntrinsicRates {
+            albedo: 0.01,
+            roughness: 0.01,
+            metallic: 0.01,
+            lights: 0.05,
+            environment: 0.05,
+            visibility: 4e-3,
+        }
+    }
+}
+
+/// Weights of the losses.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct IntrinsicLosses {
+    /// Mean absolute difference of the shaded picture.
+    pub l1: f32,
+    /// One minus its SSIM.
+    pub dssim: f32,
+    /// Of the albedo prior: times the same two and the gradients.
+    pub albedo: f32,
+    /// Of the roughness prior, likewise.
+    pub roughness: f32,
+    /// Of the metallic prior, likewise but without gradients.
+    pub metallic: f32,
+    /// Differences of gradients at four scales, within the weights of the priors.
+    pub gradients: f32,
+    /// Edge-aware smoothness of albedo.
+    pub albedo_smooth: f32,
+    /// The same of roughness.
+    pub roughness_smooth: f32,
+    /// Smoothness of the environment.
+    pub environment_smooth: f32,
+    /// Nearness of lights to surfaces.
+    pub light_position: f32,
+    /// Amplitudes of lights.
+    pub light_value: f32,
+    /// How much visibility notices a jitter of places.
+    pub visibility_jitter: f32,
+    /// Albedo of a region in other views.
+    pub cross_view: f32,
+    /// Albedo under other lights.
+    pub relight: f32,
+}
+
+impl Default for IntrinsicLosses {
+    fn default() -> Self {
+        IntrinsicLosses {
+            l1: 0.8,
+            dssim: 0.2,
+            albedo: 0.3,
+            roughness: 0.3,
+            metallic: 0.3,
+            gradients: 1.0,
+            albedo_smooth: 1.0,
+            roughness_smooth: 0.2,
+            environment_smooth: 0.01,
+            light_position: 1e-6,
+            light_value: 1e-4,
+            visibility_jitter: 0.4,
+            cross_view: 0.4,
+            relight: 0.4,
+        }
+    }
+}
+
+impl IntrinsicSettings {
+    /// Checks what types cannot.
+    pub(super) fn check(&self, table: &toml::Table) -> crate::Result<()> {
+        if let Some((name, value)) = wrong_number("intrinsic", table) {
+            let what = format!("{name} is {value}, but must be a finite number of at least 0.");
+            return Err(TrainError::Setting(what));
+        }
+        let (e, l) = (&self.environment, &self.lights);
+        let fail = |what: String| Err(TrainError::Setting(what));
+        if !(e.resolution.is_power_of_two() && (16..=512).contains(&e.resolution)) {
+            return fail(format!(
+                "intrinsic.environment.resolution is {}, but must be 16, 32, 64, 128, 256 or 512.",
+                e.resolution
+            ));
+        }
+        if !(1..=8).contains(&l.grid) {
+            return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));
+        }
+        if self.consistency_interval < 3 {
+            return fail(format!(
+                "intrinsic.consistency_interval is {}, but must be at least 3.",
+                self.consistency_interval
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// The first number below zero, or none at all.
+fn wrong_number(prefix: &str, table: &toml::Table) -> Option<(String, String)> {
+    table.iter().find_map(|(key, value)| {
+        let name = format!("{prefix}.{key}");
+        match value {
+            toml::Value::Table(inner) => wrong_number(&name, inner),
+            toml::Value::Float(f) if !(f.is_finite() && *f >= 0.0) => Some((name, f.to_string())),
+            _ => None,
+        }
+    })
+}

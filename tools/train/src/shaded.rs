@@ -1,0 +1,241 @@
+//! A run with materials and lights as something that shades, and its pictures.
+
+use crate::convert::{camera, gaussian_data};
+use crate::error::{Result, TrainError};
+use crate::intrinsic::{LightFile, read_lights};
+use crate::run::RunDirectory;
+use crate::settings::Settings;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, Shader};
+use sgs_passes::scene::{Gaussians, Model, Trainable};
+use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
+use sgs_scene::{Image, Splats, linear_to_srgb, read_exr, srgb_to_linear};
+use std::path::Path;
+
+/// An environment as texels of a cube: its size along an edge, and `[6 * size * size * 3]` numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texels {
+    /// Texels along an edge.
+    pub size: u32,
+    /// Linear radiance.
+    pub data: Vec<f32>,
+}
+
+impl Texels {
+    /// From a latitude-longitude picture, linear.
+    ///
+    /// # Errors
+    /// If it cannot be read or is none.
+    pub fn read(path: &Path, size: u32) -> Result<Texels> {
+        let wrong = |reason: String| TrainError::File { path: path.to_owned(), reason };
+        let exr = read_exr(path)?;
+        if exr.names.get(..3).is_none_or(|n| n != ["R", "G", "B"]) || exr.image.width < 2 {
+            return Err(wrong("an environment is a latitude-longitude picture with channels R, G and B".into()));
+        }
+        let all = exr.image.channels as usize;
+        let data = exr.image.data.chunks_exact(all).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        let image = Image { channels: 3, data, ..exr.image };
+        if image.data.iter().any(|v| !v.is_finite()) {
+            return Err(wrong("it holds values that are not finite".into()));
+        }
+        let data = latlong::to_cube(&image.data, [image.width, image.height], size);
+        Ok(Texels { size, data: data.into_iter().map(|v| v.max(0.0)).collect() })
+    }
+
+    /// One color all around.
+    pub fn uniform(size: u32, color: [f32; 3]) -> Texels {
+        Texels { size, data: color.repeat((6 * size * size) as usize) }
+    }
+}
+
+/// Puts splats with materials, lights and surroundings into device memory.
+///
+/// # Errors
+/// If the splats have no materials or normals, or memory runs out.
+pub fn shaded_scene(
+    device: &Device,
+    splats: &Splats,
+    lights: Option<&LightFile>,
+    environment: Option<&Texels>,
+) -> Result<ShadedScene> {
+    let missing = |what: &str| TrainError::Setting(format!("The splats have no {what}; shading needs materials."));
+    let albedo = splats.albedo.as_ref().ok_or_else(|| missing("albedo"))?;
+    let roughness = splats.roughness.as_ref().ok_or_else(|| missing("roughness"))?;
+    if splats.normals.is_none() {
+        return Err(missing("normals"));
+    }
+    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
+    gaussians.upload(device, &gaussian_data(splats, model))?;
+    let lights = match lights {
+        Some(file) => {
+            let (model, positions, lobes, gains) = file.raw();
+            Some(ShadedLights {
+                model,
+                normalizer: file.normalizer,
+                positions: Trainable::new(device, "light_positions", &positions, false)?,
+                lobes: Trainable::new(device, "light_lobes", &lobes, false)?,
+                gains: Trainable::new(device, "light_gains", &gains, false)?,
+            })
+        }
+        None => None,
+    };
+    let environment = match environment {
+        Some(texels) => {
+            let options = EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() };
+            let tables = Environment::new(texels.size, &options).map_err(|e| TrainError::Setting(e.to_string()))?;
+            let memory = EnvironmentMemory::new(device, &tables)?;
+            let texels = Trainable::new(device, "environment", &texels.data, false)?;
+            Some(ShadedEnvironment { tables, memory, texels })
+        }
+        None => None,
+    };
+    Ok(ShadedScene {
+        gaussians,
+        albedo: Trainable::new(device, "albedo", albedo.as_flattened(), false)?,
+        roughness: Trainable::new(device, "roughness", roughness, false)?,
+        metallic: match &splats.metallic {
+            Some(m) => Some(Trainable::new(device, "metallic", m, false)?),
+            None => None,
+        },
+        lights,
+        environment,
+    })
+}
+
+/// What lights a run: its lamps and its surroundings, as its files have them.
+///
+/// # Errors
+/// If a file is damaged.
+pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<(Option<LightFile>, Option<Texels>)> {
+    let (lights, exr) = (run.path("lights.json"), run.path("environment.exr"));
+    let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+    let size = settings.intrinsic.environment.resolution;
+    let environment = if exr.is_file() { Some(Texels::read(&exr, size)?) } else { None };
+    Ok((lights, environment))
+}
+
+/// Shades views of one scene.
+pub struct Shading {
+    scene: ShadedScene,
+    shader: Shader,
+}
+
+impl Shading {
+    /// Prepares a scene.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, scene: ShadedScene) -> Result<Shading> {
+        let shader = Shader::new(device, Tuning::for_device(device.info()), &scene, [1, 1])?;
+        Ok(Shading { scene, shader })
+    }
+
+    /// Shades a view.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade(&mut self, view: &sgs_scene::Camera) -> Result<ShadedView> {
+        Ok(ShadedView(self.shader.shade(&self.scene, &camera(view))?))
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &ShadedScene {
+        &self.scene
+    }
+}
+
+/// A shaded view as images.
+#[derive(Clone, Debug)]
+pub struct ShadedView(pub Shaded);
+
+/// Pixels that are less opaque have no materials.
+const LEAST_COVERAGE: f32 = 1e-3;
+
+impl ShadedView {
+    fn image(&self, channels: u32, data: Vec<f32>) -> Image {
+        Image { width: self.0.size[0], height: self.0.size[1], channels, data }
+    }
+
+    fn pixels(&self) -> usize {
+        self.0.coverage.len()
+    }
+
+    /// Linear albedo.
+    pub fn albedo(&self) -> Image {
+        self.image(3, self.0.materials.chunks_exact(4).flat_map(|m| [m[0], m[1], m[2]]).collect())
+    }
+
+    /// Roughness.
+    pub fn roughness(&self) -> Image {
+        self.image(1, self.0.materials.chunks_exact(4).map(|m| m[3]).collect())
+    }
+
+    /// Metallic; zero where nothing says so.
+    pub fn metallic(&self) -> Image {
+        let none = self.0.metallic.is_empty();
+        self.image(1, if none { vec![0.0; self.pixels()] } else { self.0.metallic.clone() })
+    }
+
+    /// Opacity.
+    pub fn coverage(&self) -> Image {
+        self.image(1, self.0.coverage.clone())
+    }
+
+    /// Unit normals, world.
+    pub fn normal(&self) -> Image {
+        self.image(3, self.0.normals.clone())
+    }
+
+    /// Where there is a surface, in one channel.
+    pub fn surface(&self) -> Image {
+        self.image(1, self.0.coverage.iter().map(|c| if *c >= LEAST_COVERAGE { 1.0 } else { 0.0 }).collect())
+    }
+
+    fn over(&self, parts: &[&[f32]], background: [f32; 3]) -> Image {
+        let behind = background.map(srgb_to_linear);
+        let pixel = |p: usize| {
+            let c = if self.0.coverage[p] >= LEAST_COVERAGE { self.0.coverage[p] } else { 0.0 };
+            [0, 1, 2].map(|k| {
+                let light: f32 = parts.iter().map(|part| part[3 * p + k]).sum();
+                light * c + (1.0 - c) * behind[k]
+            })
+        };
+        self.image(3, (0..self.pixels()).flat_map(pixel).collect())
+    }
+
+    /// All light, linear, over a background that is display-referred.
+    pub fn radiance(&self, background: [f32; 3]) -> Image {
+        self.over(&[&self.0.direct, &self.0.ambient], background)
+    }
+
+    /// Light of lamps, linear, over black.
+    pub fn direct(&self) -> Image {
+        self.over(&[&self.0.direct], [0.0; 3])
+    }
+
+    /// Light of the surroundings, linear, over black.
+    pub fn ambient(&self) -> Image {
+        self.over(&[&self.0.ambient], [0.0; 3])
+    }
+
+    /// Diffuse light, linear, over black.
+    pub fn diffuse(&self) -> Image {
+        self.over(&[&self.0.direct_diffuse, &self.0.ambient_diffuse], [0.0; 3])
+    }
+
+    /// Specular light, linear, over black.
+    pub fn specular(&self) -> Image {
+        let all = self.over(&[&self.0.direct, &self.0.ambient], [0.0; 3]);
+        let diffuse = self.diffuse();
+        let data = all.data.iter().zip(&diffuse.data).map(|(a, d)| a - d).collect();
+        self.image(3, data)
+    }
+}
+
+/// A linear picture as a screen shows it.
+pub fn displayed(linear: &Image) -> Image {
+    let data = linear.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0))).collect();
+    Image { data, ..linear.clone() }
+}
