@@ -50,6 +50,12 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let sums = (s.push)(0) * (s.push)(1);
             (4.0 * sums, sums)
         }
+        // Three differences, their square, a comparison and what it selects.
+        "lights_near" => (16.0 * p + 8.0 * c.lights * s.groups, 10.0 * c.lights * p),
+        "lights_regularize" => {
+            let sums = (s.push)(0) * (s.push)(1);
+            (8.0 * sums + 24.0 * (s.push)(0) * lobes, 2.0 * sums + 20.0 * (s.push)(0) * lobes)
+        }
         "lights_prepare_bwd" => {
             let rows = (s.push)(0) * lobes;
             (100.0 * rows, 80.0 * rows)

@@ -10,7 +10,7 @@ use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_bwd, lights_materials_bwd,
-    lights_prepare, lights_prepare_bwd, lights_train,
+    lights_prepare, lights_prepare_bwd, lights_regularize, lights_train,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -171,7 +171,9 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         lobes: g.external("lobes_gradient", model.lobe_bytes()),
     };
     let gradients = lights_bwd(&mut g, c.tuning, &what, b.gradient)?;
-    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, &into)?;
+    let losses = g.external("losses", 8);
+    let asked = lights_regularize(&mut g, c.tuning, &what, &b.parameters, [0.0; 2], losses)?;
+    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, Some(&asked), &into)?;
     let mut rig = Rig::new(c.device, g, b.inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let counts = Counts { pixels: n as f64, lights: f64::from(model.lights), ..Default::default() };
@@ -201,6 +203,11 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let expected = twin::lights_bwd(&lit.raw(model), &pixels, camera, normalizer, &gradient);
     compare("positions", 3, &expected.positions, &rig.get(into.positions)?)?;
     compare("lobes", model.row() as usize, &expected.lobes, &rig.get(into.lobes)?)?;
+    let whole: Vec<Pixel> = (0..n).map(|i| lit.pixel(i)).collect();
+    let expected = twin::lights_regularize(&lit.raw(model), &whole);
+    for (e, f) in expected.iter().zip(rig.get::<f32>(losses)?) {
+        anyhow::ensure!((e - f64::from(f)).abs() <= 1e-4 * e, "A regularizer is {f}, but should be {e}.");
+    }
     report.check(format!("lights: radiance and all gradients from {} pixels are those of the twin", sample.len()));
     Ok(())
 }

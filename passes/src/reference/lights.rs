@@ -238,3 +238,38 @@ pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, grad
     }
     found
 }
+
+/// Of each light the distance squared to the nearest pixel with a surface, and which it is; none if there is none.
+pub fn lights_near(raw: &Raw, pixels: &[Pixel]) -> Vec<Option<(f64, usize)>> {
+    let place = |light: usize| [0, 1, 2].map(|i| raw.positions[3 * light + i]);
+    let near = |light: usize| {
+        let shown = pixels.iter().enumerate().filter(|(_, p)| p.coverage >= f64::from(1e-3_f32));
+        let squares = shown.map(|(i, p)| {
+            let d = along(place(light), -1.0, p.point);
+            (dot(d, d), i)
+        });
+        squares.min_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    (0..raw.gains.len()).map(|light| near(light).filter(|_| raw.gains[light] != 0.0)).collect()
+}
+
+/// The regularizers: mean of `1 / max(d², 1e-3)`, three times the mean of the amplitudes.
+pub fn lights_regularize(raw: &Raw, pixels: &[Pixel]) -> [f64; 2] {
+    let near = lights_near(raw, pixels).iter().flatten().map(|(square, _)| 1.0 / square.max(1e-3)).sum::<f64>();
+    let (width, lobes) = (raw.model.row() as usize, raw.model.lobes as usize);
+    let rows = raw.lobes.chunks(width).enumerate().filter(|(i, _)| raw.gains[i / lobes] != 0.0);
+    let bright = rows.flat_map(|(_, row)| &row[width - 3..]).map(|x| x.min(15.0).exp()).sum::<f64>();
+    [near / f64::from(raw.model.lights), bright / f64::from(raw.model.lights * raw.model.lobes)]
+}
+
+/// Gains after lights that are too faint have been switched off.
+pub fn lights_prune(raw: &Raw, share: f64) -> Vec<f64> {
+    let (width, lobes) = (raw.model.row() as usize, raw.model.lobes as usize);
+    let most = |light: usize| {
+        let rows = raw.lobes[light * lobes * width..][..lobes * width].chunks(width);
+        rows.flat_map(|row| &row[width - 3..]).copied().fold(f64::NEG_INFINITY, f64::max)
+    };
+    let on = |light: &usize| raw.gains[*light] != 0.0;
+    let largest = (0..raw.gains.len()).filter(on).map(most).fold(f64::NEG_INFINITY, f64::max);
+    (0..raw.gains.len()).map(|i| if most(i) >= largest + share.ln() { raw.gains[i] } else { 0.0 }).collect()
+}

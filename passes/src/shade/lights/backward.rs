@@ -9,7 +9,7 @@
 //! up across lanes comes on top, 8 numbers a lobe for each block of pixels. Memory: 56 bytes a pixel, and a row of
 //! `32 lights (1 + lobes)` bytes for each workgroup (27 KB), of which there are at most a few hundred.
 
-use super::{LightParameters, Lights, Prepared, Shape};
+use super::{LightParameters, LightRegularizers, Lights, Prepared, Shape};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::Pixels;
@@ -98,7 +98,7 @@ pub fn lights_bwd(
     Ok(LightGradients { buffer })
 }
 
-/// Writes the gradients of the raw parameters.
+/// Writes the gradients of the raw parameters, those of the regularizers included if there are any.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -107,19 +107,28 @@ pub fn lights_prepare_bwd(
     prepared: &Prepared,
     parameters: &LightParameters,
     gradients: &LightGradients,
+    regularizers: Option<&LightRegularizers>,
     into: &LightParameterGradients,
 ) -> Result<(), GraphError> {
     let model = prepared.model;
     let bindings = finish::Bindings {
         lobes: parameters.lobes.into(),
+        gains: parameters.gains.into(),
         prepared: prepared.lights.into(),
         light_gradients: gradients.buffer.into(),
+        nearest: regularizers.map_or(gradients.buffer, |r| r.nearest).into(),
+        points: regularizers.map_or(gradients.buffer, |r| r.points).into(),
         positions_gradient: into.positions.into(),
         lobes_gradient: into.lobes.into(),
     };
     let workgroup = 64;
-    let specs = finish::Specs { workgroup, lobes: model.lobes, free: model.axes == super::Axes::Free };
-    let push = finish::Push { lights: model.lights };
+    let specs =
+        finish::Specs { workgroup, lobes: model.lobes, free: model.is_free(), regularize: regularizers.is_some() };
+    let push = finish::Push {
+        lights: model.lights,
+        weight_near: regularizers.map_or(0.0, |r| r.weight_near),
+        weight_brightness: regularizers.map_or(0.0, |r| r.weight_brightness),
+    };
     let name = "lights_prepare_bwd";
     stage(g, name, &finish::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch(groups(u64::from(model.lights) * u64::from(model.lobes), workgroup))

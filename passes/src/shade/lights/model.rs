@@ -32,6 +32,11 @@ impl Default for LightModel {
 }
 
 impl LightModel {
+    /// Whether axes are free vectors.
+    pub(super) fn is_free(&self) -> bool {
+        self.axes == Axes::Free
+    }
+
     /// Floats of a lobe's row: axis (2 or 3), log sharpness, log amplitudes (3).
     pub fn row(&self) -> u32 {
         if self.axes == Axes::Free { 7 } else { 6 }

@@ -1,0 +1,97 @@
+//! `lights_near`, `lights_regularize`: what is asked of lights for their own sake; `lights_prune`: lights that have become too
+//! faint are switched off.
+//!
+//! Two means (SGS-Intrinsic, as published in code): `1 / max(d², 1e-3)` over the lights, with d the distance to the nearest
+//! point that the view shows, and three times that of all amplitudes. Lights that are off count as zeros, so that the weight
+//! of one light never depends on the others. The gradient of the first goes through the nearest pixel, the lowest of equals.
+//! [`super::lights_prepare_bwd`] adds the gradients.
+//!
+//! Promises the same bits from run to run. Cost: 10 operations a pair of pixel and light (49 Mop at 320x240 with 64 lights,
+//! a twentieth of shading), 16 bytes a pixel.
+
+use super::{LightParameters, Lights};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{lights_near as near, lights_prune as prune, lights_regularize as regularize};
+
+/// What [`super::lights_prepare_bwd`] needs to add the gradients of the regularizers.
+#[derive(Clone, Copy, Debug)]
+pub struct LightRegularizers {
+    /// By light: bits of the distance squared, the pixel.
+    pub nearest: Buffer,
+    /// Of the mean of `1 / max(d², 1e-3)`: 1e-6 as published.
+    pub weight_near: f32,
+    /// Of three times the mean of the amplitudes: 1e-4 as published.
+    pub weight_brightness: f32,
+    /// The pixels' points.
+    pub points: Buffer,
+}
+
+/// Finds the nearest points and writes the two losses, before their weights, to `losses` (two floats).
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_regularize(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    parameters: &LightParameters,
+    weights: [f32; 2],
+    losses: Buffer,
+) -> Result<LightRegularizers, GraphError> {
+    let (p, model, shape) = (&a.pixels, a.prepared.model, a.shape);
+    let blocks = p.screen.pixels().div_ceil(u64::from(shape.block())) as u32;
+    let most = (tuning.rounds / 2 / (model.lights + 16)).max(1);
+    let each = blocks.div_ceil(2 * tuning.workers).clamp(1, most);
+    let workgroups = blocks.div_ceil(each);
+    let partials = g.transient("lights_near.partials", 8 * u64::from(model.lights) * u64::from(workgroups));
+    let bindings = near::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        coverage: p.surfaces.coverage.into(),
+        near_partials: partials.into(),
+    };
+    let specs =
+        near::Specs { subgroup: shape.subgroup, lobes: model.lobes, lights: model.lights, per_lane: shape.per_lane };
+    let push = near::Push { blocks: each, groups: workgroups };
+    stage(g, "lights_near", &near::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(u64::from(workgroups), 1))?;
+    let nearest = g.transient("lights.nearest", 8 * u64::from(model.lights));
+    let bindings = regularize::Bindings {
+        near_partials: partials.into(),
+        lobes: parameters.lobes.into(),
+        gains: parameters.gains.into(),
+        nearest: nearest.into(),
+        light_losses: losses.into(),
+    };
+    let specs = regularize::Specs { workgroup: tuning.workgroup, lobes: model.lobes, free: model.is_free() };
+    let push = regularize::Push { lights: model.lights, groups: workgroups };
+    let name = "lights_regularize";
+    stage(g, name, &regularize::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch([1, 1, 1])?;
+    let [weight_near, weight_brightness] = weights;
+    Ok(LightRegularizers { nearest, weight_near, weight_brightness, points: p.surfaces.points })
+}
+
+/// Sets the gain of a light to 0 if none of its amplitudes is at least `share` (0.05 as published elsewhere) of the largest
+/// amplitude of all lights that are on. One workgroup.
+///
+/// # Errors
+/// If a buffer does not belong to the graph, cannot be written, or is too small to be bound.
+pub fn lights_prune(
+    g: &mut Graph,
+    tuning: Tuning,
+    model: super::LightModel,
+    parameters: &LightParameters,
+    share: f32,
+) -> Result<(), GraphError> {
+    let bindings = prune::Bindings { lobes: parameters.lobes.into(), gains: parameters.gains.into() };
+    let specs = prune::Specs { workgroup: tuning.workgroup, lobes: model.lobes, free: model.is_free() };
+    let push = prune::Push { lights: model.lights, log_share: share.ln() };
+    stage(g, "lights_prune", &prune::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch([1, 1, 1])
+}
