@@ -25,6 +25,9 @@ pub struct Args {
     /// With normals and depth.
     #[arg(long)]
     pub normals: bool,
+    /// Write the case of `lights` and its results to a folder, for `bench/peers`.
+    #[arg(long, value_name = "FOLDER")]
+    pub dump: Option<std::path::PathBuf>,
 }
 
 /// Runs the command.
@@ -57,6 +60,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         ceiling,
         elements: a.elements,
         workload: &workload,
+        dump: a.dump.as_deref(),
     };
     for (_, stage) in stages {
         stage(&context, &mut report)?;

@@ -176,6 +176,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             ceiling,
             elements: 0,
             workload: &workload,
+            dump: None,
         };
         densify::one(&context, &mut report)?;
     }

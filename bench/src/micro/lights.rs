@@ -4,6 +4,7 @@ use super::Context;
 use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
+use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{Material, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
@@ -87,6 +88,18 @@ impl Lit {
             gains: vec![1.0; model.lights as usize],
         }
     }
+}
+
+/// What a program elsewhere has to know of a case that was written beside it.
+#[derive(serde::Serialize)]
+struct Case {
+    pixels: usize,
+    lights: u32,
+    lobes: u32,
+    camera: [f32; 3],
+    normalizer: f32,
+    milliseconds: f64,
+    device: String,
 }
 
 /// Buffers of a room in a graph, and what they hold.
@@ -179,7 +192,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let counts = Counts { pixels: n as f64, lights: f64::from(model.lights), ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
-    let (found, gradients): (Vec<f32>, Vec<f32>) = (rig.get(direct)?, rig.get(materials)?);
+    let (found, gradients_found): (Vec<f32>, Vec<f32>) = (rig.get(direct)?, rig.get(materials)?);
     anyhow::ensure!(found.iter().zip(rig.get::<f32>(picture)?).all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs()), "lights");
     let sample: Vec<usize> = (0..n).step_by((n / 200).max(1)).collect();
     let pixels: Vec<Pixel> = sample.iter().map(|&i| lit.pixel(i)).collect();
@@ -195,7 +208,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             anyhow::ensure!((e - f).abs() <= 1e-4 * e.abs() + 1e-9, "Radiance of pixel {i} is {f}, but should be {e}.");
         }
         for k in 0..4 {
-            let (e, f) = (by_material[s][k], f64::from(gradients[4 * i + k]));
+            let (e, f) = (by_material[s][k], f64::from(gradients_found[4 * i + k]));
             let off = (e - f).abs() > 1e-3 * e.abs() + 1e-6;
             anyhow::ensure!(!off, "Gradient {k} of pixel {i}'s material is {f}, but should be {e}.");
         }
@@ -207,6 +220,39 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let expected = twin::lights_regularize(&lit.raw(model), &whole);
     for (e, f) in expected.iter().zip(rig.get::<f32>(losses)?) {
         anyhow::ensure!((e - f64::from(f)).abs() <= 1e-4 * e, "A regularizer is {f}, but should be {e}.");
+    }
+    if let Some(folder) = c.dump {
+        // What is needed for the loss alone: a picture and its gradients, without the regularizers' share.
+        let passes = ["lights_prepare", "lights_train", "lights_materials_bwd", "lights_bwd.clear", "lights_bwd"];
+        let rest = ["lights_reduce", "lights_prepare_bwd"];
+        let counted = times.iter().filter(|t| passes.contains(&&*t.name) || rest.contains(&&*t.name));
+        let milliseconds = counted.map(|t| Summary::of(&t.nanoseconds).median * 1e-6).sum();
+        let case = Case {
+            pixels: n,
+            lights: model.lights,
+            lobes: model.lobes,
+            camera: CAMERA,
+            normalizer: what.normalizer,
+            milliseconds,
+            device: c.device.info().name.clone(),
+        };
+        let arrays = [
+            ("points", bytes(&lit.points)),
+            ("normals", bytes(&lit.normals)),
+            ("materials", bytes(&lit.materials)),
+            ("gradient", bytes(&lit.gradient)),
+            ("positions", bytes(&lit.positions)),
+            ("lobes", bytes(&lit.lobes)),
+            ("radiance", bytes(&found)),
+            ("materials_gradient", bytes(&gradients_found)),
+            ("positions_gradient", bytes(&rig.get::<f32>(into.positions)?)),
+            ("lobes_gradient", bytes(&rig.get::<f32>(into.lobes)?)),
+        ];
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(folder.join("case.json"), serde_json::to_string_pretty(&case)?)?;
+        for (name, data) in arrays {
+            std::fs::write(folder.join(format!("{name}.f32")), data)?;
+        }
     }
     report.check(format!("lights: radiance and all gradients from {} pixels are those of the twin", sample.len()));
     Ok(())

@@ -19,6 +19,7 @@ use crate::report::Report;
 use crate::workload::Workload;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
+use std::path::Path;
 
 /// What every stage is measured with.
 pub struct Context<'c> {
@@ -36,6 +37,8 @@ pub struct Context<'c> {
     pub elements: u32,
     /// Gaussians and views of the other stages.
     pub workload: &'c Workload,
+    /// Where cases go that other programs are to be measured on.
+    pub dump: Option<&'c Path>,
 }
 
 /// Measures a stage and adds what it finds.
