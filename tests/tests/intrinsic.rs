@@ -1,6 +1,6 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
-use sgs_scene::{Image, Scene, SceneOptions, Splats, write_png};
+use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
@@ -17,6 +17,8 @@ fn settings(steps: u32) -> Settings {
     s.intrinsic.steps = steps;
     s.intrinsic.environment.resolution = 16;
     s.intrinsic.lights.grid = 2;
+    s.intrinsic.relight_from = 4;
+    s.geometry.pseudo.poses = 3;
     (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
     (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
     s
@@ -26,7 +28,7 @@ fn settings(steps: u32) -> Settings {
 fn place() -> (Place, Room) {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(Room { priors: true, ..Room::default() });
-    for kind in ["albedo", "roughness", "metallic"] {
+    for kind in ["albedo", "roughness", "metallic", "masks"] {
         std::fs::create_dir_all(place.path(&format!("scene/priors/{kind}"))).unwrap();
     }
     for camera in room.cameras() {
@@ -39,6 +41,8 @@ fn place() -> (Place, Room) {
             |f: fn(usize) -> f32| Image { width, height, channels: 1, data: walls.iter().map(|w| f(*w)).collect() };
         write_png(&file("roughness"), &one(|w| 0.3 + 0.1 * w as f32)).unwrap();
         write_png(&file("metallic"), &one(|w| if w == 2 { 0.9 } else { 0.1 })).unwrap();
+        let ids: Vec<u16> = walls.iter().map(|w| 1 + *w as u16).collect();
+        write_ids(&file("masks"), width, height, &ids).unwrap();
     }
     (place, room)
 }
@@ -84,6 +88,13 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
     let (first, last) = (mean(0..6), mean(18..24));
     assert!(last[0] < 0.8 * first[0] && last[1] < first[1] && last[2] < 0.95 * first[2], "from {first:?} to {last:?}");
     assert!(losses.iter().all(|l| l.4.albedo_msg > 0.0 && l.4.albedo_edge > 0.0));
+    // Every third step compares albedo with pseudo-views, every third under other lights.
+    for (step, .., materials) in &losses {
+        let cross = step.is_multiple_of(3);
+        assert!(cross == (materials.cross_view > 0.0) || materials.cross_pairs == 0, "step {step}: {materials:?}");
+        assert!((step % 3 == 1 && *step >= 4) == (materials.relight_count > 0), "step {step}: {materials:?}");
+    }
+    assert!(losses.iter().any(|l| l.4.cross_view > 0.0), "no pseudo-view was compared");
     // Geometry is as it came; materials are new.
     assert_eq!((&trained.means, &trained.sh, &trained.normals), (&splats.means, &splats.sh, &splats.normals));
     let albedo = trained.albedo.as_ref().unwrap();

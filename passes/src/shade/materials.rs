@@ -116,7 +116,8 @@ pub fn materials_bwd(
     let specs = backward::Specs { workgroup: t.workgroup, metallic, add };
     let mut pass = stage(g, "materials_bwd", &backward::KERNEL, [], specs.entries(), &[]);
     for (name, slice) in bindings.entries() {
-        let overwritten = !add && name.starts_with("grad_");
+        let nothing = name == "grad_metallic" && !metallic;
+        let overwritten = nothing || !add && name.starts_with("grad_");
         pass = if overwritten { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
     }
     pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(8 * u64::from(gaussians), t.workgroup))

@@ -67,6 +67,17 @@ impl RegionMaps {
         Ok(RegionMaps::from_labels(scene, &semantic.views, &labels)?.known(scene))
     }
 
+    /// Regions without semantic targets: from `priors/masks`; none if there are no masks.
+    ///
+    /// # Errors
+    /// If a file cannot be read, or the views hold too many pixels.
+    pub fn of_scene(scene: &Scene) -> Result<Option<RegionMaps>> {
+        if let Some(maps) = RegionMaps::from_masks(scene)? {
+            return Ok(maps.known(scene));
+        }
+        Ok(None)
+    }
+
     /// From `priors/masks`; none if no training view has a map there.
     ///
     /// # Errors

@@ -5,9 +5,10 @@ use super::{IntrinsicOptions, Steps};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{
-    Compose, EdgeAware, MaterialLosses, MaterialPictures, Materials, Msg, Photometric, compose, compose_bwd,
-    edge_aware, loss_sum, material_pictures, material_pictures_bwd, material_sum, msg, photometric, photometric_bwd,
-    pictures,
+    CarryOptions, Compose, CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Materials, Msg, Photometric,
+    Seen, carry_mask, compose, compose_bwd, cross_view, edge_aware, gray_picture, gray_picture_bwd, loss_sum,
+    material_pictures, material_pictures_bwd, material_sum, msg, photometric, photometric_bwd, pictures, region_mask,
+    relight,
 };
 use crate::optim::EPSILON;
 use crate::pipeline::{RING, SurfaceHandles};
@@ -16,9 +17,14 @@ use crate::shade::environment::{
     Environment, EnvironmentView, environment as ambient_light, environment_bwd, environment_clamp, environment_filter,
     environment_filter_bwd, environment_smoothness,
 };
-use crate::shade::lights::{LightParameters, Lights, Shape, lights_materials_bwd, lights_prepare, lights_train};
-use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, materials_bwd, values};
-use crate::splat::Screen;
+use crate::shade::lights::{
+    LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_prepare,
+    lights_prepare_bwd, lights_prune, lights_regularize, lights_train,
+};
+use crate::shade::{
+    PixelMaterials, Pixels, RawMaterials, SURFACE_DEPTH, materials, materials_bwd, surface_depth, values,
+};
+use crate::splat::{Screen, wanted_words};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::intrinsic_report as report;
 use sgs_shaders::structs::{LossStats, MaterialStats};
@@ -41,6 +47,7 @@ pub(super) fn build(
     t: &Tuning,
     steps: &Steps,
     surface: &SurfaceHandles,
+    pseudo: &[SurfaceHandles],
     inputs: &Declared,
     environment: Option<&Environment>,
     words: &Words,
@@ -145,6 +152,14 @@ pub(super) fn build(
         }
         _ => (clear(g, "roughness")?, None),
     };
+    let mut metallic_stats = None;
+    if let (Some(priors), Some(values), Some(into)) = (inputs.metallic_priors, of_pixels.metallic, gradient.metallic) {
+        let picture = g.transient("metallic_picture", 12 * pixels);
+        gray_picture(g, *t, &screen, values, seen.coverage, picture)?;
+        let (by_picture, stats) = compared(g, t, "metallic", steps.metallic, picture, priors, o)?;
+        gray_picture_bwd(g, *t, &screen, by_picture, seen.coverage, into)?;
+        metallic_stats = Some(stats);
+    }
     let of_pictures = MaterialPictures { albedo: albedo_gradient, roughness: Some(roughness_gradient) };
     let mut losses = MaterialLosses { saturated: Some(saturated), ..Default::default() };
     if o.edge_aware {
@@ -171,6 +186,67 @@ pub(super) fn build(
         };
         losses.msg = Some(msg(g, *t, &scales, &of_pictures)?);
     }
+    let region = match (o.cross_view || o.relight, inputs.regions) {
+        (true, Some(ids)) => {
+            let mask = g.transient("region_mask", 4 * wanted_words(pixels));
+            region_mask(g, *t, &screen, ids, mask)?;
+            Some(mask)
+        }
+        _ => None,
+    };
+    if let (Some(mask), Some(priors), true) = (region, inputs.albedo_priors, o.relight) {
+        let estimate = Msg {
+            step,
+            weights: steps.weights,
+            pictures: MaterialPictures { roughness: None, ..seen_as },
+            coverage: seen.coverage,
+            albedo_prior: inputs.estimates.unwrap_or(priors),
+            roughness_prior: None,
+            all_views: inputs.estimates.is_none(),
+            mask: Some(mask),
+            largest: o.shape.largest,
+        };
+        losses.relight[0] = Some(relight(g, *t, &estimate, 0, 1.0, of_pictures.albedo)?);
+    }
+    let mut others = Vec::new();
+    if let (Some(mask), true) = (region, o.cross_view) {
+        let mine = CrossPicture {
+            step,
+            albedo: seen_as.albedo,
+            mask,
+            albedo_gradient: of_pictures.albedo,
+            largest: o.shape.largest,
+        };
+        let depth = surface_depth(g, t, &screen, seen)?;
+        let trained = Seen { screen, blended: depth, channels: SURFACE_DEPTH };
+        let mut compared = vec![mine];
+        for (i, (surface, step)) in pseudo.iter().zip(steps.pseudo).enumerate() {
+            g.set_prefix(format!("pseudo{i}."));
+            let other = Screen { step, ..screen };
+            let of_other = PixelMaterials { materials: g.transient("materials", 16 * pixels), metallic: None };
+            materials(g, t, &other, &without_metal(&of_gaussians), &surface.weights, &of_other)?;
+            let coverage = surface.surfaces.coverage;
+            let shown = Materials { step, materials: of_other.materials, coverage, largest: o.shape.largest };
+            let picture = pictures(g, "pictures", o.shape.largest, false);
+            material_pictures(g, *t, &shown, &picture)?;
+            let depth = surface_depth(g, t, &other, &surface.surfaces)?;
+            let seen_there = Seen { screen: other, blended: depth, channels: SURFACE_DEPTH };
+            let carried = g.transient("carried", 4 * wanted_words(pixels));
+            carry_mask(g, *t, "carry_mask", &trained, mask, &seen_there, CarryOptions::default(), carried)?;
+            let by_picture = pictures(g, "grad_pictures", o.shape.largest, false);
+            g.fill("clear_grad_pictures", by_picture.albedo, 0)?;
+            compared.push(CrossPicture {
+                step,
+                albedo: picture.albedo,
+                mask: carried,
+                albedo_gradient: by_picture.albedo,
+                largest: o.shape.largest,
+            });
+            others.push((surface.weights, shown, by_picture));
+        }
+        g.set_prefix("");
+        losses.cross_view = Some(cross_view(g, *t, steps.weights, &compared)?);
+    }
     let material_stats = g.transient("material_stats", size_of::<MaterialStats>() as u64);
     material_sum(g, *t, step, steps.weights, &losses, material_stats)?;
     material_pictures_bwd(g, *t, &shown, &of_pictures, gradient.materials)?;
@@ -181,6 +257,20 @@ pub(super) fn build(
     }
     let words_of = StepWords { step, flags: words.flags, skipped: words.skipped };
     let mut moves = Vec::new();
+    if let (Some((lights, parameters, ..)), Some(l)) = (&lit, &inputs.lights) {
+        let gradients = lights_bwd(g, *t, lights, radiance_gradient)?;
+        let into = LightParameterGradients { positions: l.positions.gradient(g), lobes: l.lobes.gradient(g) };
+        let regularizers = match o.light_regularizers {
+            [0.0, 0.0] => None,
+            weights => {
+                let losses = g.transient("light_regularizers", 8);
+                Some(lights_regularize(g, *t, lights, parameters, weights, losses)?)
+            }
+        };
+        lights_prepare_bwd(g, &lights.prepared, parameters, &gradients, regularizers.as_ref(), &into)?;
+        moves.push((l.positions, into.positions, o.rates.light_positions, EPSILON));
+        moves.push((l.lobes, into.lobes, o.rates.lights, EPSILON));
+    }
     if let Some((e, texels, tables, filtered, view, _)) = &around {
         let sums =
             environment_bwd(g, t, e, tables, view, filtered, radiance_gradient, gradient.materials, gradient.metallic)?;
@@ -195,6 +285,15 @@ pub(super) fn build(
         metallic: inputs.metallic.map(|m| m.gradient(g)),
     };
     materials_bwd(g, t, &raw, weights, n, &gradient, false, &grads)?;
+    for (i, (weights, shown, by_picture)) in others.into_iter().enumerate() {
+        g.set_prefix(format!("pseudo{i}."));
+        let gradient = PixelMaterials { materials: g.transient("materials_gradient", 16 * pixels), metallic: None };
+        g.fill("clear_materials_gradient", gradient.materials, 0)?;
+        material_pictures_bwd(g, *t, &shown, &by_picture, gradient.materials)?;
+        let bare = RawMaterials { metallic: None, ..raw };
+        materials_bwd(g, t, &bare, &weights, n, &gradient, true, &RawMaterials { metallic: None, ..grads })?;
+    }
+    g.set_prefix("");
     moves.push((inputs.albedo, grads.albedo, o.rates.albedo, EPSILON));
     moves.push((inputs.roughness, grads.roughness, o.rates.roughness, EPSILON));
     if let (Some(metallic), Some(gradient)) = (inputs.metallic, grads.metallic) {
@@ -208,13 +307,16 @@ pub(super) fn build(
     if let Some((e, texels, ..)) = &around {
         environment_clamp(g, t, e, texels.parameters)?;
     }
+    if let (Some((lights, parameters, ..)), true) = (&lit, o.light_prune > 0.0) {
+        lights_prune(g, *t, lights.prepared.model, parameters, o.light_prune)?;
+    }
     let bindings = report::Bindings {
         params: step.into(),
         skipped: words.skipped.into(),
         shaded: stats.into(),
         albedo: albedo_stats.unwrap_or(stats).into(),
         roughness: roughness_stats.unwrap_or(stats).into(),
-        metallic: stats.into(),
+        metallic: metallic_stats.unwrap_or(stats).into(),
         materials: material_stats.into(),
         reports: words.reports.into(),
     };
@@ -222,9 +324,14 @@ pub(super) fn build(
         ring: RING,
         albedo: albedo_stats.is_some(),
         roughness: roughness_stats.is_some(),
-        metallic: false,
+        metallic: metallic_stats.is_some(),
     };
     stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
+}
+
+/// Pseudo-views are about albedo alone.
+fn without_metal(values: &PixelMaterials) -> PixelMaterials {
+    PixelMaterials { metallic: None, ..*values }
 }
 
 /// A picture against photographs or priors: its gradient, and what the loss came to.

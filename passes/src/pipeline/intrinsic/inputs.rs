@@ -50,6 +50,10 @@ pub struct IntrinsicInputs<'a> {
     pub roughness: Option<&'a DeviceBuffer>,
     /// Likewise.
     pub metallic: Option<&'a DeviceBuffer>,
+    /// Ids of regions of the training views ([`crate::loss::pack_regions`]).
+    pub regions: Option<&'a DeviceBuffer>,
+    /// What somebody says albedo is under other lights: of the step's view alone, packed. Without, the prior stands in.
+    pub estimates: Option<&'a DeviceBuffer>,
 }
 
 /// The tables of an environment in device memory.
@@ -94,6 +98,10 @@ pub struct IntrinsicSizes {
     pub roughness: Option<u64>,
     /// Bytes of the metallic priors.
     pub metallic: Option<u64>,
+    /// Bytes of the regions.
+    pub regions: Option<u64>,
+    /// Bytes of the estimates.
+    pub estimates: Option<u64>,
 }
 
 impl IntrinsicInputs<'_> {
@@ -104,6 +112,8 @@ impl IntrinsicInputs<'_> {
             albedo: self.albedo.map(DeviceBuffer::bytes),
             roughness: self.roughness.map(DeviceBuffer::bytes),
             metallic: self.metallic.map(DeviceBuffer::bytes),
+            regions: self.regions.map(DeviceBuffer::bytes),
+            estimates: self.estimates.map(DeviceBuffer::bytes),
         }
     }
 
@@ -134,6 +144,8 @@ pub(super) struct Declared {
     pub albedo_priors: Option<Buffer>,
     pub roughness_priors: Option<Buffer>,
     pub metallic_priors: Option<Buffer>,
+    pub regions: Option<Buffer>,
+    pub estimates: Option<Buffer>,
 }
 
 impl Declared {
@@ -159,7 +171,10 @@ impl Declared {
             normalizer,
             positions,
             lobes,
-            gains: g.input("light_gains", model.gain_bytes()),
+            gains: match o.light_prune > 0.0 {
+                true => g.external("light_gains", model.gain_bytes()),
+                false => g.input("light_gains", model.gain_bytes()),
+            },
         });
         Declared {
             albedo,
@@ -171,6 +186,8 @@ impl Declared {
             albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
             metallic_priors: sizes.metallic.map(|bytes| g.input("metallic_priors", bytes)),
+            regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
+            estimates: sizes.estimates.map(|bytes| g.input("estimates", bytes)),
         }
     }
 
@@ -197,6 +214,8 @@ impl Declared {
             (self.albedo_priors, inputs.albedo),
             (self.roughness_priors, inputs.roughness),
             (self.metallic_priors, inputs.metallic),
+            (self.regions, inputs.regions),
+            (self.estimates, inputs.estimates),
         ] {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;

@@ -11,7 +11,7 @@ pub use inputs::{EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, Intrin
 use self::build::{Words, build};
 use self::inputs::Declared as Inputs;
 use super::status::RING;
-use super::{Step, Surface, SurfaceHandles, SurfaceShape};
+use super::{PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
@@ -30,12 +30,20 @@ pub struct IntrinsicOptions {
     pub metallic: bool,
     /// Point lights, and the factor of all their light: one over their number at the start.
     pub lights: Option<(LightModel, f32)>,
+    /// Weights of the lights' nearness to surfaces and of their amplitudes.
+    pub light_regularizers: [f32; 2],
+    /// Lights whose amplitudes are all below this share of the largest are switched off for good; 0 keeps all.
+    pub light_prune: f32,
     /// Weight of the environment's smoothness; the environment itself is an input.
     pub environment_smooth: f32,
     /// Whether albedo and roughness are to be smooth where the photograph is.
     pub edge_aware: bool,
     /// Whether their gradients are compared with those of the priors at several scales.
     pub gradients: bool,
+    /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
+    pub cross_view: bool,
+    /// Whether albedo is compared with an estimate under other lights, in the region; needs the prior and regions.
+    pub relight: bool,
     /// Pixels that are too bright keep the gradients that lead them back.
     pub returning: bool,
     /// Learning rates.
@@ -55,7 +63,9 @@ pub struct IntrinsicRates {
     pub roughness: f32,
     /// Of metallic.
     pub metallic: f32,
-    /// Of lights.
+    /// Of lights' places, world units.
+    pub light_positions: f32,
+    /// Of their lobes.
     pub lights: f32,
     /// Of the environment's texels.
     pub environment: f32,
@@ -77,6 +87,8 @@ pub struct IntrinsicStepValues {
     pub metallic: Step,
     /// Of the other losses of materials.
     pub weights: MaterialWeights,
+    /// The pseudo-views', where there are some.
+    pub pseudo: [Step; PSEUDO_VIEWS],
 }
 
 /// An intrinsic step, ready to be replayed.
@@ -84,6 +96,7 @@ pub struct IntrinsicStep {
     exec: Executor,
     steps: Steps,
     surface: SurfaceHandles,
+    pseudo: Vec<SurfaceHandles>,
     tile: [u32; 2],
     options: IntrinsicOptions,
 }
@@ -96,6 +109,7 @@ pub(super) struct Steps {
     pub roughness: Buffer,
     pub metallic: Buffer,
     pub weights: Buffer,
+    pub pseudo: [Buffer; PSEUDO_VIEWS],
 }
 
 /// What steps tell the host: a counter, and a ring of reports.
@@ -158,7 +172,14 @@ impl IntrinsicStep {
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
         exec.bind(declared.words.reports, &status.reports)?;
-        Ok(IntrinsicStep { exec, steps: declared.steps, surface: declared.surface, tile: tuning.tile, options })
+        Ok(IntrinsicStep {
+            exec,
+            steps: declared.steps,
+            surface: declared.surface,
+            pseudo: declared.pseudo,
+            tile: tuning.tile,
+            options,
+        })
     }
 
     /// The plan of a step that does not exist yet, for what it would cost.
@@ -174,25 +195,39 @@ impl IntrinsicStep {
         Ok(declare(tuning, sizes, environment, options)?.plan)
     }
 
-    /// Replays the step on a view.
+    /// Replays the step on a view, and its pseudo-views if it has some.
     ///
     /// # Errors
-    /// If the device fails, or the surface has another shape than the step was made for.
-    pub fn submit(&mut self, surface: &Surface, values: &IntrinsicStepValues) -> Result<Ticket> {
+    /// If the device fails, or a surface has another shape than the step was made for.
+    pub fn submit(&mut self, surface: &Surface, pseudo: &[Surface], values: &IntrinsicStepValues) -> Result<Ticket> {
         surface.bind(&mut self.exec, &self.surface)?;
+        for (surface, handles) in pseudo.iter().zip(&self.pseudo) {
+            surface.bind(&mut self.exec, handles)?;
+        }
         let mut shaded = values.shaded;
         let size = shaded.camera.size;
         shaded.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
         let of = |step: &Step| Step { camera: shaded.camera, step: shaded.step, seed: shaded.seed, ..*step };
         let [albedo, roughness, metallic] = [&values.albedo, &values.roughness, &values.metallic].map(of);
         let s = &self.steps;
-        self.exec.submit(&[
+        let others = values.pseudo.each_ref().map(|other| {
+            let mut other = *other;
+            let size = other.camera.size;
+            other.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
+            other
+        });
+        let mut uniforms: Vec<(Buffer, &[u8])> = Vec::new();
+        if !self.pseudo.is_empty() {
+            uniforms.extend(s.pseudo.iter().zip(&others).map(|(b, step)| (*b, bytemuck::bytes_of(step))));
+        }
+        uniforms.extend([
             (s.shaded, bytemuck::bytes_of(&shaded)),
             (s.albedo, bytemuck::bytes_of(&albedo)),
             (s.roughness, bytemuck::bytes_of(&roughness)),
             (s.metallic, bytemuck::bytes_of(&metallic)),
             (s.weights, bytemuck::bytes_of(&values.weights)),
-        ])
+        ]);
+        self.exec.submit(&uniforms)
     }
 
     /// Waits for every replay in flight.
@@ -219,6 +254,7 @@ struct Declared {
     plan: Arc<Plan>,
     steps: Steps,
     surface: SurfaceHandles,
+    pseudo: Vec<SurfaceHandles>,
     words: Words,
     inputs: Inputs,
 }
@@ -237,8 +273,13 @@ fn declare(
         roughness: uniform("roughness_step"),
         metallic: uniform("metallic_step"),
         weights: g.uniform("material_weights", size_of::<MaterialWeights>() as u64),
+        pseudo: ["pseudo0", "pseudo1"].map(|name| g.uniform(name, size_of::<Step>() as u64)),
     };
     let surface = o.shape.declare(&mut g, "", false);
+    let pseudo: Vec<SurfaceHandles> = match o.cross_view {
+        true => (0..PSEUDO_VIEWS).map(|i| o.shape.declare(&mut g, &format!("pseudo{i}."), false)).collect(),
+        false => Vec::new(),
+    };
     let words = Words {
         flags: g.input("flags", 4),
         skipped: g.external("skipped", 4),
@@ -246,7 +287,7 @@ fn declare(
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
     let inputs = Inputs::declare(&mut g, sizes, tables, o);
-    build(&mut g, t, &steps, &surface, &inputs, environment, &words, o)?;
+    build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, &words, o)?;
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, steps, surface, words, inputs })
+    Ok(Declared { plan, steps, surface, pseudo, words, inputs })
 }

@@ -4,6 +4,7 @@
 //! whether training was interrupted; geometry and colors of the splats stay as they were. A step in the steady state waits
 //! only for the one two before it.
 
+mod consistency;
 mod data;
 mod files;
 mod state;
@@ -16,6 +17,7 @@ use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, Metallic, Settings};
+use consistency::{Consistency, Kind as StepKind};
 use data::{Kind, MaterialPriors, scene_box, shortest_axes};
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
@@ -32,6 +34,9 @@ use surfaces::Surfaces;
 
 /// Replays in flight.
 const IN_FLIGHT: usize = 2;
+
+/// Steps between looks at what the device has reported; the ring holds more.
+const LOOK: u32 = 16;
 
 /// Lobes of a light.
 const LOBES: u32 = 12;
@@ -56,7 +61,9 @@ pub struct Intrinsic {
     environment: Option<(Environment, EnvironmentMemory)>,
     status: IntrinsicStatus,
     options: IntrinsicOptions,
-    exec: Option<IntrinsicStep>,
+    consistency: Option<Consistency>,
+    /// By [`StepKind`], made when they are first due.
+    execs: [Option<IntrinsicStep>; StepKind::ALL.len()],
     submitted: u32,
     done: u32,
 }
@@ -113,7 +120,10 @@ impl Intrinsic {
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;
         let data = packed.upload(device)?;
-        let surfaces = Surfaces::new(device, tuning, &gaussians, &data, settings)?;
+        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let consistency = Consistency::load(device, scene, settings)?;
+        let others = consistency.as_ref().map(|c| c.cameras(settings, &schedule)).unwrap_or_default();
+        let surfaces = Surfaces::new(device, tuning, &gaussians, &data, &others, settings)?;
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
         let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: LOBES, axes };
         let seed = settings.seed as u32;
@@ -170,7 +180,11 @@ impl Intrinsic {
             shape: surfaces.shape(),
             metallic,
             lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
+            light_regularizers: [s.losses.light_position, s.losses.light_value],
+            light_prune: s.lights.prune,
             environment_smooth: s.losses.environment_smooth,
+            cross_view: false,
+            relight: false,
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
             returning: s.returning,
@@ -178,6 +192,8 @@ impl Intrinsic {
                 albedo: r.albedo,
                 roughness: r.roughness,
                 metallic: r.metallic,
+                // The published unit is that of a box of side 3.
+                light_positions: r.lights * light_scale(&bounds).sqrt(),
                 lights: r.lights,
                 environment: r.environment,
                 visibility: r.visibility,
@@ -186,8 +202,7 @@ impl Intrinsic {
             frames_in_flight: IN_FLIGHT,
         };
         let status = IntrinsicStatus::new(device)?;
-        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
-        let mut training = Intrinsic {
+        let training = Intrinsic {
             device: device.clone(),
             tuning,
             settings: settings.clone(),
@@ -204,11 +219,11 @@ impl Intrinsic {
             environment,
             status,
             options,
-            exec: None,
+            consistency,
+            execs: [None, None, None],
             submitted: 0,
             done: 0,
         };
-        training.rebuild()?;
         Ok(training)
     }
 
@@ -250,13 +265,28 @@ impl Intrinsic {
         while self.submitted < last && go_on() {
             let step = self.submitted + 1;
             let view = self.schedule.view(step);
-            let values = self.values(step, view);
-            let Some(exec) = &mut self.exec else { return Err(gone()) };
-            self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, exec, &values)?;
+            let kind = self.kind(step);
+            let mut values = self.values(step, view);
+            if let (Some(c), true) = (&self.consistency, kind != StepKind::Plain) {
+                c.fill(self.settings.seed, view, &mut values);
+            }
+            let pseudo = kind == StepKind::CrossView;
+            // Graphs order their own replays, not each other's.
+            let another = step > 1 && self.kind(step - 1) != kind;
+            if another || self.surfaces.waits(pseudo) {
+                self.finish()?;
+            }
+            self.make(kind)?;
+            let Some(exec) = &mut self.execs[kind as usize] else { return Err(gone()) };
+            self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
             self.submitted = step;
-            self.look(step.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
+            // Each graph has replays of its own in flight: only what all have waited for is surely done.
+            if step.is_multiple_of(LOOK) {
+                self.finish()?;
+                self.look(step, &mut heard)?;
+            }
         }
-        self.executor()?.finish()?;
+        self.finish()?;
         self.look(self.submitted, &mut heard)
     }
 
@@ -277,9 +307,10 @@ impl Intrinsic {
                 roughness_msg: s.losses.roughness * s.losses.gradients,
                 albedo_edge: s.losses.albedo_smooth,
                 roughness_edge: s.losses.roughness_smooth,
-                cross_view: 0.0,
-                relight: 0.0,
+                cross_view: s.losses.cross_view,
+                relight: s.losses.relight,
             },
+            ..Default::default()
         }
     }
 
@@ -302,8 +333,25 @@ impl Intrinsic {
         Ok(())
     }
 
-    fn rebuild(&mut self) -> Result<()> {
-        self.exec = None;
+    /// What a step is, given what the scene has.
+    fn kind(&self, step: u32) -> StepKind {
+        match StepKind::of(&self.settings.intrinsic, step) {
+            _ if self.consistency.is_none() => StepKind::Plain,
+            StepKind::Relight if self.priors.albedo.is_none() => StepKind::Plain,
+            kind => kind,
+        }
+    }
+
+    /// Makes the graph of a kind of step, if it is not there yet.
+    fn make(&mut self, kind: StepKind) -> Result<()> {
+        if self.execs[kind as usize].is_some() {
+            return Ok(());
+        }
+        let options = IntrinsicOptions {
+            cross_view: kind == StepKind::CrossView,
+            relight: kind == StepKind::Relight,
+            ..self.options
+        };
         let inputs = IntrinsicInputs {
             parameters: &self.parameters,
             gains: Some(&self.gains),
@@ -312,9 +360,17 @@ impl Intrinsic {
             albedo: self.priors.albedo.as_ref(),
             roughness: self.priors.roughness.as_ref(),
             metallic: self.priors.metallic.as_ref(),
+            regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
+            estimates: None,
         };
-        self.exec = Some(IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, self.options)?);
+        let step = IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, options)?;
+        self.execs[kind as usize] = Some(step);
         Ok(())
+    }
+
+    /// Waits for everything submitted.
+    fn finish(&mut self) -> Result<()> {
+        self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
     }
 
     /// Times every pass from now on, or no more.
@@ -323,24 +379,25 @@ impl Intrinsic {
     /// If the device fails.
     pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
         if self.options.timestamps != on {
-            self.executor()?.finish()?;
+            self.finish()?;
             self.options.timestamps = on;
-            self.rebuild()?;
+            self.execs = [None, None, None];
         }
         Ok(())
     }
 
-    /// The times of all passes since they are taken.
+    /// The times of all passes of plain steps since they are taken.
     pub fn take_times(&mut self) -> Vec<PassTime> {
-        self.exec.as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
+        self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
     }
 
-    /// The executor of a step, for its plan.
+    /// A plain step, for its plan.
     ///
     /// # Errors
-    /// If an earlier step failed for lack of memory.
+    /// If memory runs out.
     pub fn executor(&mut self) -> Result<&mut IntrinsicStep> {
-        self.exec.as_mut().ok_or_else(gone)
+        self.make(StepKind::Plain)?;
+        self.execs[0].as_mut().ok_or_else(gone)
     }
 }
 

@@ -1,4 +1,5 @@
-//! What training views see of the geometry: kept for all of them where that fits, else worked out anew before each step.
+//! What views see of the geometry: kept for all training views where that fits, else worked out anew before each step, as it
+//! always is for pseudo-views.
 
 use crate::data::TrainingData;
 use crate::error::Result;
@@ -6,7 +7,9 @@ use crate::memory::allowed;
 use crate::settings::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Camera, IntrinsicStep, IntrinsicStepValues, Surface, SurfaceBuilder, SurfaceShape};
+use sgs_passes::pipeline::{
+    Camera, IntrinsicStep, IntrinsicStepValues, PSEUDO_VIEWS, Surface, SurfaceBuilder, SurfaceShape,
+};
 use sgs_passes::scene::Gaussians;
 
 /// The surfaces of the training views.
@@ -15,20 +18,23 @@ pub(super) struct Surfaces {
     /// By training view; only one where they are worked out anew.
     kept: Vec<Surface>,
     all: bool,
+    /// Room for pseudo-views.
+    others: Vec<Surface>,
 }
 
 impl Surfaces {
-    /// Measures all views and keeps what fits.
+    /// Measures all views, `others` among them that are only seen now and then, and keeps what fits.
     pub fn new(
         device: &Device,
         tuning: Tuning,
         gaussians: &Gaussians,
         data: &TrainingData,
+        others: &[Camera],
         settings: &Settings,
     ) -> Result<Surfaces> {
         let mut builder = SurfaceBuilder::new(device, tuning, gaussians, data.largest)?;
         let mut most = 1;
-        for (camera, _) in &data.views {
+        for camera in data.views.iter().map(|v| &v.0).chain(others) {
             builder.measure(gaussians, camera)?;
             most = most.max(builder.wanted()?);
         }
@@ -55,31 +61,44 @@ impl Surfaces {
             builder.finish()?;
             kept.push(surface);
         }
-        Ok(Surfaces { builder, kept, all })
+        let room = if others.is_empty() { 0 } else { PSEUDO_VIEWS };
+        let others = (0..room).map(|_| Surface::new(device, shape)).collect::<sgs_engine::Result<_>>()?;
+        Ok(Surfaces { builder, kept, all, others })
     }
 
     pub fn shape(&self) -> SurfaceShape {
         self.builder.shape()
     }
 
-    /// Submits a step on a view.
+    /// Whether nothing may be in flight when a step is submitted.
+    pub fn waits(&self, pseudo: bool) -> bool {
+        pseudo || !self.all
+    }
+
+    /// Submits a step on a view, with pseudo-views if it compares some. Where it has to wait ([`Surfaces::waits`]) what was
+    /// submitted before must be done: there is one room for what is worked out anew.
     pub fn with(
         &mut self,
         gaussians: &Gaussians,
         camera: &Camera,
         view: usize,
+        pseudo: bool,
         exec: &mut IntrinsicStep,
         values: &IntrinsicStepValues,
     ) -> Result<()> {
-        if self.all {
-            exec.submit(&self.kept[view], values)?;
-            return Ok(());
+        let mut fill = |camera: &Camera, into: &Surface| -> Result<()> {
+            self.builder.fill(gaussians, camera, into)?;
+            Ok(self.builder.finish()?)
+        };
+        let mine = if self.all { &self.kept[view] } else { &self.kept[0] };
+        if !self.all {
+            fill(camera, mine)?;
         }
-        // The only room there is: the step before must have read it, and it must be full before the next one does.
-        exec.finish()?;
-        self.builder.fill(gaussians, camera, &self.kept[0])?;
-        self.builder.finish()?;
-        exec.submit(&self.kept[0], values)?;
+        let others = if pseudo { &self.others[..] } else { &[] };
+        for (surface, step) in others.iter().zip(&values.pseudo) {
+            fill(&step.camera, surface)?;
+        }
+        exec.submit(mine, others, values)?;
         Ok(())
     }
 }
