@@ -1,4 +1,4 @@
-//! The cost of the kernels of the environment.
+//! The cost of the kernels of the environment and of traced visibility.
 
 use super::{Cost, Counts, Stage};
 
@@ -31,6 +31,11 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // About ten entries a row.
         "environment_smoothness" => (108.0 * size, 150.0 * size),
         "environment_background" => (12.0 * p, (LOOKUP + 20.0) * p),
+        // A ray finds its way through eight nodes a level, with eight boxes of 24 operations each, and as many Gaussians.
+        "visibility_traced" => {
+            let nodes = 8.0 * c.gaussians.max(8.0).log(8.0);
+            (32.0 * p, nodes * (8.0 * 24.0 + 60.0) * p)
+        }
         _ => return None,
     };
     Some(Cost { bytes, operations })

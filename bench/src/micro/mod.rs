@@ -12,6 +12,7 @@ mod materials;
 mod photometric;
 mod primitives;
 mod semantic;
+mod traced;
 pub mod view;
 
 use crate::commands::ceiling::Ceiling;
@@ -45,7 +46,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 13] = [
+pub const STAGES: [(&str, Stage); 14] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -59,4 +60,5 @@ pub const STAGES: [(&str, Stage); 13] = [
     ("adam", adam::one),
     ("densify", densify::one),
     ("environment", environment::all),
+    ("traced", traced::one),
 ];

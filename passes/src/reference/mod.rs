@@ -25,6 +25,7 @@ pub mod scan;
 pub mod semantic;
 pub mod srgb;
 pub mod taps;
+pub mod traced;
 pub mod visibility;
 
 /// Central difference of `f` along coordinate `i` of `x`.

@@ -9,6 +9,7 @@ mod gbuffer;
 pub mod lights;
 mod materials;
 mod pixels;
+pub mod traced;
 pub mod visibility;
 
 pub use gbuffer::{

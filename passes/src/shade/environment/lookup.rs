@@ -13,6 +13,7 @@
 use super::{Environment, EnvironmentTables, Filtered};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
+use crate::shade::Pixels;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
     environment as kernel, environment_background as background, environment_bwd as bwd, environment_scale as scale,
@@ -35,6 +36,20 @@ pub struct EnvironmentView {
     pub metallic: Option<Buffer>,
     /// Pixels that no view exceeds.
     pub pixels: u64,
+}
+
+impl From<&Pixels> for EnvironmentView {
+    fn from(p: &Pixels) -> EnvironmentView {
+        EnvironmentView {
+            step: p.screen.step,
+            points: p.surfaces.points,
+            normals: p.surfaces.normals,
+            coverage: p.surfaces.coverage,
+            materials: p.materials.materials,
+            metallic: p.materials.metallic,
+            pixels: p.screen.pixels(),
+        }
+    }
 }
 
 /// Gradients of the levels as [`environment_bwd`] leaves them.

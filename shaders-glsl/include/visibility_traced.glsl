@@ -1,0 +1,19 @@
+// Lights behind what is between them and the surface, traced. Rays begin TRACED_OFFSET above the surface. See
+// lights_pixels.glsl for the two functions; one pixel a lane is enough, since every pixel's way through the tree is its own.
+
+#include "traced.glsl"
+
+layout(constant_id = 8) const float TRACED_OFFSET = 0.0;
+
+vec3 traced_from[PER_LANE];
+
+void visibility_begin(uint slot, uint pixel) {
+    traced_from[slot] = points[pixel] + TRACED_OFFSET * normals[pixel];
+}
+
+float visibility(uint slot, uint light) {
+    if (!pair_lit) return 0.0;
+    vec3 to = prepared[light_at(light)].xyz - traced_from[slot];
+    float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
+    return traced_transmittance(traced_from[slot], to * inverse, square * inverse);
+}
