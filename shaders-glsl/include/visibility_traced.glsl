@@ -12,8 +12,7 @@ void visibility_begin(uint slot, uint pixel) {
 }
 
 float visibility(uint slot, uint light) {
-    if (!pair_lit) return 0.0;
     vec3 to = prepared[light_at(light)].xyz - traced_from[slot];
     float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
-    return traced_transmittance(traced_from[slot], to * inverse, square * inverse);
+    return traced_transmittance(traced_from[slot], to * inverse, pair_lit ? square * inverse : -1.0);
 }

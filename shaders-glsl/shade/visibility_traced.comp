@@ -3,10 +3,12 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "coverage.glsl"
-#include "traced.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 64;
 layout(local_size_x_id = 0) in;
+layout(constant_id = 1) const uint SUBGROUP = 32;
+
+#include "traced.glsl"
 
 layout(push_constant, scalar) uniform Push {
     uint groups;  // workgroups for each place
@@ -30,13 +32,13 @@ vec3 triple(uint i, bool of_points) {
 void main() {
     uint group = folded_workgroup(), place = group / push.groups;
     uint i = group % push.groups * WORKGROUP + gl_LocalInvocationID.x;
-    if (place >= push.places || i >= params.step.camera.size.x * params.step.camera.size.y) return;
-    float seen = 0.0;
-    if (is_covered(coverage[i])) {
-        vec3 from = triple(i, true) + push.offset * triple(i, false);
-        vec3 to = vec3(places[3u * place], places[3u * place + 1u], places[3u * place + 2u]) - from;
-        float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
-        seen = traced_transmittance(from, to * inverse, square * inverse);
-    }
-    visibility[place * push.pixels + i] = seen;
+    if (place >= push.places) return;
+    bool here = i < params.step.camera.size.x * params.step.camera.size.y;
+    uint pixel = here ? i : 0u;
+    bool surface = here && is_covered(coverage[pixel]);
+    vec3 from = triple(pixel, true) + push.offset * triple(pixel, false);
+    vec3 to = vec3(places[3u * place], places[3u * place + 1u], places[3u * place + 2u]) - from;
+    float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
+    float seen = traced_transmittance(from, to * inverse, surface ? square * inverse : -1.0);
+    if (here) visibility[place * push.pixels + i] = surface ? seen : 0.0;
 }

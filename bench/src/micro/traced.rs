@@ -1,5 +1,5 @@
-//! `visibility_traced`: how much of four places the Gaussians' own centers see, and the twin's product over all Gaussians for
-//! some of them.
+//! `visibility_traced`: how much of four places a surface across the Gaussians sees, and the twin's product over all of
+//! them for some rays.
 
 use super::Context;
 use crate::cost::Counts;
@@ -20,7 +20,7 @@ const PLACES: u32 = 4;
 /// Rays that the twin follows.
 const CHECKED: usize = 64;
 
-/// Rays from random Gaussians.
+/// A view's worth of rays.
 pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let start = &c.workload.start;
     let begin = Instant::now();
@@ -30,13 +30,20 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut rng = Pcg::new(17);
     let count = (c.workload.largest[0] * c.workload.largest[1]) as usize;
     let means = start.group(Group::Means);
-    let points: Vec<f32> = (0..count)
-        .flat_map(|_| {
-            let i = 3 * (rng.next_u32() as usize % start.len());
-            [means[i], means[i + 1], means[i + 2]]
+    // Across the middle of what there is, so that neighbors see alike, as the surfaces of a view do.
+    let bound =
+        |pick: fn(f32, f32) -> f32, k: usize| means.iter().skip(k).step_by(3).copied().reduce(pick).unwrap_or(0.0);
+    let [low, high] = [f32::min, f32::max].map(|pick| [0, 1, 2].map(|k| bound(pick, k)));
+    let between = |k: usize, t: f32| low[k] + t * (high[k] - low[k]);
+    let [width, height] = c.workload.largest;
+    let points: Vec<f32> = (0..count as u32)
+        .flat_map(|i| {
+            let (x, y) = ((i % width) as f32 / width as f32, (i / width) as f32 / height as f32);
+            [between(0, 0.1 + 0.8 * x), between(1, 0.1 + 0.8 * y), between(2, 0.5 + 0.2 * (6.0 * x).sin())]
         })
         .collect();
-    let places: Vec<f32> = points[..3 * PLACES as usize].iter().map(|x| x + 0.05).collect();
+    let places: Vec<f32> =
+        (0..PLACES).flat_map(|_| [0, 1, 2].map(|k| between(k, rng.range(0.2, 0.8) as f32))).collect();
     let mut g = Graph::new("traced");
     let n = count as u64;
     let step = g.uniform("step", size_of::<Step>() as u64);
@@ -79,7 +86,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         let expected = twin::transmittance(&splats, three(&points, pixel), three(&places, place));
         off += usize::from((expected - f64::from(found[place * count + pixel])).abs() > 2e-3);
     }
-    // A Gaussian may be in or out by rounding where its alpha is 1/255 or it peaks at an end: rays begin in centers.
+    // A Gaussian may be in or out by rounding where its alpha is 1/255 or it peaks at an end.
     anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} rays see something else than the twin's.");
     report.check(format!("traced: {} of {CHECKED} rays see what the twin's do", CHECKED - off));
     Ok(())
