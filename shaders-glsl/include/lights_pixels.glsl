@@ -78,36 +78,54 @@ Lobe load_lobe(uint light, uint k) {
 
 // The way through the list of lights.
 struct Walk {
-    uint count; // lights that are on
-    uint first; // of the batch whose lights the lanes hold
-    uint next;  // in the batch
-    uint light; // a lane's
-    vec3 place; // of a lane's light
+    uint count;   // lights that are on
+    uint first;   // of the batch whose lights the lanes hold
+    uint next;    // in the batch
+    uint light;   // a lane's
+    vec3 place;   // of a lane's light
+    uvec4 bright; // which lanes' lights can matter here
+    vec3 low, high; // a box around the subgroup's points
 };
 
+// A light is left out of a subgroup's pixels if all of them are farther away than it reaches.
 void fetch_batch(inout Walk w) {
-    w.light = light_list[1u + min(w.first + gl_SubgroupInvocationID, w.count - 1u)];
-    w.place = prepared[light_at(w.light)].xyz;
+    uint i = w.first + gl_SubgroupInvocationID;
+    w.light = light_list[1u + min(i, w.count - 1u)];
+    vec4 place = prepared[light_at(w.light)];
+    w.place = place.xyz;
+    vec3 apart = max(max(w.low - place.xyz, place.xyz - w.high), vec3(0.0));
+    w.bright = subgroupBallot(i < w.count && max(dot(apart, apart), NEAR_SQUARED) <= place.w);
 }
 
 Walk begin_walk() {
-    Walk w = Walk(light_list[0], 0u, 0u, 0u, vec3(0.0));
+    vec3 low = vec3(1e18), high = vec3(-1e18);
+    EACH_PIXEL(p) {
+        // Without a normal nothing is lit.
+        if (surfaces[p].normal != vec3(0.0)) {
+            low = min(low, surfaces[p].point);
+            high = max(high, surfaces[p].point);
+        }
+    }
+    low = vec3(subgroupMin(low.x), subgroupMin(low.y), subgroupMin(low.z));
+    high = vec3(subgroupMax(high.x), subgroupMax(high.y), subgroupMax(high.z));
+    Walk w = Walk(light_list[0], 0u, 0u, 0u, vec3(0.0), uvec4(0u), low, high);
     if (w.count > 0u) fetch_batch(w);
     return w;
 }
 
-// Goes to the next light that a pixel of the subgroup faces; false if there is none. Both are loops because those are the
+// Goes to the next light that a pixel of the subgroup faces; false if there is none. All are loops because those are the
 // only branches that software devices take.
 bool walk(inout Walk w, out uint light, out vec3 place) {
     for (; w.first + w.next < w.count;) {
-        light = subgroupShuffle(w.light, w.next);
-        place = vec3(subgroupShuffle(w.place.x, w.next), subgroupShuffle(w.place.y, w.next),
-                     subgroupShuffle(w.place.z, w.next));
-        w.next++;
+        for (; w.next < SUBGROUP && !subgroupBallotBitExtract(w.bright, w.next); w.next++) {}
+        uint lane = min(w.next, SUBGROUP - 1u);
+        light = subgroupShuffle(w.light, lane);
+        place = vec3(subgroupShuffle(w.place.x, lane), subgroupShuffle(w.place.y, lane), subgroupShuffle(w.place.z, lane));
         bool faced = false;
         EACH_PIXEL(p) faced = faced || dot(surfaces[p].normal, place - surfaces[p].point) > 0.0;
-        bool found = subgroupAny(faced);
-        if (w.next == SUBGROUP) {
+        bool found = w.next < SUBGROUP && subgroupAny(faced);
+        w.next++;
+        if (w.next >= SUBGROUP) {
             w.first += SUBGROUP;
             w.next = 0u;
             if (w.first < w.count) fetch_batch(w);

@@ -21,6 +21,7 @@ layout(push_constant, scalar) uniform Push {
     float distance;  // PERTURBED: most that a light moves along each axis
     float off;       // probability that it is off
     float intensity; // most that its intensity changes, as a share
+    float missing;   // irradiance, before the normalizer, that may be missing at a pixel because lights were left out
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -32,6 +33,8 @@ OUT(vec4, prepared);
 OUT(uint, light_list);
 
 #include "light_axis.glsl"
+
+const float FAR = 1e38;
 
 // One of the random numbers of a light, between -1 and 1.
 float random(uint light, uint which) {
@@ -47,6 +50,16 @@ float gain(uint light) {
     return g;
 }
 
+// Distance squared from which on a light's irradiance is less than its share of what may be missing: no direction gets more
+// than the sum of the amplitudes.
+float reach(uint light) {
+    if (!(push.missing > 0.0)) return FAR;
+    vec3 sum = vec3(0.0);
+    for (uint k = 0u; k < LOBES; k++) sum += lobe_amplitude(load_raw_lobe(light * LOBES + k).amplitude);
+    float most = abs(gain(light)) * max(sum.r, max(sum.g, sum.b));
+    return min(1.00001 * most * float(push.lights) / push.missing, FAR);
+}
+
 void main() {
     uint total = by_workgroup(push.lights) * LOBES;
     for (uint item = gl_LocalInvocationID.x; item < total; item += WORKGROUP) {
@@ -55,7 +68,7 @@ void main() {
         if (lobe == 0u) {
             vec3 place = positions[light];
             if (PERTURBED) place += push.distance * vec3(random(light, 2u), random(light, 3u), random(light, 4u));
-            prepared[at] = vec4(place, 0.0);
+            prepared[at] = vec4(place, reach(light));
         }
         RawLobe l = load_raw_lobe(item);
         float root = lobe_root(l.sharpness);

@@ -5,8 +5,8 @@ use sgs_passes::reference::brdf::unit;
 use sgs_passes::reference::lights as twin;
 use sgs_passes::shade::lights::{
     Axes, LightGradients, LightModel, LightParameterGradients, LightParameters, Lights, Perturbation, Shape, lights,
-    lights_bwd, lights_materials_bwd, lights_prepare, lights_prepare_bwd, lights_prune, lights_regularize,
-    lights_split, lights_train,
+    lights_bwd, lights_materials_bwd, lights_prepare, lights_prepare_bwd, lights_prepare_culled, lights_prune,
+    lights_regularize, lights_split, lights_train,
 };
 use sgs_tests::lit::{Lit, SPARE};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -31,6 +31,17 @@ fn shapes(gpu: &Gpu) -> [Shape; 2] {
 }
 
 fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
+    run_culled(gpu, shape, case, largest, perturbation, 0.0)
+}
+
+fn run_culled(
+    gpu: &Gpu,
+    shape: Shape,
+    case: &Lit,
+    largest: [u32; 2],
+    perturbation: Option<&Perturbation>,
+    missing: f32,
+) -> Found {
     let tuning = gpu.tuning();
     let mut g = Graph::new("lights");
     let mut bound = case.bind(&mut g, largest);
@@ -38,7 +49,8 @@ fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Opt
     let step = pixels.screen.step;
     let model = case.raw.model;
     let prepared =
-        lights_prepare(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation).unwrap();
+        lights_prepare_culled(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation, missing)
+            .unwrap();
     let what = Lights { pixels, prepared, normalizer: case.normalizer() as f32, shape };
     let room = (case.pixels.len() + SPARE) as u64;
     let [direct, again, whole, diffuse] =
@@ -483,5 +495,48 @@ fn faint_lights_are_pruned() {
             let on = expected.iter().filter(|x| **x != 0.0).count();
             assert!(on >= 1 && on < model.lights as usize);
         }
+    }
+}
+
+/// What is missing where faint lights are left out is no more than was allowed, and lights that are left out everywhere have
+/// no gradient; with nothing allowed, nothing changes.
+#[test]
+fn culling_keeps_within_its_bound() {
+    let gpu = Gpu::new();
+    let model = LightModel { lights: 30, lobes: 4, axes: Axes::Free };
+    let mut case = Lit::random([48, 9], model, false, 15);
+    // Pixels of a row are together, and lights far and wide: some reach everywhere, some nowhere.
+    for (i, p) in case.pixels.iter_mut().enumerate() {
+        p.point = [i % 48, i / 48, i % 5].map(|x| sgs_tests::lit::narrow(0.1 * x as f64));
+        p.material.roughness = 1.0;
+    }
+    let row = model.row() as usize;
+    for (i, values) in case.raw.lobes.chunks_mut(row).enumerate() {
+        let shift = -0.4 * (i / 4) as f64;
+        values[row - 3..].iter_mut().for_each(|x| *x = sgs_tests::lit::narrow(*x + shift));
+    }
+    for shape in shapes(&gpu) {
+        let full = run(&gpu, shape, &case, [48, 9], None);
+        for missing in [1e-3_f32, 1e-2, 1.0] {
+            let less = run_culled(&gpu, shape, &case, [48, 9], None, missing);
+            let mut most = 0.0_f64;
+            for (i, pixel) in case.pixels.iter().enumerate() {
+                for c in 0..3 {
+                    let d = f64::from(full.split[1][3 * i + c]) - f64::from(less.split[1][3 * i + c]);
+                    let bound =
+                        f64::from(missing) * case.normalizer() * pixel.material.albedo[c] / std::f64::consts::PI;
+                    assert!(d >= -1e-6 && d <= bound + 1e-6, "{missing}: {d} of {bound}");
+                    most = most.max(d / bound);
+                    let d = f64::from(full.direct[3 * i + c]) - f64::from(less.direct[3 * i + c]);
+                    let shine = f64::from(missing) * case.normalizer() / std::f64::consts::TAU;
+                    assert!(d <= bound + shine + 1e-6);
+                }
+            }
+            let dark = |f: &Found| f.positions.chunks(3).filter(|g| g.iter().all(|x| *x == 0.0)).count();
+            assert!(dark(&less) > dark(&full), "{missing} leaves out {} lights", dark(&less));
+            // The bound is one, not a rule of thumb: it is no more than some hundred times too careful here.
+            assert!(most > 1e-3, "{missing}: {most}");
+        }
+        assert_eq!(full.direct, run_culled(&gpu, shape, &case, [48, 9], None, 0.0).direct);
     }
 }

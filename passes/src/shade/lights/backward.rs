@@ -38,9 +38,9 @@ const OWN: u32 = 4096;
 /// Blocks of a workgroup, and workgroups.
 fn cut(tuning: Tuning, shape: &Shape, prepared: &Prepared, pixels: &Pixels) -> (u32, u32) {
     let blocks = pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32;
-    // Each light of a block takes a round, and one a group of lobes.
+    // Each light of a block takes two rounds, and one a group of lobes.
     let groups = prepared.model.lobes.div_ceil(shape.subgroup / 8);
-    let rounds = prepared.model.lights * (2 + groups) + 8;
+    let rounds = prepared.model.lights * (3 + groups) + 8;
     let most = (tuning.rounds / 2 / rounds).max(1);
     // Four on a processor: a row is worth more than a last bit of balance.
     let each = blocks.div_ceil(2 * tuning.workers).clamp(1, most);

@@ -30,5 +30,5 @@ mod regularize;
 pub use backward::{LightGradients, LightParameterGradients, lights_bwd, lights_prepare_bwd};
 pub use forward::{Lights, Shape, Sums, lights, lights_materials_bwd, lights_split, lights_train};
 pub use model::{Axes, LightModel, LightParameters};
-pub use prepare::{Perturbation, Prepared, lights_prepare};
+pub use prepare::{Perturbation, Prepared, lights_prepare, lights_prepare_culled};
 pub use regularize::{LightRegularizers, lights_prune, lights_regularize};

@@ -56,6 +56,30 @@ pub fn lights_prepare(
     parameters: &LightParameters,
     perturbation: Option<&Perturbation>,
 ) -> Result<Prepared, GraphError> {
+    lights_prepare_culled(g, tuning, name, step, model, parameters, perturbation, 0.0)
+}
+
+/// As [`lights_prepare`], for lights that are left out where they are too faint: of all pixels of a workgroup, if the box around
+/// these is farther away than the light reaches.
+///
+/// `missing` is what all of them together may take from a pixel's irradiance, in each channel, before the normalizer: no
+/// direction of a light gets more than the sum of its amplitudes, and each light has an equal share of what may be missing.
+/// Diffuse radiance is then off by `missing * normalizer * albedo / pi` at most; specular radiance by
+/// `missing * normalizer / (2 pi roughness^6)` at most, which only a highlight of that very light comes near. The
+/// gradients are those of what is shown.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_prepare_culled(
+    g: &mut Graph,
+    tuning: Tuning,
+    name: &str,
+    step: Buffer,
+    model: LightModel,
+    parameters: &LightParameters,
+    perturbation: Option<&Perturbation>,
+    missing: f32,
+) -> Result<Prepared, GraphError> {
     let lights = u64::from(model.lights);
     let prepared = Prepared {
         lights: g.transient(format!("{name}.lights"), 16 * lights * (1 + 2 * u64::from(model.lobes))),
@@ -77,8 +101,14 @@ pub fn lights_prepare(
         perturbed: perturbation.is_some(),
     };
     let p = perturbation.copied().unwrap_or(Perturbation { copy: 0, distance: 0.0, off: 0.0, intensity: 0.0 });
-    let push =
-        kernel::Push { lights: model.lights, copy: p.copy, distance: p.distance, off: p.off, intensity: p.intensity };
+    let push = kernel::Push {
+        lights: model.lights,
+        copy: p.copy,
+        distance: p.distance,
+        off: p.off,
+        intensity: p.intensity,
+        missing,
+    };
     stage(g, name, &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])?;
     Ok(prepared)
