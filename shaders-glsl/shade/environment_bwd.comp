@@ -10,6 +10,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint LEVELS = 5;
 layout(constant_id = 2) const bool METALLIC = false;
 layout(constant_id = 3) const int FIXED_BITS = 30;
+layout(constant_id = 4) const bool MERGE = false; // whether lanes that meet in a texel add up first
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(float, points);
@@ -30,8 +31,15 @@ INOUT(uint, texel_sums);           // [texels * 3 * 2] low and high words
 #include "environment_bound.glsl"
 #include "fixed.glsl"
 
-void add(uint at, float units) {
+void add(uint at, float units, bool together) {
     uvec2 v = to_fixed(units);
+    if (together) {
+        // Halves of the low word, so that no carry is lost: sums of integers are the same in any order.
+        uvec3 s = subgroupAdd(uvec3(v.x & 0xffffu, v.x >> 16u, v.y));
+        uint upper = s.y + (s.x >> 16u);
+        v = uvec2(upper << 16u | s.x & 0xffffu, s.z + (upper >> 16u));
+        if (!subgroupElect()) return;
+    }
     if ((v.x | v.y) == 0u) return;
     uint before = atomicAdd(texel_sums[2u * at], v.x);
     // Past the largest low word there is a carry; nobody reads in between, so the sum is exact in the end.
@@ -43,9 +51,11 @@ void spread(Footprint f, uint c, uint first, vec3 units) {
     float w;
     uint at = 3u * (first + corner(f, c, w));
     if (w == 0.0) return;
-    add(at, w * units.x);
-    add(at + 1u, w * units.y);
-    add(at + 2u, w * units.z);
+    // Pixels of a wall share texels of the coarse levels, and atomics to one word wait for each other.
+    bool together = MERGE && subgroupAllEqual(at);
+    add(at, w * units.x, together);
+    add(at + 1u, w * units.y, together);
+    add(at + 2u, w * units.z, together);
 }
 
 void main() {

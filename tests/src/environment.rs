@@ -73,6 +73,8 @@ pub struct Given<'g> {
     pub smooth: bool,
     /// With metallic.
     pub metallic: bool,
+    /// Whether lanes add up first, as wide subgroups do.
+    pub merge: bool,
 }
 
 /// What gradients of materials begin with.
@@ -108,10 +110,20 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
 
     let filtered = environment_filter(&mut g, t, e, &tables, texels).unwrap();
     environment(&mut g, t, e, &tables, &view, &filtered, ambient).unwrap();
+    let back = if given.merge { Tuning { subgroup_size: 32, ..*t } } else { *t };
     let by_metallic = given.metallic.then_some(metallic_gradient);
-    let sums =
-        environment_bwd(&mut g, t, e, &tables, &view, &filtered, radiance_gradient, materials_gradient, by_metallic)
-            .unwrap();
+    let sums = environment_bwd(
+        &mut g,
+        &back,
+        e,
+        &tables,
+        &view,
+        &filtered,
+        radiance_gradient,
+        materials_gradient,
+        by_metallic,
+    )
+    .unwrap();
     let smooth = environment_smoothness(&mut g, t, e, &tables, texels, &filtered, WEIGHT).filter(|_| given.smooth);
     environment_filter_bwd(&mut g, t, e, &tables, &filtered, &sums, smooth.as_ref(), gradient).unwrap();
     g.copy("radiance", filtered.radiance, radiance).unwrap();

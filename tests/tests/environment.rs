@@ -59,7 +59,15 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
             if !metallic {
                 pixels.iter_mut().for_each(|p| p.metallic = 0.0);
             }
-            let given = Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic };
+            let given = Given {
+                e: &e,
+                texels: &texels,
+                pixels: &pixels,
+                gradient: &gradient,
+                smooth: false,
+                metallic,
+                merge: false,
+            };
             let found = run(&gpu, &t, &given);
             assert_close("radiance", &flat(&levels), &found.radiance, Tolerance::new(1e-5, 2e-5));
             let shade = |p: &Pixel| twin::shade(&levels, e.split_sum(), camera(), p);
@@ -206,8 +214,15 @@ fn white_is_white_and_nothing_is_created() {
         let texels = vec![1.0_f32; e.floats() as usize];
         let pixels: Vec<Pixel> = surfaces(4).into_iter().map(|p| Pixel { albedo: [1.0; 3], ..p }).collect();
         let gradient = vec![0.0; 3 * pixels.len()];
-        let given =
-            Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: true, metallic: true };
+        let given = Given {
+            e: &e,
+            texels: &texels,
+            pixels: &pixels,
+            gradient: &gradient,
+            smooth: true,
+            metallic: true,
+            merge: false,
+        };
         let found = run(&gpu, &gpu.tuning(), &given);
         assert!(found.radiance.iter().all(|r| (r - 1.0).abs() < 1e-5));
         for (p, c) in
@@ -236,8 +251,15 @@ fn extremes_stay_finite_and_right() {
     for (bright, steep) in [(0.0, 1.0), (1e6, 1e-12), (1e6, 1e9), (1e-8, 1e-20), (1.0, 1e25)] {
         let texels: Vec<f32> = room(&e, 13).iter().map(|x| x * bright).collect();
         let gradient: Vec<f32> = (0..3 * pixels.len()).map(|_| (rng.normal() * steep) as f32).collect();
-        let given =
-            Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic: true };
+        let given = Given {
+            e: &e,
+            texels: &texels,
+            pixels: &pixels,
+            gradient: &gradient,
+            smooth: false,
+            metallic: true,
+            merge: false,
+        };
         let found = run(&gpu, &gpu.tuning(), &given);
         assert!(
             [&found.ambient, &found.materials, &found.metallic, &found.texels]
@@ -261,11 +283,27 @@ fn extremes_stay_finite_and_right() {
     let at = 3 * 7;
     gradient[at] = f32::NAN;
     gradient[at + 3] = f32::INFINITY;
-    let given = Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic: true };
+    let given = Given {
+        e: &e,
+        texels: &texels,
+        pixels: &pixels,
+        gradient: &gradient,
+        smooth: false,
+        metallic: true,
+        merge: false,
+    };
     let found = run(&gpu, &gpu.tuning(), &given);
     assert!(found.materials[4 * 7].is_nan());
     gradient[at..at + 6].fill(0.0);
-    let given = Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic: true };
+    let given = Given {
+        e: &e,
+        texels: &texels,
+        pixels: &pixels,
+        gradient: &gradient,
+        smooth: false,
+        metallic: true,
+        merge: false,
+    };
     let without = run(&gpu, &gpu.tuning(), &given);
     assert_eq!(found.texel_sums, without.texel_sums);
 }
@@ -279,7 +317,15 @@ fn sums_do_not_depend_on_order_or_groups() {
     let pixels = [pixels.clone(), pixels].concat();
     let mut rng = Pcg::new(6);
     let gradient: Vec<f32> = (0..3 * pixels.len()).map(|_| rng.normal() as f32).collect();
-    let given = Given { e: &e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: true, metallic: true };
+    let given = Given {
+        e: &e,
+        texels: &texels,
+        pixels: &pixels,
+        gradient: &gradient,
+        smooth: true,
+        metallic: true,
+        merge: false,
+    };
     let [a, b] = [256, 64].map(|workgroup| run(&gpu, &Tuning { workgroup, ..gpu.tuning() }, &given));
     assert_eq!(a.texel_sums, b.texel_sums);
     assert_eq!(a.texels, b.texels);
@@ -287,6 +333,14 @@ fn sums_do_not_depend_on_order_or_groups() {
     let reversed: Vec<f32> = gradient.chunks(3).rev().flatten().copied().collect();
     let given = Given { pixels: &backwards, gradient: &reversed, ..given };
     assert_eq!(run(&gpu, &gpu.tuning(), &given).texel_sums, a.texel_sums);
+    // Nor on whether lanes add up first; a wall, where all meet, among the pixels.
+    let mut wall = backwards.clone();
+    let (point, normal) = (wall[8].point, wall[8].normal);
+    wall[..64].iter_mut().for_each(|p| (p.point, p.normal) = (point, normal));
+    let given = Given { pixels: &wall, ..given };
+    let apart = run(&gpu, &gpu.tuning(), &given).texel_sums;
+    assert_ne!(apart, a.texel_sums);
+    assert_eq!(run(&gpu, &gpu.tuning(), &Given { merge: true, ..given }).texel_sums, apart);
 }
 
 #[test]
@@ -295,7 +349,15 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
     let e = made(16);
     let texels = room(&e, 21);
     let pixels = [Pixel { coverage: 0.0, ..pixel(&mut Pcg::new(1), 0.5, 0.5) }];
-    let given = Given { e: &e, texels: &texels, pixels: &pixels, gradient: &[0.0; 3], smooth: true, metallic: false };
+    let given = Given {
+        e: &e,
+        texels: &texels,
+        pixels: &pixels,
+        gradient: &[0.0; 3],
+        smooth: true,
+        metallic: false,
+        merge: false,
+    };
     let found = run(&gpu, &gpu.tuning(), &given);
     let value = |x: &[f64]| {
         let texels = x.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();

@@ -159,6 +159,7 @@ pub fn environment_bwd(
         levels: e.levels.len() as u32,
         metallic: view.metallic.is_some(),
         fixed_bits: bits,
+        merge: !t.narrow(),
     };
     stage(g, "environment_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(view.pixels, t.workgroup))?;
