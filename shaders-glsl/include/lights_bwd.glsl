@@ -112,7 +112,8 @@ void main() {
                 rays[p] = ray_to(place, surfaces[p].point);
                 float nl = max(dot(surfaces[p].normal, rays[p].l), 0.0);
                 pair_lit = nl > 0.0;
-                reaching[p] = pair_lit ? falloff(rays[p]) * visibility(p, light) : 0.0;
+                float seen = visibility(p, light); // by all lanes
+                reaching[p] = pair_lit ? falloff(rays[p]) * seen : 0.0;
                 lits[p] = lit_by(surfaces[p], rays[p].l, nl);
                 vec3 glossy = lits[p].specular * fresnel_of(wanted[p], lits[p].fresnel) * wanted[p].gradient;
                 weight[p] = reaching[p] * nl * (wanted[p].matte + glossy);

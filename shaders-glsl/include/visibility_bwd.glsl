@@ -5,11 +5,12 @@
 // kept by neuron side by side; see visibility_lanes.glsl. Four pixels and one light at a time (with eight, compilers take three times as long); a workgroup is one subgroup and
 // leaves one set of sums. Rows of points are summed over the lights first, so that the rest of the way is gone once a pixel.
 //
-// Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and three functions:
-//     void pair_begin(uint pixel)        before the first light of a pixel, which may be any if it is not shaded
-//     bool pair_matters(uint light)      cheap: whether the next one can be other than zero
-//     float pair_gradient(uint light)    derivative of the loss by the visibility of the light
-// All invocations of a subgroup call them together. `light_place(light)` is the light's place in the world.
+// Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and functions:
+//     void pair_begin(uint pixel, bool is_shaded)  before the first light of a pixel, which may be any if it is not shaded
+//     bool pair_matters(uint light)                cheap: whether the next one can be other than zero
+//     float pair_gradient(uint light)              derivative of the loss by the visibility of the light
+// All invocations of a subgroup call them together. Lights are light_of(0) to light_of(light_count() - 1), and light_place(light) is
+// the place of one in the world.
 
 #define ITEM_COUNT 4
 #include "visibility_lanes.glsl"
@@ -133,7 +134,7 @@ void write_row(uint item) {
 
 // 1 for each pair that counts; with SAMPLE above 1 these are so many times fewer, and count for as much more.
 bool sampled(uint pixel, uint light) {
-    return SAMPLE <= 1u || random_bits(params.field.seed ^ 0x3c6eu, pixel / 8u, light) % SAMPLE == 0u;
+    return SAMPLE <= 1u || random_bits(field_params.field.seed ^ 0x3c6eu, pixel / 8u, light) % SAMPLE == 0u;
 }
 
 void main() {
@@ -143,8 +144,8 @@ void main() {
     FILL_COLUMNS(last, 1u, last_column)
     [[unroll]] for (uint i = 0u; i < WIDTH * HELD; i++) by_second[i] = 0.0;
     EACH_HELD(h) by_last[h] = by_pair[h] = by_pair[HELD + h] = by_pair[2u * HELD + h] = by_pair[3u * HELD + h] = 0.0;
-    FieldStep field = params.field;
-    uint lights = min(by_workgroup(field.lights), push.most);
+    FieldStep field = field_params.field;
+    uint lights = light_count();
     uint side = gl_SubgroupInvocationID / ACROSS;
     float largest = 0.0;
     [[dont_unroll]] for (uint batch = gl_WorkGroupID.x * SIDES; batch * ITEMS < push.count;
@@ -153,20 +154,22 @@ void main() {
         uint local = side_first + column() % ITEMS, pixel = push.first + local;
         bool exists = local < push.count && pixel < field.pixels;
         uint at = exists ? pixel : 0u;
-        lane_shaded = exists && coverage[at] >= LEAST_COVERAGE;
+        lane_shaded = exists && is_covered(coverage[at]);
         vec3 point = lane_shaded ? points[at] : field.box_min, moved_point = point;
         if (REGULARIZED) moved_point = field_inside(field, point + jitter_of(field, POINTS, at));
         point = field_inside(field, point);
         EACH_ITEM(fetch_row)
         EACH_ITEM(clear_row)
-        pair_begin(at);
+        pair_begin(at, lane_shaded);
         // A loop passes over lights that do not matter to any of the pixels: processors skip nothing else.
-        [[dont_unroll]] for (uint light = 0u;; light++) {
-            [[dont_unroll]] for (; light < lights; light++) {
+        [[dont_unroll]] for (uint next = 0u;; next++) {
+            uint light = 0u;
+            [[dont_unroll]] for (; next < lights; next++) {
+                light = min(light_of(next), push.most - 1u);
                 bool counts = lane_shaded && sampled(pixel, light) && (REGULARIZED || pair_matters(light));
                 if (subgroupAny(counts)) break;
             }
-            if (light >= lights) break;
+            if (next >= lights) break;
             bool counts = lane_shaded && sampled(pixel, light);
             vec3 place = light_place(light);
             float by_visibility = pair_gradient(light), moved_logit = 0.0;

@@ -1,4 +1,4 @@
-// Constants and buffers of visibility_bwd.glsl.
+// Constants and buffers of visibility_bwd.glsl. Define FIELD_PIXELS if points and coverage are there already.
 
 layout(constant_id = 10) const uint LEVELS = 16;
 layout(constant_id = 11) const bool REGULARIZED = true; // with the smoothness term
@@ -9,13 +9,16 @@ layout(push_constant, scalar) uniform Push {
     uint first; // pixel
     uint count;
     uint most; // lights that there is room for
+    float normalizer; // of their radiance
 } push;
 
-layout(scalar) uniform FieldBlock { FieldStep field; } params;
+layout(scalar) uniform FieldBlock { FieldStep field; } field_params;
 
 IN(float, mlp);
+#ifndef FIELD_PIXELS
 IN(vec3, points);
 IN(float, coverage);
+#endif
 IN(float, rows);            // count x 32: what the first layer makes of points
 IN(float, moved_rows);      // likewise, moved
 OUT(float, row_gradients);  // count x 32

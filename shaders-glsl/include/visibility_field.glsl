@@ -4,11 +4,11 @@
 // makes of the point is worked out once a pixel (`field_pixel`), direction and distance are added for each light.
 //
 // Call field_weights(), then field_pixel() for each pixel, then field_visibility() as often as wanted, all of them from
-// uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP (as many invocations if SUBGROUP is 8), LEVELS (at most
-// 16), SPREAD, and buffers `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last),
+// uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most
+// 16), FIELD_SPREAD, and buffers `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last),
 // `field_levels`, `tables`.
 //
-// With SPREAD the eight lanes of a subgroup work on their eight pixels together, neurons side by side, because processors
+// With FIELD_SPREAD the eight lanes of a subgroup work on their eight pixels together, neurons side by side, because processors
 // read weights cheaply from an invocation's own arrays alone; see visibility_lanes.glsl. Without, every invocation works
 // alone, with weights in shared memory.
 
@@ -137,7 +137,7 @@ void alone_layers(vec4 way) {
 // Either.
 
 void field_weights() {
-    if (SPREAD) {
+    if (FIELD_SPREAD) {
         FILL_COLUMNS(spread_first, FIELD_FEATURES, first_column)
         FILL_COLUMNS(spread_second, WIDTH, second_column)
         FILL_COLUMNS(spread_pair, 4u, pair_column)
@@ -149,7 +149,7 @@ void field_weights() {
 
 // The first layer's share of the point, from its features.
 void field_project() {
-    if (SPREAD) {
+    if (FIELD_SPREAD) {
         EACH_ITEM(spread_project)
     } else {
         FIELD_BLOCKS(alone_project)
@@ -165,7 +165,7 @@ void field_pixel(vec3 position) {
 // Of the light that is field_way() away.
 float field_visibility(vec4 way) {
     float logit;
-    if (SPREAD) {
+    if (FIELD_SPREAD) {
         spread_way = way;
         EACH_ITEM(spread_layers)
         ITEM_SUMS(spread_logits)

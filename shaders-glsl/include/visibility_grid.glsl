@@ -3,9 +3,6 @@
 // Mueller et al. 2022, section 3: a level is a grid over the box; grids that fit their table are stored as they are, the
 // others are hashed into it. Corners beyond the last one count as the last one.
 
-// Pixels that are less opaque are not shaded.
-const float LEAST_COVERAGE = 1e-3;
-
 struct FieldLevel {
     float scale;     // grid steps across the box
     uint resolution; // grid points along an axis

@@ -1,12 +1,13 @@
 // How much of the lights each pixel sees by the visibility field: the mean over them, or one of them.
 #version 460
 #include "common.glsl"
+#include "coverage.glsl"
 #include "visibility_grid.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 64;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint SUBGROUP = 32;
-layout(constant_id = 3) const bool SPREAD = false; // see visibility_field.glsl
+layout(constant_id = 3) const bool FIELD_SPREAD = false; // see visibility_field.glsl
 layout(constant_id = 4) const uint LEVELS = 16;
 layout(constant_id = 5) const bool SPLIT = true;   // false: the first layer anew for each light, for comparison
 layout(constant_id = 6) const uint ONE = 0xffffffffu; // a light, instead of the mean over all
@@ -40,6 +41,6 @@ void main() {
         }
         sum += field_visibility(field_way(params.field, point, field_inside(params.field, light_positions[j])));
     }
-    bool shaded = coverage[at] >= LEAST_COVERAGE;
+    bool shaded = is_covered(coverage[at]);
     if (within) visibility[pixel] = shaded ? sum / float(max(end - begin, 1u)) : 0.0;
 }

@@ -2,6 +2,7 @@
 // visibility times the light's radiance times the gradient of the pixel's.
 #version 460
 #include "common.glsl"
+#include "coverage.glsl"
 #include "finite.glsl"
 #include "random.glsl"
 #include "visibility_grid.glsl"
@@ -17,9 +18,13 @@ IN(vec3, radiance_gradient);
 
 vec3 asked;
 
+uint light_count() { return by_workgroup(field_params.field.lights); }
+
+uint light_of(uint i) { return i; }
+
 vec3 light_place(uint light) { return light_positions[light]; }
 
-void pair_begin(uint pixel) { asked = radiance_gradient[pixel]; }
+void pair_begin(uint pixel, bool is_shaded) { asked = is_shaded ? radiance_gradient[pixel] : vec3(0.0); }
 
 bool pair_matters(uint light) { return dot(asked, light_radiance[light]) != 0.0; }
 

@@ -8,7 +8,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 64;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint SUBGROUP = 32;
-layout(constant_id = 3) const bool SPREAD = false; // see visibility_field.glsl
+layout(constant_id = 3) const bool FIELD_SPREAD = false; // see visibility_field.glsl
 layout(constant_id = 4) const uint LEVELS = 16;
 
 layout(push_constant, scalar) uniform Push {
@@ -36,7 +36,7 @@ void main() {
     vec3 point = points[at];
     point += float(push.moved) * jitter_of(params.field, POINTS, at);
     field_pixel(field_position(params.field, field_inside(params.field, point)));
-    if (SPREAD) {
+    if (FIELD_SPREAD) {
         // Rows of the subgroup's pixels lie one behind the other.
         uint first = i - gl_SubgroupInvocationID;
         [[unroll]] for (uint item = 0u; item < ITEMS; item++) {

@@ -5,6 +5,7 @@
 // touched is kept as a bit each.
 #version 460
 #include "common.glsl"
+#include "coverage.glsl"
 #include "visibility_grid.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
@@ -116,7 +117,7 @@ void main() {
         side_first = (batch + side) * ITEMS;
         uint local = side_first + column() % ITEMS, pixel = push.first + local;
         bool exists = local < push.count && pixel < params.field.pixels;
-        lane_shaded = exists && coverage[exists ? pixel : 0u] >= LEAST_COVERAGE;
+        lane_shaded = exists && is_covered(coverage[exists ? pixel : 0u]);
         vec3 point = field_inside(params.field, lane_shaded ? points[pixel] : params.field.box_min);
         vec3 position = field_position(params.field, point);
         encode(position);

@@ -6,6 +6,7 @@ pub mod cli;
 pub mod compare;
 pub mod environment;
 pub mod feature_view;
+pub mod field;
 pub mod gpu;
 pub mod kernels;
 pub mod lit;

@@ -46,11 +46,13 @@ pub struct BackwardOptions {
     pub places: bool,
     /// One pair of so many counts, for as many: 1 is all of them. Which ones follows from the step's seed.
     pub sample: u32,
+    /// Whether gradients of lights' places are added to what is there, rather than written.
+    pub add_places: bool,
 }
 
 impl Default for BackwardOptions {
     fn default() -> Self {
-        BackwardOptions { regularized: true, places: true, sample: 1 }
+        BackwardOptions { regularized: true, places: true, sample: 1, add_places: false }
     }
 }
 
@@ -103,12 +105,12 @@ pub fn visibility_bwd(
     options: &BackwardOptions,
     into: &Gradients,
 ) -> Result<(), GraphError> {
-    let plan = Plan::new(g, tuning, field, view, most, options)?;
+    let plan = Plan::new(g, tuning, field, view, [most, 0], options)?;
     for (first, count) in plan.chunks() {
         let [rows, moved] = plan.rows(g, field, view, [first, count])?;
         let chunk = plan.chunk(first, count);
         let bindings = pairs::Bindings {
-            params: field.step.into(),
+            field_params: field.step.into(),
             mlp: field.mlp.into(),
             points: view.points.into(),
             coverage: view.coverage.into(),
@@ -129,7 +131,7 @@ pub fn visibility_bwd(
             places: options.places,
             sample: options.sample,
         };
-        let push = pairs::Push { first, count, most };
+        let push = pairs::Push { first, count, most, normalizer: 1.0 };
         stage(g, "visibility_bwd", &pairs::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
             .subgroup_size(Some(tuning.subgroup_size))
             .dispatch([chunk.groups, 1, 1])?;
@@ -143,7 +145,7 @@ pub(super) struct Plan {
     levels: u32,
     pixels: u32,
     lights: u32,
-    regularized: bool,
+    options: BackwardOptions,
     /// Sides of a subgroup: each leaves sums of its own.
     sides: u32,
     /// Workgroups of a whole chunk.
@@ -168,14 +170,15 @@ impl Plan {
         tuning: Tuning,
         field: &Field,
         view: &View,
-        lights: u32,
+        [lights, lobes]: [u32; 2],
         options: &BackwardOptions,
     ) -> Result<Plan, GraphError> {
         let pixels = view.pixels.max(1);
         let chunk = pixels.min(CHUNK);
         let sides = tuning.subgroup_size.div_ceil(32).max(1);
-        // Two loops over the lights, one within the other, which share the counter; levels, features and corners.
-        let by_batch = [2 * u64::from(lights) + 8, 16 + 4 + 16 * 9];
+        // Two loops over the lights, one within the other, which share the counter, with two turns and the lobes in each; levels,
+        // features and corners.
+        let by_batch = [(4 + u64::from(lobes)) * u64::from(lights) + 8, 16 + 4 + 16 * 9];
         let groups = by_batch.map(|rounds| subgroups(tuning, chunk, rounds));
         let chunks = u64::from(pixels.div_ceil(CHUNK));
         let sets = groups.map(|n| chunks * u64::from(n * sides));
@@ -185,7 +188,7 @@ impl Plan {
             levels,
             pixels,
             lights,
-            regularized: options.regularized,
+            options: *options,
             sides,
             groups,
             gradients: g.transient("visibility.gradients", u64::from(pixels) * ROW),
@@ -216,7 +219,7 @@ impl Plan {
         let bytes = u64::from(count) * ROW;
         let rows = g.transient("visibility.rows", bytes);
         visibility_encode(g, self.tuning, "visibility_encode", field, view, [first, count], false, rows)?;
-        if !self.regularized {
+        if !self.options.regularized {
             return Ok([rows; 2]);
         }
         let moved = g.transient("visibility.moved", bytes);
@@ -278,12 +281,19 @@ impl Plan {
         let specs = reduce::Specs { workgroup, levels };
         stage(g, "visibility_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
             .dispatch(groups(field.config.weights() as u64, workgroup))?;
-        let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add: false, parts: 1 };
+        if !self.options.places && self.options.add_places {
+            return Ok(());
+        }
+        let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add: self.options.add_places, parts: 1 };
         let push = semantic_reduce::Push { width: 3 * self.lights, groups: self.groups[0] * self.sides };
-        let pass = "visibility_reduce_places";
-        stage(g, pass, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push))
-            .bind("partials", self.places)
-            .bind_discard("accumulated", into.lights)
-            .dispatch(groups(3 * u64::from(self.lights), tuning.workgroup))
+        let name = "visibility_reduce_places";
+        let pass = stage(g, name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
+        let pass = pass.bind("partials", self.places);
+        // What is replaced is not read.
+        let pass = match self.options.add_places {
+            true => pass.bind("accumulated", into.lights),
+            false => pass.bind_discard("accumulated", into.lights),
+        };
+        pass.dispatch(groups(3 * u64::from(self.lights), tuning.workgroup))
     }
 }

@@ -13,11 +13,13 @@
 mod adam;
 mod bwd;
 mod config;
+mod lights;
 mod memory;
 
 pub use adam::{Moments, visibility_adam};
 pub use bwd::{BackwardOptions, Constant, Gradients, visibility_bwd};
 pub use config::{FIELD_FEATURES, FIELD_LEVELS, FIELD_WIDTH, FieldConfig, FieldError};
+pub use lights::{lights_field, lights_train_field, visibility_lights_bwd};
 pub use memory::{FieldHandles, VisibilityField};
 
 use crate::Tuning;
@@ -53,9 +55,14 @@ pub struct View {
     pub lights: Buffer,
 }
 
+/// Whether subgroups work on their pixels together.
+fn field_spread(tuning: Tuning) -> bool {
+    tuning.subgroup_size == 8
+}
+
 /// Invocations of a workgroup and a subgroup, and whether these work on their pixels together.
 fn shape(tuning: Tuning) -> ([u32; 2], bool) {
-    let spread = tuning.subgroup_size == 8;
+    let spread = field_spread(tuning);
     ([if spread { 8 } else { tuning.workgroup.min(128) }, tuning.subgroup_size], spread)
 }
 
@@ -84,9 +91,9 @@ pub fn visibility(
         coverage: view.coverage.into(),
         visibility: into.into(),
     };
-    let ([workgroup, subgroup], spread) = shape(tuning);
+    let ([workgroup, subgroup], field_spread) = shape(tuning);
     let one = one.unwrap_or(u32::MAX);
-    let specs = kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels, split, one };
+    let specs = kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels, split, one };
     stage(g, "visibility", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
         .dispatch(groups(u64::from(view.pixels), workgroup))
@@ -115,8 +122,8 @@ pub fn visibility_encode(
         points: view.points.into(),
         rows: into.into(),
     };
-    let ([workgroup, subgroup], spread) = shape(tuning);
-    let specs = encode_kernel::Specs { workgroup, subgroup, spread, levels: field.config.levels };
+    let ([workgroup, subgroup], field_spread) = shape(tuning);
+    let specs = encode_kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels };
     let push = encode_kernel::Push { first, count, moved: jitter.into() };
     stage(g, name, &encode_kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(subgroup))

@@ -1,0 +1,170 @@
+//! `lights_field`, `lights_train_field` and `visibility_lights_bwd`: prepared lights that are seen as the field says, and what the
+//! field learns from them.
+//!
+//! As [`crate::shade::lights`], a pixel a lane. Light that a pair would have is multiplied by its visibility; what the loss asks of that is
+//! the gradient of the pixel's radiance times the light it would have, worked out again where it is needed. Regularization is over
+//! the lights that are on.
+
+use super::bwd::Plan;
+use super::{BackwardOptions, Field, Gradients, View, field_spread};
+use crate::Tuning;
+use crate::kernel::{groups, stage};
+use crate::shade::lights::{Lights, Shape, Sums};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::{lights_field as render, lights_train_field as train, visibility_lights_bwd as pairs};
+
+/// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Of `a.shape` only what lanes fetch for one another matters.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_field(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    field: &Field,
+    direct: Buffer,
+) -> Result<(), GraphError> {
+    let p = &a.pixels;
+    let shape = Shape { per_lane: 1, ..a.shape };
+    let bindings = render::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        field_params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        direct: direct.into(),
+    };
+    let specs = render::Specs {
+        subgroup: shape.subgroup,
+        lobes: a.prepared.model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+        levels: field.config.levels,
+        field_spread: field_spread(tuning),
+    };
+    let push = render::Push { normalizer: a.normalizer };
+    stage(g, "lights_field", &render::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(p.screen.pixels(), shape.block()))
+}
+
+/// As [`lights_field`], and leaves what [`crate::shade::lights::lights_materials_bwd`] needs.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_train_field(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    field: &Field,
+    direct: Buffer,
+) -> Result<Sums, GraphError> {
+    let p = &a.pixels;
+    let shape = Shape { per_lane: 1, ..a.shape };
+    let sums = g.transient("lights.sums", p.screen.pixels() * if p.materials.metallic.is_some() { 48 } else { 24 });
+    let bindings = train::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        field_params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        direct: direct.into(),
+        sums: sums.into(),
+    };
+    let specs = train::Specs {
+        subgroup: shape.subgroup,
+        lobes: a.prepared.model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+        levels: field.config.levels,
+        field_spread: field_spread(tuning),
+    };
+    let push = train::Push { normalizer: a.normalizer };
+    stage(g, "lights_train_field", &train::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(p.screen.pixels(), shape.block()))?;
+    Ok(Sums { buffer: sums })
+}
+
+/// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn visibility_lights_bwd(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    field: &Field,
+    radiance_gradient: Buffer,
+    options: &BackwardOptions,
+    into: &Gradients,
+) -> Result<(), GraphError> {
+    let p = &a.pixels;
+    let most = a.prepared.model.lights;
+    let view = View {
+        pixels: p.screen.pixels() as u32,
+        points: p.surfaces.points,
+        coverage: p.surfaces.coverage,
+        lights: a.prepared.lights,
+    };
+    let plan = Plan::new(g, tuning, field, &view, [most, a.prepared.model.lobes], options)?;
+    for (first, count) in plan.chunks() {
+        let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
+        let chunk = plan.chunk(first, count);
+        let bindings = pairs::Bindings {
+            params: p.screen.step.into(),
+            prepared: a.prepared.lights.into(),
+            prepared_floats: a.prepared.lights.into(),
+            light_list: a.prepared.list.into(),
+            points: p.surfaces.points.into(),
+            normals: p.surfaces.normals.into(),
+            coverage: p.surfaces.coverage.into(),
+            materials: p.materials.materials.into(),
+            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+            field_params: field.step.into(),
+            mlp: field.mlp.into(),
+            rows: rows.into(),
+            moved_rows: moved.into(),
+            row_gradients: chunk.gradients,
+            sums_of: chunk.sums,
+            place_sums: plan.places.into(),
+            extent: plan.extent.into(),
+            radiance_gradient: radiance_gradient.into(),
+        };
+        let specs = pairs::Specs {
+            subgroup: a.shape.subgroup,
+            lobes: a.prepared.model.lobes,
+            metallic: p.materials.metallic.is_some(),
+            per_lane: 1,
+            spread: a.shape.spread,
+            levels: field.config.levels,
+            regularized: options.regularized,
+            places: options.places,
+            sample: options.sample,
+        };
+        let push = pairs::Push { first, count, most, normalizer: a.normalizer };
+        let bytes = bytemuck::bytes_of(&push);
+        stage(g, "visibility_lights_bwd", &pairs::KERNEL, bindings.entries(), specs.entries(), bytes)
+            .subgroup_size(Some(a.shape.subgroup))
+            .dispatch([chunk.groups, 1, 1])?;
+    }
+    plan.finish(g, field, &view, into)
+}

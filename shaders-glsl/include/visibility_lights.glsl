@@ -1,0 +1,28 @@
+// Lights seen as the visibility field says. For one pixel a lane.
+#include "visibility_grid.glsl"
+
+layout(constant_id = 10) const uint LEVELS = 16;
+layout(constant_id = 11) const bool FIELD_SPREAD = false; // see visibility_field.glsl
+
+layout(scalar) uniform FieldBlock { FieldStep field; } field_params;
+
+IN(FieldLevel, field_levels);
+IN(vec2, tables);
+IN(float, mlp);
+
+const uint WORKGROUP = SUBGROUP;
+#include "visibility_field.glsl"
+
+vec3 field_point_of;
+
+void visibility_begin(uint slot, uint pixel) {
+    field_weights();
+    // Where nothing is shaded the point may be no number.
+    field_point_of = is_covered(coverage[pixel]) ? field_inside(field_params.field, points[pixel]) : field_params.field.box_min;
+    field_pixel(field_position(field_params.field, field_point_of));
+}
+
+float visibility(uint slot, uint light) {
+    vec3 place = field_inside(field_params.field, prepared[light_at(light)].xyz);
+    return field_visibility(field_way(field_params.field, field_point_of, place));
+}

@@ -1,0 +1,284 @@
+//! A visibility field with a picture and lights, run by the device and by the reference.
+
+use crate::{Gpu, Tolerance, assert_close};
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::visibility as twin;
+use sgs_passes::shade::visibility::{
+    BackwardOptions, Constant, Field, FieldConfig, Gradients, View, visibility, visibility_bwd,
+};
+use sgs_shaders::structs::FieldStep;
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// A field, a picture and lights.
+#[derive(Clone)]
+pub struct Case {
+    /// Its shape.
+    pub config: FieldConfig,
+    /// Two features an entry.
+    pub tables: Vec<f32>,
+    /// Layers.
+    pub mlp: Vec<f32>,
+    /// Lower corner of the box.
+    pub low: [f32; 3],
+    /// Upper corner.
+    pub high: [f32; 3],
+    /// By pixel.
+    pub points: Vec<[f32; 3]>,
+    /// By pixel.
+    pub coverage: Vec<f32>,
+    /// Places.
+    pub lights: Vec<[f32; 3]>,
+    /// What changes from step to step.
+    pub step: FieldStep,
+}
+
+/// Sixteen small levels, most of them hashed.
+pub const SMALL: FieldConfig = FieldConfig { levels: 16, log2_table: 11, coarsest: 4, finest: 300 };
+
+impl Case {
+    /// Points within the box and around it, every eleventh pixel not shaded.
+    pub fn random(config: FieldConfig, pixels: usize, lights: usize, seed: u32) -> Case {
+        let mut rng = Pcg::new(seed);
+        let (low, high) = ([-1.5, -1.0, 0.5], [1.5, 2.0, 2.5]);
+        let mut within = |n: usize, beyond: f64| -> Vec<[f32; 3]> {
+            let axis = |rng: &mut Pcg, k: usize| {
+                let (l, h) = (f64::from(low[k]), f64::from(high[k]));
+                rng.range(l - beyond * (h - l), h + beyond * (h - l)) as f32
+            };
+            (0..n).map(|_| [0, 1, 2].map(|k| axis(&mut rng, k))).collect()
+        };
+        let (points, lights) = (within(pixels, 0.05), within(lights, -0.05));
+        let step = FieldStep {
+            box_min: low,
+            jitter: 0.03,
+            box_max: high,
+            box_inverse: [0, 1, 2].map(|k| 1.0 / (high[k] - low[k])),
+            regularizer: 0.0,
+            pixels: pixels as u32,
+            lights: lights.len() as u32,
+            seed: 5,
+            ..Default::default()
+        };
+        Case {
+            config,
+            tables: (0..2 * config.entries()).map(|_| 0.7 * rng.normal() as f32).collect(),
+            mlp: config.initial_weights(seed),
+            low,
+            high,
+            points,
+            coverage: (0..pixels).map(|i| if i % 11 == 7 { 9.9e-4 } else { 0.3 }).collect(),
+            lights,
+            step,
+        }
+    }
+
+    /// For the reference.
+    pub fn twin(&self) -> twin::Field {
+        twin::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high)
+    }
+
+    /// In double precision.
+    pub fn wide(v: [f32; 3]) -> [f64; 3] {
+        v.map(f64::from)
+    }
+
+    /// In a graph, with what its buffers hold.
+    pub fn declare(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> (Field, View) {
+        let mut given = |name: &str, data: Vec<u8>| {
+            let buffer = g.input(name, data.len() as u64);
+            inputs.push((buffer, data));
+            buffer
+        };
+        let levels = given("levels", bytes(&self.config.table_levels()));
+        let tables = given("tables", bytes(&self.tables));
+        let mlp = given("mlp", bytes(&self.mlp));
+        let points = given("points", bytes(&self.points));
+        let coverage = given("coverage", bytes(&self.coverage));
+        let lights = given("lights", bytes(&self.lights));
+        let step = g.uniform("field", size_of::<FieldStep>() as u64);
+        inputs.push((step, bytes(&[self.step])));
+        let field = Field { config: self.config, step, levels, tables, mlp };
+        (field, View { pixels: self.points.len() as u32, points, coverage, lights })
+    }
+
+    /// Mean visibility by the device, or that of one light.
+    pub fn forward(&self, gpu: &Gpu, one: Option<u32>, split: bool) -> Vec<f32> {
+        let (mut g, mut inputs) = (Graph::new("visibility"), Vec::new());
+        let (field, view) = self.declare(&mut g, &mut inputs);
+        let out = g.external("visibility", 4 * u64::from(view.pixels));
+        visibility(&mut g, gpu.tuning(), &field, &view, one, split, out).unwrap();
+        gpu.run(g, &inputs).get(out)
+    }
+
+    /// The same by the reference.
+    pub fn expected(&self, one: Option<u32>) -> Vec<f64> {
+        let field = self.twin();
+        let lights: Vec<[f32; 3]> = match one {
+            Some(j) => vec![self.lights[j as usize]],
+            None => self.lights.clone(),
+        };
+        let pixel = |(p, c): (&[f32; 3], &f32)| {
+            let sum: f64 = lights.iter().map(|l| field.visibility(Self::wide(*p), Self::wide(*l))).sum();
+            if *c < 1e-3 { 0.0 } else { sum / lights.len() as f64 }
+        };
+        self.points.iter().zip(&self.coverage).map(pixel).collect()
+    }
+}
+
+/// A pixel's point, moved as the smoothness term moves it.
+pub fn jittered(case: &Case, pixel: usize) -> [f64; 3] {
+    let by = twin::jitter(case.step.seed, 0, pixel as u32, f64::from(case.step.jitter));
+    [0, 1, 2].map(|k| f64::from(case.points[pixel][k]) + by[k])
+}
+
+/// What a backward pass left.
+pub struct Found {
+    /// By layers.
+    pub mlp: Vec<f32>,
+    /// By places of lights.
+    pub lights: Vec<f32>,
+    /// By tables.
+    pub tables: Vec<f32>,
+    /// Of the tables, as they are.
+    pub words: Vec<u32>,
+    /// A bit an entry.
+    pub touched: Vec<u32>,
+    /// What they were multiplied by.
+    pub scale: f32,
+}
+
+/// What the loss asks: gradients of pixels, radiance of lights.
+pub struct Asked {
+    /// By pixel.
+    pub pixels: Vec<[f32; 3]>,
+    /// By light.
+    pub lights: Vec<[f32; 3]>,
+    /// Of the backward pass.
+    pub options: BackwardOptions,
+}
+
+impl Asked {
+    /// Numbers of about the root of `scale`.
+    pub fn random(case: &Case, scale: f64, seed: u32) -> Asked {
+        let mut rng = Pcg::new(seed);
+        let mut colors = |n: usize, low: f64| -> Vec<[f32; 3]> {
+            (0..n).map(|_| [0; 3].map(|_| (scale.sqrt() * rng.range(low, 1.0)) as f32)).collect()
+        };
+        let (pixels, lights) = (colors(case.points.len(), -1.0), colors(case.lights.len(), 0.0));
+        Asked { pixels, lights, options: BackwardOptions::default() }
+    }
+
+    /// What is asked of a pair.
+    pub fn by_visibility(&self, pixel: usize, light: usize) -> f64 {
+        (0..3).map(|k| f64::from(self.pixels[pixel][k]) * f64::from(self.lights[light][k])).sum()
+    }
+}
+
+/// A whole number in two words, times a factor.
+pub fn whole(words: &[u32], inverse: f32) -> f32 {
+    let value = (u64::from(words[0]) | u64::from(words[1]) << 32) as i64;
+    (value as f64 * f64::from(inverse)) as f32
+}
+
+impl Case {
+    /// Gradients by the device.
+    pub fn backward(&self, gpu: &Gpu, asked: &Asked) -> Found {
+        let (mut g, mut inputs) = (Graph::new("visibility_bwd"), Vec::new());
+        let (field, view) = self.declare(&mut g, &mut inputs);
+        let mut given = |name: &str, data: Vec<u8>| {
+            let buffer = g.external(name, data.len() as u64);
+            inputs.push((buffer, data));
+            buffer
+        };
+        let constant = Constant {
+            radiance: given("radiance", bytes(&asked.lights)),
+            radiance_gradient: given("radiance_gradient", bytes(&asked.pixels)),
+        };
+        let entries = self.config.entries() as usize;
+        let tables = given("table_gradients", vec![0; 16 * entries]);
+        let touched = given("touched", vec![0; 4 * entries.div_ceil(32)]);
+        let most = self.lights.len() as u32 + 2;
+        let into = Gradients {
+            mlp: g.external("mlp_gradient", 4 * self.config.weights() as u64),
+            lights: g.external("light_gradients", 12 * u64::from(most)),
+            tables,
+            touched,
+            scale: g.external("scale", 8),
+        };
+        visibility_bwd(&mut g, gpu.tuning(), &field, &view, most, &constant, &asked.options, &into).unwrap();
+        let out = gpu.run(g, &inputs);
+        let scale = out.get::<f32>(into.scale);
+        assert_eq!(scale[0] * scale[1], 1.0);
+        let words = out.get::<u32>(tables);
+        let mut lights = out.get::<f32>(into.lights);
+        assert!(lights[3 * self.lights.len()..].iter().all(|x| *x == 0.0), "lights that are not there have gradients");
+        lights.truncate(3 * self.lights.len());
+        Found {
+            mlp: out.get(into.mlp),
+            lights,
+            tables: words.chunks(2).map(|w| whole(w, scale[1])).collect(),
+            words,
+            touched: out.get(touched),
+            scale: scale[0],
+        }
+    }
+
+    /// The same by the reference.
+    pub fn expected_gradients(
+        &self,
+        options: &BackwardOptions,
+        by_visibility: impl Fn(usize, usize) -> f64,
+    ) -> twin::Gradients {
+        let field = self.twin();
+        let lights: Vec<[f64; 3]> = self.lights.iter().map(|l| Case::wide(*l)).collect();
+        let mut into = field.zeros(lights.len());
+        for i in (0..self.points.len()).filter(|i| self.coverage[*i] >= 1e-3) {
+            let point = Case::wide(self.points[i]);
+            for j in 0..lights.len() {
+                let mut gradient = by_visibility(i, j);
+                if options.regularized {
+                    let by = twin::jitter(self.step.seed, 1, j as u32, f64::from(self.step.jitter));
+                    let moved = [0, 1, 2].map(|k| lights[j][k] + by[k]);
+                    let other = field.visibility(jittered(self, i), moved);
+                    let sign = (field.visibility(point, lights[j]) - other).signum();
+                    gradient += f64::from(self.step.regularizer) * sign;
+                }
+                field.visibility_bwd(point, &lights, j, gradient, &mut into);
+            }
+        }
+        into
+    }
+
+    /// Fails unless device and reference agree, to a share of the largest of each kind.
+    pub fn check_gradients(&self, gpu: &Gpu, asked: &Asked, share: f64) -> Found {
+        let found = self.backward(gpu, asked);
+        let expected = self.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
+        found.check(&expected, asked.options.places, share);
+        found
+    }
+}
+
+impl Found {
+    /// Fails unless these are the reference's gradients, to a share of the largest of each kind.
+    pub fn check(&self, expected: &twin::Gradients, places: bool, share: f64) {
+        let close = |what: &str, expected: &[f64], found: &[f32]| {
+            let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
+            assert_close(what, expected, found, Tolerance::new(share * largest, 1e-3));
+        };
+        close("layers", &expected.mlp, &self.mlp);
+        close("tables", &expected.tables, &self.tables);
+        if places {
+            close("lights", expected.lights.as_flattened(), &self.lights);
+        }
+        for (entry, g) in expected.tables.chunks(2).enumerate() {
+            let touched = self.touched[entry / 32] >> (entry % 32) & 1 == 1;
+            let zero = self.words[4 * entry..][..4].iter().all(|w| *w == 0);
+            assert!(touched || zero, "entry {entry} was changed, but is not said to be");
+            assert!(touched || g.iter().all(|x| x.abs() < 1e-6), "entry {entry} should have been touched");
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Gradients of the visibility field on a device against its reference, alone and under lights.
+
+use sgs_passes::shade::visibility::FieldConfig;
+use sgs_tests::Gpu;
+use sgs_tests::field::{Asked, Case, Found, SMALL};
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+#[test]
+fn gradients_are_the_references() {
+    let gpu = Gpu::new();
+    let one = FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 };
+    for (config, pixels, lights, regularizer) in [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1)] {
+        let mut case = Case::random(config, pixels, lights, 8);
+        case.step.regularizer = regularizer;
+        let mut asked = Asked::random(&case, 1.0, 9);
+        asked.options.regularized = regularizer > 0.0;
+        case.check_gradients(&gpu, &asked, 1e-5);
+    }
+}
+
+/// Two runs, and runs with another number of workgroups where only tables are compared: their sums have no order.
+#[test]
+fn gradients_are_the_same_bits() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 150, 3, 14);
+    case.step.regularizer = 0.1;
+    let asked = Asked::random(&case, 1.0, 15);
+    let (a, b) = (case.backward(&gpu, &asked), case.backward(&gpu, &asked));
+    assert!(bytes(&a.mlp) == bytes(&b.mlp) && bytes(&a.lights) == bytes(&b.lights));
+    assert!(a.words == b.words && a.touched == b.touched);
+    // The same pixels in the other order: other workgroups have them, in another order. Without the draw of each pixel.
+    let mut asked = asked;
+    asked.options.regularized = false;
+    let a = case.backward(&gpu, &asked);
+    case.points.reverse();
+    case.coverage.reverse();
+    asked.pixels.reverse();
+    let b = case.backward(&gpu, &asked);
+    assert!(a.words == b.words && a.touched == b.touched && a.scale == b.scale);
+    assert!(
+        bytes(&a.mlp) != bytes(&b.mlp),
+        "layers are summed in order, so an equal sum shows that nothing was reversed"
+    );
+}
+
+/// At the light, beyond the box, saturated, with huge and tiny gradients: finite, and the reference's where that means something.
+#[test]
+fn gradients_at_the_edges() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 48, 4, 16);
+    case.points[0] = case.lights[0];
+    case.points[1] = [1e6, -1e6, 1e30];
+    case.points[2] = case.low;
+    case.points[3] = case.high;
+    case.points[4] = [case.lights[0][0] + 1e-6, case.lights[0][1], case.lights[0][2]];
+    case.lights[1] = [-100.0, 0.0, 0.9];
+    case.lights[2] = case.high;
+    for scale in [1.0, 1e-20, 1e20] {
+        let mut asked = Asked::random(&case, scale, 17);
+        asked.options.regularized = false;
+        case.check_gradients(&gpu, &asked, 2e-5);
+    }
+    let asked = Asked::random(&case, 1.0, 17);
+    let all = |f: &Found| f.mlp.iter().chain(&f.tables).chain(&f.lights).all(|x| x.is_finite());
+    for weight in [30.0, 1e4, 1e15] {
+        let mut wild = case.clone();
+        wild.mlp.iter_mut().for_each(|w| *w *= weight);
+        assert!(all(&wild.backward(&gpu, &asked)), "weights times {weight}");
+    }
+    let mut none = case.clone();
+    none.coverage.fill(0.0);
+    none.points.fill([f32::NAN; 3]);
+    let found = none.backward(&gpu, &asked);
+    let zero = |v: &[f32]| v.iter().all(|x| *x == 0.0);
+    assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
+}
+
+/// A share of the pairs, counted for as many: some of them in each draw, and the mean over draws is the whole.
+#[test]
+fn sampled_pairs_are_unbiased() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 }, 160, 6, 18);
+    let mut asked = Asked::random(&case, 1.0, 19);
+    asked.options.regularized = false;
+    let all = case.backward(&gpu, &asked).mlp;
+    asked.options.sample = 3;
+    let draws = 60;
+    let mut mean = vec![0.0_f64; all.len()];
+    let mut first = Vec::new();
+    for seed in 0..draws {
+        case.step.seed = seed;
+        let found = case.backward(&gpu, &asked).mlp;
+        mean.iter_mut().zip(&found).for_each(|(m, f)| *m += f64::from(*f) / f64::from(draws));
+        first = if seed == 0 { found } else { first };
+    }
+    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
+    let size = norm(&mut all.iter().map(|x| f64::from(*x)));
+    let away = |v: &[f64]| norm(&mut v.iter().zip(&all).map(|(a, b)| a - f64::from(*b))) / size;
+    let one = away(&first.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>());
+    let many = away(&mean);
+    assert!(one > 0.05 && many < 3.0 * one / f64::from(draws).sqrt(), "one draw {one}, mean of {draws} {many}");
+}

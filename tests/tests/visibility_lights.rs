@@ -1,0 +1,190 @@
+//! Lights seen through the visibility field: what they send is that of lights that nothing hides times visibility, and what
+//! the field learns of it are the reference's gradients.
+
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::shade::lights::{LightModel, LightParameters, Lights, Shape, lights, lights_prepare};
+use sgs_passes::shade::visibility::{
+    BackwardOptions, Gradients, VisibilityField, lights_field, lights_train_field, visibility_lights_bwd,
+};
+use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
+use sgs_passes::splat::Screen;
+use sgs_shaders::structs::Step;
+use sgs_tests::field::{Case, Found, SMALL, whole};
+use sgs_tests::{Gpu, Tolerance, assert_close};
+
+const SIZE: [u32; 2] = [13, 7];
+const PIXELS: usize = 91;
+const LIGHTS: usize = 3;
+
+fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+fn model() -> LightModel {
+    LightModel { lights: LIGHTS as u32, lobes: 2, ..Default::default() }
+}
+
+/// A field's case with surfaces.
+struct Scene {
+    case: Case,
+    normals: Vec<[f32; 3]>,
+    materials: Vec<[f32; 4]>,
+    metallic: Vec<f32>,
+    gradient: Vec<[f32; 3]>,
+}
+
+impl Scene {
+    fn new() -> Scene {
+        let case = Case::random(SMALL, PIXELS, LIGHTS, 30);
+        let wave = |i: usize, k: usize| (1.7 * i as f32 + 2.3 * k as f32).sin();
+        let unit = |v: [f32; 3]| {
+            let length = v.iter().map(|x| x * x).sum::<f32>().sqrt();
+            v.map(|x| x / length)
+        };
+        Scene {
+            case,
+            normals: (0..PIXELS).map(|i| unit([0, 1, 2].map(|k| wave(i, k)))).collect(),
+            materials: (0..PIXELS).map(|i| [3, 4, 5, 6].map(|k| 0.55 + 0.4 * wave(i, k))).collect(),
+            metallic: (0..PIXELS).map(|i| 0.5 + 0.5 * wave(i, 7)).collect(),
+            gradient: (0..PIXELS).map(|i| [8, 9, 10].map(|k| wave(i, k))).collect(),
+        }
+    }
+
+    /// The lights with these gains, and what holds what.
+    fn declare(&self, gpu: &Gpu, g: &mut Graph, metallic: bool, gains: &[f32]) -> (Lights, Vec<(Buffer, Vec<u8>)>) {
+        let mut inputs = Vec::new();
+        let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+            let buffer = g.input(name, data.len() as u64);
+            inputs.push((buffer, data));
+            buffer
+        };
+        let mut lobes = model().start_lobes();
+        lobes.iter_mut().enumerate().for_each(|(i, x)| *x += 0.3 * (i as f32).cos());
+        let parameters = LightParameters {
+            positions: given(g, "positions", bytes(&self.case.lights)),
+            lobes: given(g, "lobes", bytes(&lobes)),
+            gains: given(g, "gains", bytes(gains)),
+        };
+        let surfaces = Surfaces {
+            points: given(g, "points", bytes(&self.case.points)),
+            normals: given(g, "normals", bytes(&self.normals)),
+            coverage: given(g, "coverage", bytes(&self.case.coverage)),
+        };
+        let materials = PixelMaterials {
+            materials: given(g, "materials", bytes(&self.materials)),
+            metallic: metallic.then(|| given(g, "metallic", bytes(&self.metallic))),
+        };
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let mut values = Step::default();
+        values.camera.size = SIZE;
+        values.camera.position = [0.3, 0.1, 1.2];
+        inputs.push((step, bytes(&[values])));
+        let tuning = gpu.tuning();
+        let prepared = lights_prepare(g, tuning, "lights_prepare", step, model(), &parameters, None).unwrap();
+        let screen = Screen { step, largest: SIZE, tile: tuning.tile };
+        let pixels = Pixels { screen, surfaces, materials };
+        (Lights { pixels, prepared, normalizer: 0.25, shape: Shape::for_device(tuning) }, inputs)
+    }
+
+    fn field(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> sgs_passes::shade::visibility::Field {
+        let handles = VisibilityField::handles(g, self.case.config, false);
+        let f = handles.field;
+        inputs.push((f.levels, bytes(&self.case.config.table_levels())));
+        inputs.push((f.tables, bytes(&self.case.tables)));
+        inputs.push((f.mlp, bytes(&self.case.mlp)));
+        inputs.push((f.step, bytes(&[self.case.step])));
+        f
+    }
+
+    /// Radiance under each light alone, with nothing in the way.
+    fn unshadowed(&self, gpu: &Gpu, metallic: bool) -> Vec<Vec<f32>> {
+        let alone = |j: usize| {
+            let gains: Vec<f32> = (0..LIGHTS).map(|i| f32::from(i == j)).collect();
+            let mut g = Graph::new("lights");
+            let (what, inputs) = self.declare(gpu, &mut g, metallic, &gains);
+            let direct = g.external("direct", 12 * PIXELS as u64);
+            lights(&mut g, &what, direct).unwrap();
+            gpu.run(g, &inputs).get::<f32>(direct)
+        };
+        (0..LIGHTS).map(alone).collect()
+    }
+}
+
+#[test]
+fn lights_are_seen_as_the_field_says() {
+    let gpu = Gpu::new();
+    let scene = Scene::new();
+    let field = scene.case.twin();
+    for metallic in [false, true] {
+        let alone = scene.unshadowed(&gpu, metallic);
+        assert!(alone.iter().all(|a| a.iter().any(|x| *x > 0.0)));
+        let mut expected = vec![0.0; 3 * PIXELS];
+        for i in 0..PIXELS {
+            let seen = |j: usize| field.visibility(Case::wide(scene.case.points[i]), Case::wide(scene.case.lights[j]));
+            for j in 0..LIGHTS {
+                (0..3).for_each(|k| expected[3 * i + k] += seen(j) * f64::from(alone[j][3 * i + k]));
+            }
+        }
+        let mut g = Graph::new("lights_field");
+        let (what, mut inputs) = scene.declare(&gpu, &mut g, metallic, &[1.0; LIGHTS]);
+        let field = scene.field(&mut g, &mut inputs);
+        let [picture, direct] = ["picture", "direct"].map(|n| g.external(n, 12 * PIXELS as u64));
+        lights_field(&mut g, gpu.tuning(), &what, &field, picture).unwrap();
+        let sums = lights_train_field(&mut g, gpu.tuning(), &what, &field, direct).unwrap();
+        let kept = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
+        g.copy("keep", sums.buffer, kept).unwrap();
+        let out = gpu.run(g, &inputs);
+        let tolerance = Tolerance::new(1e-7, 1e-4);
+        assert_close("picture", &expected, &out.get(picture), tolerance);
+        assert_close("in training", &expected, &out.get(direct), tolerance);
+        assert!(out.get::<f32>(kept).iter().all(|x| x.is_finite()));
+    }
+}
+
+#[test]
+fn the_field_learns_from_lights() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::new();
+    for (metallic, regularizer) in [(false, 0.0), (true, 2e-3)] {
+        scene.case.step.regularizer = regularizer;
+        let alone = scene.unshadowed(&gpu, metallic);
+        let options = BackwardOptions { regularized: regularizer > 0.0, ..Default::default() };
+        let asked = |i: usize, j: usize| -> f64 {
+            (0..3).map(|k| f64::from(scene.gradient[i][k]) * f64::from(alone[j][3 * i + k])).sum()
+        };
+        let expected = scene.case.expected_gradients(&options, asked);
+        let mut g = Graph::new("visibility_lights_bwd");
+        let (what, mut inputs) = scene.declare(&gpu, &mut g, metallic, &[1.0; LIGHTS]);
+        let field = scene.field(&mut g, &mut inputs);
+        let entries = scene.case.config.entries() as usize;
+        let gradient = g.input("gradient", 12 * PIXELS as u64);
+        let into = Gradients {
+            mlp: g.external("mlp_gradient", 4 * scene.case.mlp.len() as u64),
+            lights: g.external("light_gradients", 12 * LIGHTS as u64),
+            tables: g.external("table_gradients", 16 * entries as u64),
+            touched: g.external("touched", 4 * entries.div_ceil(32) as u64),
+            scale: g.external("scale", 8),
+        };
+        inputs.push((gradient, bytes(&scene.gradient)));
+        inputs.push((into.tables, vec![0; 16 * entries]));
+        inputs.push((into.touched, vec![0; 4 * entries.div_ceil(32)]));
+        // Added to what the lights' own gradients have left there.
+        inputs.push((into.lights, bytes(&[[100.0_f32; 3]; LIGHTS])));
+        let options = BackwardOptions { add_places: true, ..options };
+        visibility_lights_bwd(&mut g, gpu.tuning(), &what, &field, gradient, &options, &into).unwrap();
+        let out = gpu.run(g, &inputs);
+        let (words, scale) = (out.get::<u32>(into.tables), out.get::<f32>(into.scale));
+        let found = Found {
+            mlp: out.get(into.mlp),
+            lights: out.get::<f32>(into.lights).iter().map(|x| x - 100.0).collect(),
+            tables: words.chunks(2).map(|w| whole(w, scale[1])).collect(),
+            words,
+            touched: out.get(into.touched),
+            scale: scale[0],
+        };
+        // What is added to 100 keeps 17 bits after the point.
+        found.check(&expected, false, 2e-5);
+        let lights = expected.lights.as_flattened();
+        assert_close("lights", lights, &found.lights, Tolerance::new(2e-5, 1e-3));
+    }
+}
