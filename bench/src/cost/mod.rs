@@ -11,6 +11,7 @@ mod material;
 mod meaning;
 mod model;
 mod shade;
+mod visibility;
 
 use crate::commands::ceiling::Ceiling;
 use sgs_engine::graph::{Dispatch, Pass, PassKind};
@@ -43,6 +44,8 @@ pub struct Counts {
     pub wanted: f64,
     /// Lights that are on.
     pub lights: f64,
+    /// Entries of hash tables that a step touches.
+    pub touched: f64,
 }
 
 /// What a pass costs.

@@ -71,6 +71,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
                 .or_else(|| super::meaning::kernel(s, c))
                 .or_else(|| super::shade::kernel(s, c))
                 .or_else(|| super::environment::kernel(s, c))
+                .or_else(|| super::visibility::kernel(s, c))
                 .or_else(|| super::material::kernel(s, c));
         }
     };

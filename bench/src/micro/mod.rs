@@ -14,6 +14,7 @@ mod primitives;
 mod semantic;
 mod traced;
 pub mod view;
+mod visibility;
 
 use crate::commands::ceiling::Ceiling;
 use crate::report::Report;
@@ -46,7 +47,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// The stages by what `--filter` finds them by.
-pub const STAGES: [(&str, Stage); 14] = [
+pub const STAGES: [(&str, Stage); 15] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -61,4 +62,5 @@ pub const STAGES: [(&str, Stage); 14] = [
     ("densify", densify::one),
     ("environment", environment::all),
     ("traced", traced::one),
+    ("visibility", visibility::all),
 ];

@@ -94,9 +94,16 @@ pub fn visibility(
     let ([workgroup, subgroup], field_spread) = shape(tuning);
     let one = one.unwrap_or(u32::MAX);
     let specs = kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels, split, one };
-    stage(g, "visibility", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
-        .subgroup_size(Some(subgroup))
-        .dispatch(groups(u64::from(view.pixels), workgroup))
+    stage(
+        g,
+        if split { "visibility" } else { "visibility_plain" },
+        &kernel::KERNEL,
+        bindings.entries(),
+        specs.entries(),
+        &[],
+    )
+    .subgroup_size(Some(subgroup))
+    .dispatch(groups(u64::from(view.pixels), workgroup))
 }
 
 /// Adds the pass that writes what the first layer makes of the points of `count` pixels from `first` on: `into`, rows of 32

@@ -1,0 +1,47 @@
+//! The cost of the kernels of the visibility field.
+
+use super::{Cost, Counts, Stage};
+
+/// Multiply-adds of a pair in the split first layer, the second and the last; two operations each. Direction, distance and the
+/// squashing function 25.
+const PAIR: f64 = 2.0 * (4.0 * 32.0 + 1024.0 + 32.0) + 25.0;
+
+/// Backward: the second layer's weights and inputs, the rest of the layers twice, the light's place 60.
+const PAIR_BWD: f64 = 2.0 * (2.0 * 1024.0 + 2.0 * 5.0 * 32.0 + 4.0 * 32.0) + 60.0;
+
+/// A corner of a cell: its place and weight 12, hash 6, two features 4.
+const CORNER: f64 = 22.0;
+
+/// A kernel's cost, if it is one of these.
+pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    let spec = s.specs;
+    let (p, pairs, levels) = (c.pixels, c.pixels * c.lights, spec("LEVELS"));
+    let corners = 8.0 * levels;
+    // What the first layer makes of a point.
+    let project = 2.0 * 32.0 * 2.0 * levels;
+    let (bytes, operations) = match s.kernel {
+        "visibility" => {
+            let again = if spec("SPLIT") > 0.0 { 0.0 } else { project };
+            ((20.0 + 8.0 * corners) * p, (CORNER * corners + project) * p + (PAIR + again) * pairs)
+        }
+        "visibility_encode" => ((12.0 + 128.0 + 8.0 * corners) * p, (CORNER * corners + project) * p),
+        "visibility_bwd" => {
+            let moved = spec("REGULARIZED");
+            ((28.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
+        }
+        // Entries are read for the weights, and two sums of two words each changed for the tables.
+        "visibility_encode_bwd" => ((16.0 + 128.0 + 40.0 * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p),
+        "visibility_reduce" => {
+            let (pairs, points) = ((s.push)(0), (s.push)(1));
+            let sums = 1184.0 * pairs + 64.0 * levels * points;
+            (4.0 * sums, sums)
+        }
+        // Bits of all entries; gradients, parameters and moments of those that were touched.
+        "visibility_adam" => (4.0 * (s.push)(0) + 80.0 * c.touched, 40.0 * c.touched),
+        "visibility_adam_layers" => (28.0 * (s.push)(0), 19.0 * (s.push)(0)),
+        // A single workgroup.
+        "visibility_scale" => (4500.0, 2200.0),
+        _ => return None,
+    };
+    Some(Cost { bytes, operations })
+}
