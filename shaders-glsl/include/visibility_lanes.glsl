@@ -18,9 +18,9 @@ const uint SIDES = SUBGROUP / ACROSS;
 uint column() { return gl_SubgroupInvocationID % ACROSS; }
 uint neuron(uint h) { return column() * HELD + h; }
 
-// What lane c of this side has.
+// What lane c of this side has. (On lavapipe a broadcast takes several times as long as a shuffle.)
 float from_lane(float x, uint c) {
-    return SIDES > 1u ? subgroupShuffle(x, gl_SubgroupInvocationID / ACROSS * ACROSS + c) : subgroupBroadcast(x, c);
+    return subgroupShuffle(x, SIDES > 1u ? gl_SubgroupInvocationID / ACROSS * ACROSS + c : c);
 }
 
 // Held where products stay numbers, whatever the weights have become.

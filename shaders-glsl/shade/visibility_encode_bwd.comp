@@ -88,19 +88,26 @@ void encode(vec3 position) {
     }
 }
 
+// Not below only if the weights have become something that is no network.
+float held(float g) { return abs(g) < 4e18 ? g : 0.0; }
+
+// Features of a level that lie in one lane.
+const uint TOGETHER = HELD > 1u ? 2u : 1u;
+
 // This lane's features of an item, to the entries that they came from.
 void scatter(uint item, vec3 position, float power) {
-    [[dont_unroll]] for (uint h = 0u; h < HELD; h++) {
+    [[dont_unroll]] for (uint h = 0u; h < HELD; h += TOGETHER) {
         uint feature = neuron(h);
-        float g = staged[item * HELD + h] * power;
-        // Not below only if the weights have become something that is no network.
-        if (feature >= FEATURES || g == 0.0 || !(abs(g) < 4e18)) continue;
+        float one = held(staged[item * HELD + h] * power), two = 0.0;
+        if (TOGETHER > 1u) two = held(staged[item * HELD + h + TOGETHER - 1u] * power);
+        if (feature >= FEATURES || (one == 0.0 && two == 0.0)) continue;
         FieldLevel level = field_levels[feature / 2u];
         FieldCell cell = field_cell(level, position);
         [[dont_unroll]] for (uint corner = 0u; corner < 8u; corner++) {
             float weight;
             uint entry = field_corner(level, cell, corner, weight);
-            add_whole(2u * entry + feature % 2u, weight * g);
+            add_whole(2u * entry + feature % 2u, weight * one);
+            if (TOGETHER > 1u) add_whole(2u * entry + 1u, weight * two);
             uint bit = 1u << (entry % 32u);
             if ((touched[entry / 32u] & bit) == 0u) atomicOr(touched[entry / 32u], bit);
         }

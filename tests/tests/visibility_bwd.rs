@@ -103,3 +103,18 @@ fn sampled_pairs_are_unbiased() {
     let many = away(&mean);
     assert!(one > 0.05 && many < 3.0 * one / f64::from(draws).sqrt(), "one draw {one}, mean of {draws} {many}");
 }
+
+/// The comparison would notice an entry's gradient that is off by a hundredth.
+#[test]
+#[should_panic(expected = "tables: element")]
+fn a_wrong_gradient_is_noticed() {
+    let gpu = Gpu::new();
+    let case = Case::random(SMALL, 37, 3, 8);
+    let mut asked = Asked::random(&case, 1.0, 9);
+    asked.options.regularized = false;
+    let mut expected = case.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
+    let largest =
+        (0..expected.tables.len()).max_by(|a, b| expected.tables[*a].abs().total_cmp(&expected.tables[*b].abs()));
+    expected.tables[largest.unwrap()] *= 1.01;
+    case.backward(&gpu, &asked).check(&expected, true, 1e-5);
+}

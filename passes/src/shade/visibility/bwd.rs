@@ -178,7 +178,7 @@ impl Plan {
         let sides = tuning.subgroup_size.div_ceil(32).max(1);
         // Two loops over the lights, one within the other, which share the counter, with two turns and the lobes in each; levels,
         // features and corners.
-        let by_batch = [(4 + u64::from(lobes)) * u64::from(lights) + 8, 16 + 4 + 16 * 9];
+        let by_batch = [(4 + u64::from(lobes)) * u64::from(lights) + 8, 16 + 4 + 8 * 9 + 8];
         let groups = by_batch.map(|rounds| subgroups(tuning, chunk, rounds));
         let chunks = u64::from(pixels.div_ceil(CHUNK));
         let sets = groups.map(|n| chunks * u64::from(n * sides));
