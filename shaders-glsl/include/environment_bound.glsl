@@ -5,6 +5,6 @@ float environment_bound(uint i) {
     vec3 a = abs(vec3(materials[4u * i], materials[4u * i + 1u], materials[4u * i + 2u]));
     float metal = METALLIC ? abs(metallic[i]) : 0.0;
     // F0 a + b with a, b <= 1, and (1 - M) A. Added rather than compared, so that what is not finite stays so.
-    float most = 1.04 + (1.0 + metal) * (a.x + a.y + a.z + 1.0);
+    float most = 1.04 + abs(materials[4u * i + 3u]) + (1.0 + metal) * (a.x + a.y + a.z + 1.0);
     return (g.x + g.y + g.z) * most;
 }

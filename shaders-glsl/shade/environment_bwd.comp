@@ -81,7 +81,9 @@ void main() {
     materials_gradient[4u * i + 3u] += by_roughness;
     if (METALLIC) metallic_gradient[i] += dot(by_f0, albedo - 0.04) - dot(by_diffuse, albedo);
 
-    if (!finite_bits(environment_bound(i)) || largest[0] == 0u) return;
+    // What is no number gives nothing.
+    bool finite = finite_bits(environment_bound(i)) && finite_bits(dot(view + normal, vec3(1.0)));
+    if (!finite || largest[0] == 0u) return;
     float units = power_of_two(fixed_exponent(largest[0]));
     vec3 by_reflected = units * g * factor, by_irradiance = units * (1.0 - metal) * g * albedo;
     Footprint sharp = cube_footprint(s.mirrored, s.sharper.x), blurred = cube_footprint(s.mirrored, s.blurrier.x);

@@ -60,6 +60,7 @@ pub struct Found {
 }
 
 /// What it is made from.
+#[derive(Clone, Copy)]
 pub struct Given<'g> {
     /// The environment.
     pub e: &'g Environment,

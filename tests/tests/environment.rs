@@ -292,9 +292,15 @@ fn extremes_stay_finite_and_right() {
         metallic: true,
         merge: false,
     };
-    let found = run(&gpu, &gpu.tuning(), &given);
+    let mut broken = pixels.clone();
+    broken[11].roughness = f64::NAN;
+    broken[12].point[1] = f64::NAN;
+    broken[13].normal[0] = f64::INFINITY;
+    broken[14].albedo[2] = f64::NAN;
+    let found = run(&gpu, &gpu.tuning(), &Given { pixels: &broken, ..given });
     assert!(found.materials[4 * 7].is_nan());
     gradient[at..at + 6].fill(0.0);
+    gradient[3 * 11..3 * 15].fill(0.0);
     let given = Given {
         e: &e,
         texels: &texels,
@@ -305,7 +311,9 @@ fn extremes_stay_finite_and_right() {
         merge: false,
     };
     let without = run(&gpu, &gpu.tuning(), &given);
-    assert_eq!(found.texel_sums, without.texel_sums);
+    let right: Vec<f64> = without.texels.iter().map(|x| f64::from(*x)).collect();
+    let largest = right.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    assert_close("texels", &right, &found.texels, Tolerance::new(1e-7 * largest, 1e-6));
 }
 
 #[test]
@@ -327,20 +335,20 @@ fn sums_do_not_depend_on_order_or_groups() {
         merge: false,
     };
     let [a, b] = [256, 64].map(|workgroup| run(&gpu, &Tuning { workgroup, ..gpu.tuning() }, &given));
-    assert_eq!(a.texel_sums, b.texel_sums);
-    assert_eq!(a.texels, b.texels);
+    assert!(a.texel_sums == b.texel_sums);
+    assert!(a.texels == b.texels);
     let backwards: Vec<Pixel> = pixels.iter().rev().copied().collect();
     let reversed: Vec<f32> = gradient.chunks(3).rev().flatten().copied().collect();
     let given = Given { pixels: &backwards, gradient: &reversed, ..given };
-    assert_eq!(run(&gpu, &gpu.tuning(), &given).texel_sums, a.texel_sums);
+    assert!(run(&gpu, &gpu.tuning(), &given).texel_sums == a.texel_sums);
     // Nor on whether lanes add up first; a wall, where all meet, among the pixels.
     let mut wall = backwards.clone();
     let (point, normal) = (wall[8].point, wall[8].normal);
     wall[..64].iter_mut().for_each(|p| (p.point, p.normal) = (point, normal));
     let given = Given { pixels: &wall, ..given };
     let apart = run(&gpu, &gpu.tuning(), &given).texel_sums;
-    assert_ne!(apart, a.texel_sums);
-    assert_eq!(run(&gpu, &gpu.tuning(), &Given { merge: true, ..given }).texel_sums, apart);
+    assert!(apart != a.texel_sums);
+    assert!(run(&gpu, &gpu.tuning(), &Given { merge: true, ..given }).texel_sums == apart);
 }
 
 #[test]
