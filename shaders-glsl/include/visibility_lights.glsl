@@ -14,9 +14,11 @@ const uint WORKGROUP = SUBGROUP;
 #include "visibility_field.glsl"
 
 vec3 field_point_of;
+bool field_ready = false;
 
 void visibility_begin(uint slot, uint pixel) {
-    field_weights();
+    if (!field_ready) field_weights();
+    field_ready = true;
     // Where nothing is shaded the point may be no number.
     field_point_of = is_covered(coverage[pixel]) ? field_inside(field_params.field, points[pixel]) : field_params.field.box_min;
     field_pixel(field_position(field_params.field, field_point_of));

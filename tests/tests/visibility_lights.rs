@@ -2,9 +2,12 @@
 //! the field learns of it are the reference's gradients.
 
 use sgs_engine::graph::{Buffer, Graph};
-use sgs_passes::shade::lights::{LightModel, LightParameters, Lights, Shape, lights, lights_prepare};
+use sgs_passes::shade::lights::{
+    LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_prepare, lights_prepare_bwd,
+};
 use sgs_passes::shade::visibility::{
-    BackwardOptions, Gradients, VisibilityField, lights_field, lights_train_field, visibility_lights_bwd,
+    BackwardOptions, Gradients, VisibilityField, lights_bwd_field, lights_field, lights_train_field,
+    visibility_lights_bwd,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -52,6 +55,18 @@ impl Scene {
 
     /// The lights with these gains, and what holds what.
     fn declare(&self, gpu: &Gpu, g: &mut Graph, metallic: bool, gains: &[f32]) -> (Lights, Vec<(Buffer, Vec<u8>)>) {
+        let (lights, _, inputs) = self.declare_with(gpu, g, metallic, gains);
+        (lights, inputs)
+    }
+
+    /// The same with their raw parameters.
+    fn declare_with(
+        &self,
+        gpu: &Gpu,
+        g: &mut Graph,
+        metallic: bool,
+        gains: &[f32],
+    ) -> (Lights, LightParameters, Vec<(Buffer, Vec<u8>)>) {
         let mut inputs = Vec::new();
         let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
             let buffer = g.input(name, data.len() as u64);
@@ -83,7 +98,7 @@ impl Scene {
         let prepared = lights_prepare(g, tuning, "lights_prepare", step, model(), &parameters, None).unwrap();
         let screen = Screen { step, largest: SIZE, tile: tuning.tile };
         let pixels = Pixels { screen, surfaces, materials };
-        (Lights { pixels, prepared, normalizer: 0.25, shape: Shape::for_device(tuning) }, inputs)
+        (Lights { pixels, prepared, normalizer: 0.25, shape: Shape::for_device(tuning) }, parameters, inputs)
     }
 
     fn field(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> sgs_passes::shade::visibility::Field {
@@ -187,4 +202,39 @@ fn the_field_learns_from_lights() {
         let lights = expected.lights.as_flattened();
         assert_close("lights", lights, &found.lights, Tolerance::new(2e-5, 1e-3));
     }
+}
+
+/// Radiance is proportional to amplitudes, so a light's gradients by their logarithms add up to what the light sends times what is
+/// asked, channel by channel: visibility included.
+#[test]
+fn lights_learn_as_far_as_they_are_seen() {
+    let gpu = Gpu::new();
+    let scene = Scene::new();
+    let alone = scene.unshadowed(&gpu, true);
+    let mut g = Graph::new("lights_bwd_field");
+    let (what, parameters, mut inputs) = scene.declare_with(&gpu, &mut g, true, &[1.0; LIGHTS]);
+    let field = scene.field(&mut g, &mut inputs);
+    let gradient = g.input("gradient", 12 * PIXELS as u64);
+    inputs.push((gradient, bytes(&scene.gradient)));
+    let into = LightParameterGradients {
+        positions: g.external("position_gradients", model().position_bytes()),
+        lobes: g.external("lobe_gradients", model().lobe_bytes()),
+    };
+    let gradients = lights_bwd_field(&mut g, gpu.tuning(), &what, &field, gradient).unwrap();
+    lights_prepare_bwd(&mut g, &what.prepared, &parameters, &gradients, None, &into).unwrap();
+    let found = gpu.run(g, &inputs).get::<f32>(into.lobes);
+    let reference = scene.case.twin();
+    let (mut expected, mut sums) = (vec![], vec![]);
+    for j in 0..LIGHTS {
+        for k in 0..3 {
+            let sent = |i: usize| {
+                let seen = reference.visibility(Case::wide(scene.case.points[i]), Case::wide(scene.case.lights[j]));
+                seen * f64::from(alone[j][3 * i + k]) * f64::from(scene.gradient[i][k])
+            };
+            expected.push((0..PIXELS).map(sent).sum::<f64>());
+            sums.push((0..2).map(|lobe| found[6 * (2 * j + lobe) + 3 + k]).sum::<f32>());
+        }
+    }
+    let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
+    assert_close("amplitudes", &expected, &sums, Tolerance::new(1e-5 * largest, 1e-4));
 }

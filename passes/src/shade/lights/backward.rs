@@ -33,14 +33,20 @@ pub struct LightParameterGradients {
 }
 
 /// Numbers that an invocation can keep in arrays of its own.
-const OWN: u32 = 4096;
+pub(in crate::shade) const OWN: u32 = 4096;
 
-/// Blocks of a workgroup, and workgroups.
-fn cut(tuning: Tuning, shape: &Shape, prepared: &Prepared, pixels: &Pixels) -> (u32, u32) {
+/// Blocks of a workgroup, and workgroups. `extra`: rounds of loops of a block beside those here.
+pub(in crate::shade) fn cut(
+    tuning: Tuning,
+    shape: &Shape,
+    prepared: &Prepared,
+    pixels: &Pixels,
+    extra: u32,
+) -> (u32, u32) {
     let blocks = pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32;
     // Each light of a block takes two rounds, and one a group of lobes.
     let groups = prepared.model.lobes.div_ceil(shape.subgroup / 8);
-    let rounds = prepared.model.lights * (3 + groups) + 8;
+    let rounds = prepared.model.lights * (3 + groups) + 8 + extra;
     let most = (tuning.rounds / 2 / rounds).max(1);
     // Four on a processor: a row is worth more than a last bit of balance.
     let each = blocks.div_ceil(2 * tuning.workers).clamp(1, most);
@@ -59,7 +65,7 @@ pub fn lights_bwd(
 ) -> Result<LightGradients, GraphError> {
     let (p, model, shape) = (&a.pixels, a.prepared.model, a.shape);
     let width = model.lights * 8 * (1 + model.lobes);
-    let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p);
+    let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p, 0);
     let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
     g.fill("lights_bwd.clear", partials, 0)?;
     let bindings = kernel::Bindings {
@@ -88,11 +94,22 @@ pub fn lights_bwd(
     stage(g, "lights_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(u64::from(workgroups), 1))?;
+    sum_rows(g, tuning, partials, width, workgroups)
+}
+
+/// Adds up the rows that workgroups left.
+pub(in crate::shade) fn sum_rows(
+    g: &mut Graph,
+    tuning: Tuning,
+    partials: Buffer,
+    width: u32,
+    rows: u32,
+) -> Result<LightGradients, GraphError> {
     let buffer = g.transient("lights_bwd.sums", 4 * u64::from(width));
     let bindings = reduce::Bindings { partials: partials.into(), light_gradients: buffer.into() };
     let parts = if tuning.narrow() { 1 } else { 8 };
     let specs = reduce::Specs { workgroup: tuning.workgroup, parts };
-    let push = reduce::Push { width, rows: workgroups };
+    let push = reduce::Push { width, rows };
     stage(g, "lights_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch(groups(u64::from(width), tuning.workgroup / parts))?;
     Ok(LightGradients { buffer })

@@ -21,7 +21,7 @@
 //! How far a light is seen is decided by an include file: `visibility_none.glsl` says always. The kernels' bodies are include
 //! files, too, so that a field or traced shadows need a few lines of their own (`lights_pixels.glsl` has the rules).
 
-mod backward;
+pub(in crate::shade) mod backward;
 mod forward;
 mod model;
 mod prepare;

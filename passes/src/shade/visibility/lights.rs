@@ -1,4 +1,4 @@
-//! `lights_field`, `lights_train_field` and `visibility_lights_bwd`: prepared lights that are seen as the field says, and what the
+//! `lights_field`, `lights_train_field`, `lights_bwd_field` and `visibility_lights_bwd`: prepared lights that are seen as the field says, and what the
 //! field learns from them.
 //!
 //! As [`crate::shade::lights`], a pixel a lane. Light that a pair would have is multiplied by its visibility; what the loss asks of that is
@@ -9,9 +9,13 @@ use super::bwd::Plan;
 use super::{BackwardOptions, Field, Gradients, View, field_spread};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
-use crate::shade::lights::{Lights, Shape, Sums};
+use crate::shade::lights::backward::{OWN, cut, sum_rows};
+use crate::shade::lights::{LightGradients, Lights, Shape, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{lights_field as render, lights_train_field as train, visibility_lights_bwd as pairs};
+use sgs_shaders::{
+    lights_bwd_field as lights_kernel, lights_field as render, lights_train_field as train,
+    visibility_lights_bwd as pairs,
+};
 
 /// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Of `a.shape` only what lanes fetch for one another matters.
 ///
@@ -102,6 +106,61 @@ pub fn lights_train_field(
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(p.screen.pixels(), shape.block()))?;
     Ok(Sums { buffer: sums })
+}
+
+/// As [`crate::shade::lights::lights_bwd`], for lights that are seen as the field says. Visibility is taken as it is: what moves a
+/// light through it comes from [`visibility_lights_bwd`].
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_bwd_field(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    field: &Field,
+    radiance_gradient: Buffer,
+) -> Result<LightGradients, GraphError> {
+    let (p, model) = (&a.pixels, a.prepared.model);
+    let shape = Shape { per_lane: 1, ..a.shape };
+    let width = model.lights * 8 * (1 + model.lobes);
+    // A block's point goes through the levels.
+    let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p, 2 * field.config.levels + 8);
+    let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
+    g.fill("lights_bwd.clear", partials, 0)?;
+    let bindings = lights_kernel::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        field_params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        radiance_gradient: radiance_gradient.into(),
+        partials: partials.into(),
+    };
+    let specs = lights_kernel::Specs {
+        subgroup: shape.subgroup,
+        lobes: model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+        lights: model.lights,
+        mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
+        levels: field.config.levels,
+        field_spread: field_spread(tuning),
+    };
+    let push = lights_kernel::Push { normalizer: a.normalizer, blocks };
+    let bytes = bytemuck::bytes_of(&push);
+    stage(g, "lights_bwd_field", &lights_kernel::KERNEL, bindings.entries(), specs.entries(), bytes)
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(u64::from(workgroups), 1))?;
+    sum_rows(g, tuning, partials, width, workgroups)
 }
 
 /// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field.
