@@ -22,6 +22,8 @@ layout(push_constant, scalar) uniform Push {
 IN(vec3, radiance_gradient);
 INOUT(float, partials); // workgroups x LIGHTS x 8 (1 + LOBES)
 
+#include "lights_wanted.glsl"
+
 const uint LIGHT_ROW = 8u * (1u + LOBES);
 const uint GROUP = SUBGROUP / 8u;                    // lobes whose sums are added up across lanes at once
 const uint GROUPS = (LOBES + GROUP - 1u) / GROUP;
@@ -45,16 +47,6 @@ void write_row() {
         partials[row_start() + 8u * i + (gl_SubgroupInvocationID & 7u)] = mine[i];
     }
 }
-
-// A pixel's material times the gradient of its radiance.
-struct Wanted {
-    vec3 gradient;
-    vec3 matte; // gradient times the Lambert term
-    vec3 f0;
-    float f90;
-};
-
-vec3 fresnel_of(Wanted w, float c) { return METALLIC ? mix(w.f0, vec3(w.f90), c) : vec3(0.04 + 0.96 * c); }
 
 // Gradient of the radiance by the light's place. `emitted` is what arrives, `turn` its derivative by the direction.
 vec3 by_place(Surface s, Ray ray, Lit r, Wanted w, vec3 emitted, vec3 turn) {
@@ -86,18 +78,7 @@ void main() {
             uint pixel = pixel_of(block, p);
             bool here = shaded(pixel, pixels);
             surfaces[p] = load_surface(pixel, here);
-            wanted[p] = Wanted(vec3(0.0), vec3(0.0), vec3(0.04), 1.0);
-            if (here) {
-                wanted[p].gradient = push.normalizer * radiance_gradient[pixel];
-                vec3 albedo = materials[pixel].rgb;
-                float metal = 0.0;
-                if (METALLIC) {
-                    metal = metallic[pixel];
-                    wanted[p].f0 = fresnel0(albedo, metal);
-                    wanted[p].f90 = fresnel90(wanted[p].f0);
-                }
-                wanted[p].matte = (1.0 - metal) / PI * albedo * wanted[p].gradient;
-            }
+            wanted[p] = load_wanted(pixel, here, push.normalizer);
             visibility_begin(p, min(pixel, pixels - 1u));
         }
         Walk way = begin_walk();

@@ -5,8 +5,8 @@ use sgs_passes::reference::brdf::unit;
 use sgs_passes::reference::lights as twin;
 use sgs_passes::shade::lights::{
     Axes, LightGradients, LightModel, LightParameterGradients, LightParameters, Lights, Perturbation, Shape, lights,
-    lights_bwd, lights_materials_bwd, lights_prepare, lights_prepare_bwd, lights_prepare_culled, lights_prune,
-    lights_regularize, lights_split, lights_train,
+    lights_bwd, lights_materials_bwd, lights_normals_bwd, lights_prepare, lights_prepare_bwd, lights_prepare_culled,
+    lights_prune, lights_regularize, lights_split, lights_train,
 };
 use sgs_tests::lit::{Lit, SPARE};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -19,6 +19,7 @@ struct Found {
     metallic: Vec<f32>,
     positions: Vec<f32>,
     lobes: Vec<f32>,
+    normals: Vec<f32>,
 }
 
 /// What materials' gradients are added to.
@@ -68,6 +69,8 @@ fn run_culled(
     };
     let gradients = lights_bwd(&mut g, tuning, &what, bound.gradient).unwrap();
     lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, None, &into).unwrap();
+    let normals = g.external("normals_gradient", 12 * room);
+    lights_normals_bwd(&mut g, &what, bound.gradient, normals).unwrap();
     bound.inputs.push((materials, vec![BEFORE; 4 * case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
     bound.inputs.push((metallic, vec![BEFORE; case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
     let out = gpu.run(g, &bound.inputs);
@@ -84,6 +87,7 @@ fn run_culled(
         metallic: out.get::<f32>(metallic)[..n].to_vec(),
         positions: out.get(into.positions),
         lobes: out.get(into.lobes),
+        normals: radiance(normals),
     };
     // Kernels of one body, with more or less beside it.
     for other in [radiance(again), found.split[0].clone()] {
@@ -108,9 +112,17 @@ fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
     let [diffuse, specular] = twin::lights(&case.pixels, &lights, case.camera, case.normalizer());
     let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
     let bwd = twin::lights_materials_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient);
+    let normals =
+        twin::lights_normals_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient).concat();
     for &shape in shapes {
         let found = run(gpu, shape, case, largest, None);
         let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-30, relative);
+        // Where there is no normal, differences see lights that a step in any direction would face; the kernel sees none.
+        let bent = |(i, g): (usize, &f64)| if case.pixels[i / 3].normal == [0.0; 3] { 0.0 } else { *g };
+        let normals: Vec<f64> = normals.iter().enumerate().map(bent).collect();
+        // In the middle of the sharpest highlight it is the rounding of the half vector, 1e-7, over its width, 1e-3.
+        let t = Tolerance::new(1e-4 * scale(&normals) + 1e-20, 1e-3);
+        assert_close("gradient of normals", &normals, &found.normals, t);
         assert_close("radiance", &whole, &found.direct, tolerance(&whole));
         assert_close("diffuse", &diffuse, &found.split[1], tolerance(&diffuse));
         for i in 0..4 {
@@ -368,7 +380,7 @@ fn lights_are_the_same_every_time() {
     let case = Lit::random([31, 9], SMALL, true, 12);
     let once = || {
         let f = run(&gpu, shapes(&gpu)[0], &case, [31, 9], None);
-        [f.direct, f.split.concat(), f.materials, f.metallic, f.positions, f.lobes]
+        [f.direct, f.split.concat(), f.materials, f.metallic, f.positions, f.lobes, f.normals]
             .concat()
             .iter()
             .map(|x| x.to_bits())

@@ -50,6 +50,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let sums = (s.push)(0) * (s.push)(1);
             (4.0 * sums, sums)
         }
+        "lights_normals_bwd" => {
+            let facing = 0.5 * (LOBE * lobes + SURFACE_BWD);
+            ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p)
+        }
         // Three differences, their square, a comparison and what it selects.
         "lights_near" => (16.0 * p + 8.0 * c.lights * s.groups, 10.0 * c.lights * p),
         "lights_regularize" => {

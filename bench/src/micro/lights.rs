@@ -11,7 +11,7 @@ use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_bwd, lights_materials_bwd,
-    lights_prepare, lights_prepare_bwd, lights_regularize, lights_train,
+    lights_normals_bwd, lights_prepare, lights_prepare_bwd, lights_regularize, lights_train,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -184,6 +184,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         lobes: g.external("lobes_gradient", model.lobe_bytes()),
     };
     let gradients = lights_bwd(&mut g, c.tuning, &what, b.gradient)?;
+    let normals = g.external("normals_gradient", 12 * n as u64);
+    lights_normals_bwd(&mut g, &what, b.gradient, normals)?;
     let losses = g.external("losses", 8);
     let asked = lights_regularize(&mut g, c.tuning, &what, &b.parameters, [0.0; 2], losses)?;
     lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, Some(&asked), &into)?;
@@ -213,6 +215,10 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             anyhow::ensure!(!off, "Gradient {k} of pixel {i}'s material is {f}, but should be {e}.");
         }
     }
+    let found: Vec<[f32; 3]> = rig.get(normals)?;
+    let found: Vec<f32> = sample.iter().flat_map(|&i| found[i]).collect();
+    let by_normal = twin::lights_normals_bwd(&pixels, &ready, camera, normalizer, &gradient);
+    compare("normals", 3, &by_normal.concat(), &found)?;
     let expected = twin::lights_bwd(&lit.raw(model), &pixels, camera, normalizer, &gradient);
     compare("positions", 3, &expected.positions, &rig.get(into.positions)?)?;
     compare("lobes", model.row() as usize, &expected.lobes, &rig.get(into.lobes)?)?;
@@ -243,7 +249,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             ("gradient", bytes(&lit.gradient)),
             ("positions", bytes(&lit.positions)),
             ("lobes", bytes(&lit.lobes)),
-            ("radiance", bytes(&found)),
+            ("radiance", bytes(&rig.get::<f32>(direct)?)),
             ("materials_gradient", bytes(&gradients_found)),
             ("positions_gradient", bytes(&rig.get::<f32>(into.positions)?)),
             ("lobes_gradient", bytes(&rig.get::<f32>(into.lobes)?)),

@@ -190,6 +190,31 @@ pub fn lights_materials_bwd(
     pixels.iter().zip(gradient.chunks(3)).map(one).collect()
 }
 
+/// Gradients of each pixel's unit normal: the part across it.
+pub fn lights_normals_bwd(
+    pixels: &[Pixel],
+    lights: &[Option<Light>],
+    camera: V3,
+    normalizer: f64,
+    gradient: &[f64],
+) -> Vec<V3> {
+    let one = |(pixel, g): (&Pixel, &[f64])| {
+        let free = [0, 1, 2].map(|i| {
+            let mut p = *pixel;
+            let x = p.normal[i];
+            let by_light = |light| {
+                slope(x, 1e-7, |x| {
+                    p.normal[i] = x;
+                    loss(&p, light, camera, g)
+                })
+            };
+            normalizer * lights.iter().flatten().map(by_light).sum::<f64>()
+        });
+        along(free, -dot(pixel.normal, free), pixel.normal)
+    };
+    pixels.iter().zip(gradient.chunks(3)).map(one).collect()
+}
+
 /// Gradients of raw parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawGradients {

@@ -1,4 +1,4 @@
-//! `lights_bwd` and `lights_prepare_bwd`: gradients of the lights.
+//! `lights_bwd` and `lights_prepare_bwd`: gradients of the lights; `lights_normals_bwd`: of normals, if they are wanted.
 //!
 //! Promises: nothing the forward pass made is needed, all of it is worked out again; sums are in a fixed order, so that
 //! results are the same bits from run to run; every gradient is written, zero for lights that are off.
@@ -14,7 +14,9 @@ use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::Pixels;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{lights_bwd as kernel, lights_prepare_bwd as finish, lights_reduce as reduce};
+use sgs_shaders::{
+    lights_bwd as kernel, lights_normals_bwd as normals, lights_prepare_bwd as finish, lights_reduce as reduce,
+};
 
 /// Gradients of prepared lights.
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +115,45 @@ pub(in crate::shade) fn sum_rows(
     stage(g, "lights_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch(groups(u64::from(width), tuning.workgroup / parts))?;
     Ok(LightGradients { buffer })
+}
+
+/// Writes `normals_gradient`, `[P * 3]`: gradients of unit normals, the part across the normal; zero where there is no surface.
+/// Costs what [`super::lights_train`] does.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_normals_bwd(
+    g: &mut Graph,
+    a: &Lights,
+    radiance_gradient: Buffer,
+    normals_gradient: Buffer,
+) -> Result<(), GraphError> {
+    let (p, shape) = (&a.pixels, a.shape);
+    let bindings = normals::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        radiance_gradient: radiance_gradient.into(),
+        normals_gradient: normals_gradient.into(),
+    };
+    let specs = normals::Specs {
+        subgroup: shape.subgroup,
+        lobes: a.prepared.model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+    };
+    let push = normals::Push { normalizer: a.normalizer };
+    let name = "lights_normals_bwd";
+    stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
 /// Writes the gradients of the raw parameters, those of the regularizers included if there are any.

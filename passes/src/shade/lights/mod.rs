@@ -10,7 +10,8 @@
 //! 2. [`lights_train`]: radiance and, a pixel, sums that make [`lights_materials_bwd`] cheap; for pictures [`lights`] or
 //!    [`lights_split`];
 //! 3. [`lights_materials_bwd`]: gradients of albedo, roughness, metallic;
-//! 4. [`lights_regularize`], [`lights_bwd`], [`lights_prepare_bwd`]: gradients of the lights. Now and then [`lights_prune`].
+//! 4. [`lights_regularize`], [`lights_bwd`], [`lights_prepare_bwd`]: gradients of the lights; [`lights_normals_bwd`]: of
+//!    normals, where these are learned. Now and then [`lights_prune`].
 //!
 //! What a pair of pixel and light costs, in operations (a multiply-add counts two, an exponential, root or division four):
 //! 20 for direction and cosine, of all pairs; of those that face each other, about half of them in a room, 21 a lobe and 100
@@ -27,7 +28,7 @@ mod model;
 mod prepare;
 mod regularize;
 
-pub use backward::{LightGradients, LightParameterGradients, lights_bwd, lights_prepare_bwd};
+pub use backward::{LightGradients, LightParameterGradients, lights_bwd, lights_normals_bwd, lights_prepare_bwd};
 pub use forward::{Lights, Shape, Sums, lights, lights_materials_bwd, lights_split, lights_train};
 pub use model::{Axes, LightModel, LightParameters};
 pub use prepare::{Perturbation, Prepared, lights_prepare, lights_prepare_culled};
