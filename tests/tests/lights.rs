@@ -4,9 +4,8 @@ use sgs_engine::graph::Graph;
 use sgs_passes::reference::brdf::unit;
 use sgs_passes::reference::lights as twin;
 use sgs_passes::shade::lights::{
-    Axes, LightGradients, LightModel, LightParameterGradients, LightParameters, Lights, Perturbation, Shape, lights,
-    lights_bwd, lights_materials_bwd, lights_normals_bwd, lights_prepare, lights_prepare_bwd, lights_prepare_culled,
-    lights_prune, lights_regularize, lights_split, lights_train,
+    Axes, LightModel, LightParameterGradients, Lights, Perturbation, Shape, lights, lights_bwd, lights_materials_bwd,
+    lights_normals_bwd, lights_prepare_bwd, lights_prepare_culled, lights_split, lights_train,
 };
 use sgs_tests::lit::{Lit, SPARE};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -414,100 +413,6 @@ fn checks_of_lights_can_fail() {
     let mut other = case.clone();
     other.raw.lobes[8] += 0.1;
     assert!(excess(&sum(&other)) > 1.0);
-}
-
-/// Both losses and both gradients, as differences of the reference; lights that are off have neither.
-#[test]
-fn regularizers_are_those_of_the_reference() {
-    let gpu = Gpu::new();
-    let weights = [0.3_f32, 0.7];
-    for (size, model, far) in [
-        ([9, 5], SMALL, false),
-        ([70, 41], LightModel { lights: 19, lobes: 3, axes: Axes::Free }, false),
-        ([4, 2], SMALL, true),
-    ] {
-        let mut case = Lit::random(size, model, false, 31);
-        case.pixels.iter_mut().step_by(3).for_each(|p| (p.coverage, p.point) = (0.0, [f64::NAN; 3]));
-        case.raw.gains[1] = 0.0;
-        case.raw.lobes[5] = 16.0;
-        // A light in a point, and one that is too near for a gradient.
-        case.raw.positions[..3].copy_from_slice(&case.pixels[1].point);
-        case.raw.positions[6..9].copy_from_slice(&case.pixels[2].point.map(|x| sgs_tests::lit::narrow(x + 0.01)));
-        if far {
-            case.pixels.iter_mut().for_each(|p| p.coverage = 0.0);
-        }
-        let own = Shape::for_device(gpu.tuning());
-        for shape in [own, Shape { per_lane: 1, ..own }] {
-            let mut g = Graph::new("regularizers");
-            let bound = case.bind(&mut g, size.map(|s| s as u32 + 3));
-            let (tuning, step) = (gpu.tuning(), bound.pixels.screen.step);
-            let prepared =
-                lights_prepare(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, None).unwrap();
-            let what = Lights { pixels: bound.pixels, prepared, normalizer: 1.0, shape };
-            let losses = g.external("losses", 8);
-            let regularizers = lights_regularize(&mut g, tuning, &what, &bound.parameters, weights, losses).unwrap();
-            let sums = g.transient("sums", 32 * u64::from(model.lights * (1 + model.lobes)));
-            g.fill("clear", sums, 0).unwrap();
-            let into = LightParameterGradients {
-                positions: g.external("positions_gradient", model.position_bytes()),
-                lobes: g.external("lobes_gradient", model.lobe_bytes()),
-            };
-            let gradients = LightGradients { buffer: sums };
-            lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, Some(&regularizers), &into).unwrap();
-            let out = gpu.run(g, &bound.inputs);
-            let expected = twin::lights_regularize(&case.raw, &case.pixels);
-            assert_close("losses", &expected, &out.get::<f32>(losses), Tolerance::new(0.0, 1e-5));
-            assert_eq!(far, expected[0] == 0.0);
-            let total = |raw: &twin::Raw| {
-                let [near, bright] = twin::lights_regularize(raw, &case.pixels);
-                f64::from(weights[0]) * near + f64::from(weights[1]) * bright
-            };
-            let mut raw = case.raw.clone();
-            let mut slopes = |which: fn(&mut twin::Raw) -> &mut Vec<f64>| -> Vec<f64> {
-                (0..which(&mut raw).len())
-                    .map(|i| {
-                        let x = which(&mut raw)[i];
-                        let [up, down] = [1e-6, -1e-6].map(|h| {
-                            which(&mut raw)[i] = x + h;
-                            total(&raw)
-                        });
-                        which(&mut raw)[i] = x;
-                        (up - down) / 2e-6
-                    })
-                    .collect()
-            };
-            let (places, lobes) = (slopes(|r| &mut r.positions), slopes(|r| &mut r.lobes));
-            // Differences of a sum that one bright light rules are good to that light's rounding.
-            let floor = 1e-9 * (1.0 + total(&case.raw));
-            assert_close("places", &places, &out.get::<f32>(into.positions), Tolerance::new(floor, 1e-3));
-            assert_close("lobes", &lobes, &out.get::<f32>(into.lobes), Tolerance::new(floor, 1e-3));
-        }
-    }
-}
-
-#[test]
-fn faint_lights_are_pruned() {
-    let gpu = Gpu::new();
-    for model in [LightModel { lights: 300, lobes: 2, axes: Axes::Free }, SMALL] {
-        let mut case = Lit::random([2, 2], model, false, 6);
-        // The brightest of all is off, and does not count.
-        let row = model.row() as usize;
-        case.raw.lobes[row - 1] = 9.0;
-        case.raw.gains[0] = 0.0;
-        for share in [0.05, 0.6, 1.0] {
-            let mut g = Graph::new("prune");
-            let gains = g.external("gains_out", model.gain_bytes());
-            let bound = case.bind(&mut g, [2, 2]);
-            g.copy("gains", bound.parameters.gains, gains).unwrap();
-            let parameters = LightParameters { gains, ..bound.parameters };
-            lights_prune(&mut g, gpu.tuning(), model, &parameters, share).unwrap();
-            let found: Vec<f32> = gpu.run(g, &bound.inputs).get(gains);
-            let expected = twin::lights_prune(&case.raw, f64::from(share));
-            assert_close("gains", &expected, &found, Tolerance::new(0.0, 0.0));
-            let on = expected.iter().filter(|x| **x != 0.0).count();
-            assert!(on >= 1 && on < model.lights as usize);
-        }
-    }
 }
 
 /// What is missing where faint lights are left out is no more than was allowed, and lights that are left out everywhere have
