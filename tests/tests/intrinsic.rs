@@ -4,7 +4,10 @@ use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Geometry, Intrinsic, RunDirectory, Settings, Shading, displayed, light_of, read_lights, shaded_scene};
+use sgs_train::{
+    Geometry, Intrinsic, RunDirectory, Settings, Shading, VisibilityFile, displayed, light_of, read_lights,
+    shaded_scene,
+};
 
 /// Albedo of each wall, sRGB.
 const WALLS: [[f32; 3]; 6] =
@@ -139,6 +142,9 @@ fn the_command_leaves_what_shades_and_measures() {
     for file in ["scene.ply", "lights.json", "environment.exr"] {
         assert!(place.read(&format!("a/{file}")) == place.read(&format!("b/{file}")), "{file} differs");
     }
+    // Metadata of these files has no order.
+    let field = |run: &str| VisibilityFile::load(&place.path(run).join("visibility.safetensors")).unwrap();
+    assert!(field("a") == field("b"));
     // Geometry from elsewhere.
     let start = place.text("a/scene.ply");
     sgs(&arguments("c", &["--stage", "intrinsic", "--start", &start])).ok();
@@ -151,11 +157,14 @@ fn the_command_leaves_what_shades_and_measures() {
     let run = RunDirectory::open(&place.path("a")).unwrap();
     let gpu = Gpu::new();
     let splats = Splats::read_ply(&place.path("a/scene.ply")).unwrap();
-    let (lights, environment) = light_of(&run, &run.settings().unwrap()).unwrap();
-    let scene = shaded_scene(gpu.device(), &splats, lights.as_ref(), environment.as_ref()).unwrap();
+    let light = light_of(&run, &run.settings().unwrap()).unwrap();
+    let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
+    let scene = shaded_scene(gpu.device(), &splats, lights, environment, light.visibility.as_ref()).unwrap();
     let mut shading = Shading::new(gpu.device(), scene).unwrap();
     let opened = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let shaded = shading.shade(&opened.views[0].camera).unwrap();
+    let seen = shaded.visibility().unwrap();
+    assert!(seen.data.iter().all(|v| (0.0..=1.0).contains(v)) && seen.data.iter().any(|v| *v > 0.01));
     let picture = displayed(&shaded.radiance([0.0; 3]));
     assert!(picture.data.iter().all(|v| v.is_finite()) && picture.data.iter().any(|v| *v > 0.1));
     let (all, parts) = (shaded.radiance([0.0; 3]), (shaded.direct(), shaded.ambient()));

@@ -23,12 +23,12 @@ pub use intrinsic::{
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
-pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, Shader};
+pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{
-    Camera, Densify as DensifySettings, DensifyStats, IntrinsicReport, LossStats, MaterialStats, MaterialWeights,
-    SemanticTarget, Step, StepReport,
+    Camera, Densify as DensifySettings, DensifyStats, FieldStep, IntrinsicReport, LossStats, MaterialStats,
+    MaterialWeights, SemanticTarget, Step, StepReport,
 };

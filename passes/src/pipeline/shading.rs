@@ -8,12 +8,13 @@ use crate::shade::environment::{
     environment_filter,
 };
 use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
+use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
 use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
 use crate::splat::Screen;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
-use sgs_shaders::structs::Camera;
+use sgs_shaders::structs::{Camera, FieldStep};
 use std::sync::Arc;
 
 /// Everything that shades, in device memory.
@@ -31,6 +32,17 @@ pub struct ShadedScene {
     pub lights: Option<ShadedLights>,
     /// The surroundings.
     pub environment: Option<ShadedEnvironment>,
+    /// What lights see, if anything is in their way.
+    pub visibility: Option<ShadedVisibility>,
+}
+
+/// A visibility field in device memory.
+#[derive(Debug)]
+pub struct ShadedVisibility {
+    /// Tables and layers.
+    pub field: VisibilityField,
+    /// Its box; what else a step's uniform holds is filled in.
+    pub place: FieldStep,
 }
 
 /// Point lights in device memory.
@@ -84,6 +96,8 @@ pub struct Shaded {
     pub ambient_diffuse: Vec<f32>,
     /// The surroundings themselves along each ray, 3.
     pub background: Vec<f32>,
+    /// How much of the lights a pixel sees, mean over those there are, 1; empty where nothing is in their way.
+    pub visibility: Vec<f32>,
 }
 
 /// Shades again and again.
@@ -100,11 +114,13 @@ struct State {
     exec: Executor,
     step: Buffer,
     surface: SurfaceHandles,
+    /// Uniform of the visibility field.
+    field: Option<Buffer>,
     outputs: Vec<DeviceBuffer>,
 }
 
-/// Floats a pixel of each output: materials, metallic, direct and its diffuse part, ambient and its, background.
-const OUTPUTS: [(&str, u64); 7] = [
+/// Floats a pixel of each output: materials, metallic, direct and its diffuse part, ambient and its, background, visibility.
+const OUTPUTS: [(&str, u64); 8] = [
     ("shaded_materials", 4),
     ("shaded_metallic", 1),
     ("shaded_direct", 3),
@@ -112,6 +128,7 @@ const OUTPUTS: [(&str, u64); 7] = [
     ("shaded_ambient", 3),
     ("shaded_ambient_diffuse", 3),
     ("shaded_background", 3),
+    ("shaded_visibility", 1),
 ];
 
 impl Shader {
@@ -186,6 +203,7 @@ impl State {
         materials(&mut g, t, &screen, &of_gaussians, &surface.weights, &of_pixels)?;
         let seen = &surface.surfaces;
         let lit = Pixels { screen, surfaces: *seen, materials: of_pixels };
+        let mut field: Option<FieldHandles> = None;
         if let Some(l) = &scene.lights {
             let [positions, lobes, gains] = [("positions", &l.positions), ("lobes", &l.lobes), ("gains", &l.gains)]
                 .map(|(name, given)| {
@@ -196,7 +214,21 @@ impl State {
             let parameters = LightParameters { positions, lobes, gains };
             let prepared = lights_prepare(&mut g, *t, "lights_prepare", step, l.model, &parameters, None)?;
             let lights = Lights { pixels: lit, prepared, normalizer: l.normalizer, shape: Shape::for_device(*t) };
-            lights_split(&mut g, &lights, out[2], out[3])?;
+            match &scene.visibility {
+                Some(v) => {
+                    let handles = v.field.declare(&mut g, false);
+                    lights_split_field(&mut g, *t, &lights, &handles.field, out[2], out[3])?;
+                    let view = VisibilityView {
+                        pixels: pixels as u32,
+                        points: seen.points,
+                        coverage: seen.coverage,
+                        lights: positions,
+                    };
+                    visibility(&mut g, *t, &handles.field, &view, None, true, out[7])?;
+                    field = Some(handles);
+                }
+                None => lights_split(&mut g, &lights, out[2], out[3])?,
+            }
         } else {
             g.fill("no_direct", out[2], 0)?;
             g.fill("no_direct_diffuse", out[3], 0)?;
@@ -228,6 +260,9 @@ impl State {
         if metallic.is_none() {
             g.fill("no_metallic", out[1], 0)?;
         }
+        if field.is_none() {
+            g.fill("no_visibility", out[7], 0)?;
+        }
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let outputs = OUTPUTS
             .iter()
@@ -243,7 +278,10 @@ impl State {
         if let (Some(e), Some(tables)) = (&scene.environment, &tables) {
             e.memory.bind(&mut exec, &e.tables, tables)?;
         }
-        Ok(State { shape, exec, step, surface, outputs })
+        if let (Some(v), Some(handles)) = (&scene.visibility, &field) {
+            v.field.bind(&mut exec, handles)?;
+        }
+        Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), outputs })
     }
 
     fn shade(
@@ -258,7 +296,16 @@ impl State {
         let mut camera = *camera;
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
         let step = Step { camera, step: 1, ..Default::default() };
-        self.exec.submit(&[(self.step, bytemuck::bytes_of(&step))])?;
+        let place = scene.visibility.as_ref().map_or_else(FieldStep::default, |v| FieldStep {
+            pixels: camera.size[0] * camera.size[1],
+            lights: scene.lights.as_ref().map_or(0, |l| l.model.lights),
+            ..v.place
+        });
+        let mut uniforms = vec![(self.step, bytemuck::bytes_of(&step))];
+        if let Some(field) = self.field {
+            uniforms.push((field, bytemuck::bytes_of(&place)));
+        }
+        self.exec.submit(&uniforms)?;
         self.exec.finish()?;
         let pixels = camera.size[0] as usize * camera.size[1] as usize;
         let [points, normals, coverage] = surface.download(device)?;
@@ -279,6 +326,7 @@ impl State {
             ambient: read(4)?,
             ambient_diffuse: read(5)?,
             background: read(6)?,
+            visibility: if self.field.is_some() { read(7)? } else { Vec::new() },
         })
     }
 }

@@ -52,5 +52,5 @@ pub use settings::{
     IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, ProviderSettings, Rates,
     Settings, VisibilityKind, VisibilitySettings,
 };
-pub use shaded::{ShadedView, Shading, Texels, displayed, light_of, shaded_scene};
+pub use shaded::{RunLight, ShadedView, Shading, Texels, displayed, light_of, shaded_scene};
 pub use visibility::VisibilityFile;

@@ -2,14 +2,18 @@
 
 use crate::convert::{camera, gaussian_data};
 use crate::error::{Result, TrainError};
-use crate::intrinsic::{LightFile, read_lights};
+use crate::intrinsic::{LightFile, field_box, read_lights};
 use crate::run::RunDirectory;
 use crate::settings::Settings;
+use crate::visibility::VisibilityFile;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, Shader};
+use sgs_passes::pipeline::{
+    EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader,
+};
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
+use sgs_passes::shade::visibility::VisibilityField;
 use sgs_scene::{Image, Splats, linear_to_srgb, read_exr, srgb_to_linear};
 use std::path::Path;
 
@@ -58,6 +62,7 @@ pub fn shaded_scene(
     splats: &Splats,
     lights: Option<&LightFile>,
     environment: Option<&Texels>,
+    visibility: Option<&VisibilityFile>,
 ) -> Result<ShadedScene> {
     let missing = |what: &str| TrainError::Setting(format!("The splats have no {what}; shading needs materials."));
     let albedo = splats.albedo.as_ref().ok_or_else(|| missing("albedo"))?;
@@ -91,6 +96,14 @@ pub fn shaded_scene(
         }
         None => None,
     };
+    let visibility = match visibility {
+        Some(file) => {
+            let field = VisibilityField::new(device, file.config, 0, false)?;
+            field.upload(device, &file.tables, &file.mlp)?;
+            Some(ShadedVisibility { field, place: field_box(file.low, file.high) })
+        }
+        None => None,
+    };
     Ok(ShadedScene {
         gaussians,
         albedo: Trainable::new(device, "albedo", albedo.as_flattened(), false)?,
@@ -101,19 +114,33 @@ pub fn shaded_scene(
         },
         lights,
         environment,
+        visibility,
     })
 }
 
-/// What lights a run: its lamps and its surroundings, as its files have them.
+/// What lights a run, as its files have it.
+#[derive(Clone, Debug, Default)]
+pub struct RunLight {
+    /// Lamps.
+    pub lights: Option<LightFile>,
+    /// Surroundings.
+    pub environment: Option<Texels>,
+    /// What lamps see.
+    pub visibility: Option<VisibilityFile>,
+}
+
+/// What lights a run: its lamps, its surroundings and what lamps see, as its files have them.
 ///
 /// # Errors
 /// If a file is damaged.
-pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<(Option<LightFile>, Option<Texels>)> {
+pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<RunLight> {
     let (lights, exr) = (run.path("lights.json"), run.path("environment.exr"));
     let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
     let size = settings.intrinsic.environment.resolution;
     let environment = if exr.is_file() { Some(Texels::read(&exr, size)?) } else { None };
-    Ok((lights, environment))
+    let file = run.path("visibility.safetensors");
+    let visibility = if file.is_file() { Some(VisibilityFile::load(&file)?) } else { None };
+    Ok(RunLight { lights, environment, visibility })
 }
 
 /// Shades views of one scene.
@@ -160,6 +187,11 @@ impl ShadedView {
 
     fn pixels(&self) -> usize {
         self.0.coverage.len()
+    }
+
+    /// How much of the lights each pixel sees; none where nothing is in their way.
+    pub fn visibility(&self) -> Option<Image> {
+        (!self.0.visibility.is_empty()).then(|| self.image(1, self.0.visibility.clone()))
     }
 
     /// Linear albedo.

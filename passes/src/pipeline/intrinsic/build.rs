@@ -21,6 +21,9 @@ use crate::shade::lights::{
     LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_prepare,
     lights_prepare_bwd, lights_prune, lights_regularize, lights_train,
 };
+use crate::shade::visibility::{
+    BackwardOptions, Gradients, lights_bwd_field, lights_train_field, visibility_adam, visibility_lights_bwd,
+};
 use crate::shade::{
     PixelMaterials, Pixels, RawMaterials, SURFACE_DEPTH, materials, materials_bwd, surface_depth, values,
 };
@@ -90,7 +93,10 @@ pub(super) fn build(
             let shape = Shape::for_device(*t);
             let lights = Lights { pixels: shaded, prepared, normalizer: l.normalizer, shape };
             let direct = g.transient("direct", 12 * pixels);
-            let sums = lights_train(g, &lights, direct)?;
+            let sums = match &inputs.visibility {
+                Some(v) => lights_train_field(g, *t, &lights, &v.field, direct)?,
+                None => lights_train(g, &lights, direct)?,
+            };
             Some((lights, parameters, direct, sums))
         }
         None => None,
@@ -258,7 +264,10 @@ pub(super) fn build(
     let words_of = StepWords { step, flags: words.flags, skipped: words.skipped };
     let mut moves = Vec::new();
     if let (Some((lights, parameters, ..)), Some(l)) = (&lit, &inputs.lights) {
-        let gradients = lights_bwd(g, *t, lights, radiance_gradient)?;
+        let gradients = match &inputs.visibility {
+            Some(v) => lights_bwd_field(g, *t, lights, &v.field, radiance_gradient)?,
+            None => lights_bwd(g, *t, lights, radiance_gradient)?,
+        };
         let into = LightParameterGradients { positions: l.positions.gradient(g), lobes: l.lobes.gradient(g) };
         let regularizers = match o.light_regularizers {
             [0.0, 0.0] => None,
@@ -268,6 +277,22 @@ pub(super) fn build(
             }
         };
         lights_prepare_bwd(g, &lights.prepared, parameters, &gradients, regularizers.as_ref(), &into)?;
+        if let Some(v) = &inputs.visibility {
+            let learned = v.gradients(g, l.model.lights).zip(v.moments(words.flags, 1, words.skipped));
+            let Some((gradients, moments)) = learned else {
+                return Err(GraphError::Unwritten {
+                    pass: "visibility_lights_bwd".into(),
+                    buffer: "visibility_tables".into(),
+                    offset: 0,
+                    bytes: 0,
+                });
+            };
+            // What lights' places are asked through the field comes on top of what is asked of them directly.
+            let gradients = Gradients { lights: into.positions, ..gradients };
+            let options = BackwardOptions { regularized: o.visibility_jitter, add_places: true, ..Default::default() };
+            visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
+            visibility_adam(g, *t, &v.field, &gradients, &moments)?;
+        }
         moves.push((l.positions, into.positions, o.rates.light_positions, EPSILON));
         moves.push((l.lobes, into.lobes, o.rates.lights, EPSILON));
     }

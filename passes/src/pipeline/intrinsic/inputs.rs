@@ -4,6 +4,7 @@ use super::IntrinsicOptions;
 use crate::scene::{Trainable, TrainableHandles};
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
+use crate::shade::visibility::{FieldHandles, VisibilityField};
 use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -21,10 +22,12 @@ pub struct IntrinsicParameters {
     pub lights: Option<[Trainable; 2]>,
     /// Texels.
     pub environment: Option<Trainable>,
+    /// What lights see.
+    pub visibility: Option<VisibilityField>,
 }
 
 impl IntrinsicParameters {
-    /// All of them, in an order that never changes.
+    /// All of them but the field, in an order that never changes.
     pub fn all(&self) -> Vec<&Trainable> {
         let mut all = vec![&self.albedo, &self.roughness];
         all.extend(&self.metallic);
@@ -140,6 +143,7 @@ pub(super) struct Declared {
     pub metallic: Option<TrainableHandles>,
     pub lights: Option<LightHandles>,
     pub environment: Option<(TrainableHandles, EnvironmentTables)>,
+    pub visibility: Option<FieldHandles>,
     pub targets: Buffer,
     pub albedo_priors: Option<Buffer>,
     pub roughness_priors: Option<Buffer>,
@@ -182,6 +186,7 @@ impl Declared {
             metallic,
             lights,
             environment,
+            visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true)),
             targets: g.input("targets", sizes.targets),
             albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
@@ -208,6 +213,9 @@ impl Declared {
         {
             texels.bind(exec, handles)?;
             memory.bind(exec, environment, tables)?;
+        }
+        if let (Some(field), Some(handles)) = (&p.visibility, &self.visibility) {
+            field.bind(exec, handles)?;
         }
         exec.bind(self.targets, inputs.targets)?;
         for (handle, memory) in [

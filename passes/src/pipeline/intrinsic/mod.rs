@@ -15,10 +15,11 @@ use super::{PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
+use crate::shade::visibility::FieldConfig;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result, Ticket};
-use sgs_shaders::structs::{IntrinsicReport, MaterialWeights};
+use sgs_shaders::structs::{FieldStep, IntrinsicReport, MaterialWeights};
 use std::sync::Arc;
 
 /// What an intrinsic step is made of.
@@ -30,6 +31,10 @@ pub struct IntrinsicOptions {
     pub metallic: bool,
     /// Point lights, and the factor of all their light: one over their number at the start.
     pub lights: Option<(LightModel, f32)>,
+    /// What lights see, if it is learned.
+    pub visibility: Option<FieldConfig>,
+    /// Whether visibility is not to notice a jitter of places.
+    pub visibility_jitter: bool,
     /// Weights of the lights' nearness to surfaces and of their amplitudes.
     pub light_regularizers: [f32; 2],
     /// Lights whose amplitudes are all below this share of the largest are switched off for good; 0 keeps all.
@@ -89,6 +94,8 @@ pub struct IntrinsicStepValues {
     pub weights: MaterialWeights,
     /// The pseudo-views', where there are some.
     pub pseudo: [Step; PSEUDO_VIEWS],
+    /// Of the visibility field, where there is one.
+    pub field: FieldStep,
 }
 
 /// An intrinsic step, ready to be replayed.
@@ -97,6 +104,7 @@ pub struct IntrinsicStep {
     steps: Steps,
     surface: SurfaceHandles,
     pseudo: Vec<SurfaceHandles>,
+    field: Option<Buffer>,
     tile: [u32; 2],
     options: IntrinsicOptions,
 }
@@ -172,11 +180,13 @@ impl IntrinsicStep {
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
         exec.bind(declared.words.reports, &status.reports)?;
+        let field = declared.inputs.visibility.map(|v| v.field.step);
         Ok(IntrinsicStep {
             exec,
             steps: declared.steps,
             surface: declared.surface,
             pseudo: declared.pseudo,
+            field,
             tile: tuning.tile,
             options,
         })
@@ -217,6 +227,9 @@ impl IntrinsicStep {
             other
         });
         let mut uniforms: Vec<(Buffer, &[u8])> = Vec::new();
+        if let Some(field) = self.field {
+            uniforms.push((field, bytemuck::bytes_of(&values.field)));
+        }
         if !self.pseudo.is_empty() {
             uniforms.extend(s.pseudo.iter().zip(&others).map(|(b, step)| (*b, bytemuck::bytes_of(step))));
         }

@@ -98,8 +98,9 @@ pub fn measure(
             Ok(())
         })?;
     if splats.albedo.is_some() && splats.roughness.is_some() {
-        let (lights, environment) = light_of(run, settings)?;
-        let shaded = shaded_scene(device, splats, lights.as_ref(), environment.as_ref())?;
+        let light = light_of(run, settings)?;
+        let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
+        let shaded = shaded_scene(device, splats, lights, environment, light.visibility.as_ref())?;
         let mut shading = Shading::new(device, shaded)?;
         evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, shaded| {
             let Some(dir) = images else { return Ok(()) };
@@ -110,6 +111,7 @@ pub fn measure(
             row.push(gray(&shaded.roughness()));
             row.push(displayed(&shaded.direct()));
             row.push(displayed(&shaded.ambient()));
+            row.extend(shaded.visibility().map(|v| gray(&v)));
             write_png(&dir.join(format!("{name}_shaded.png")), &beside(&row))?;
             Ok(())
         })?;

@@ -23,12 +23,13 @@ use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
-    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
+    EnvironmentMemory, FieldStep, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates,
+    IntrinsicReport, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
 use sgs_passes::shade::lights::{Axes, LightModel};
+use sgs_passes::shade::visibility::VisibilityField;
 use sgs_scene::{Scene, Splats};
 use surfaces::Surfaces;
 
@@ -172,6 +173,10 @@ impl Intrinsic {
                 }
                 None => None,
             },
+            visibility: match s.visibility.config().filter(|_| s.lights.enabled) {
+                Some(config) => Some(VisibilityField::new(device, config, seed, true)?),
+                None => None,
+            },
         };
         let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
         device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
@@ -180,6 +185,8 @@ impl Intrinsic {
             shape: surfaces.shape(),
             metallic,
             lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
+            visibility: s.visibility.config().filter(|_| s.lights.enabled),
+            visibility_jitter: s.losses.visibility_jitter > 0.0,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
             light_prune: s.lights.prune,
             environment_smooth: s.losses.environment_smooth,
@@ -310,7 +317,28 @@ impl Intrinsic {
                 cross_view: s.losses.cross_view,
                 relight: s.losses.relight,
             },
+            field: self.field_step(&whole),
             ..Default::default()
+        }
+    }
+
+    /// The uniform of the visibility field.
+    fn field_step(&self, step: &Step) -> FieldStep {
+        let s = &self.settings.intrinsic;
+        let [low, high] = self.bounds;
+        let size: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
+        let pixels = step.camera.size[0] * step.camera.size[1];
+        let pairs = f64::from(pixels) * f64::from(self.light_model.lights);
+        FieldStep {
+            jitter: s.visibility.jitter * 0.5 * size.iter().fold(0.0_f32, |m, v| m.max(*v)),
+            regularizer: (f64::from(s.losses.visibility_jitter) / pairs.max(1.0)) as f32,
+            pixels,
+            lights: self.light_model.lights,
+            seed: step.seed,
+            rate: s.rates.visibility,
+            correction1: step.correction1,
+            correction2: step.correction2,
+            ..field_box(low, high)
         }
     }
 
@@ -403,6 +431,12 @@ impl Intrinsic {
 
 fn gone() -> TrainError {
     TrainError::Memory("There is no step any more: memory ran out when it was made.".into())
+}
+
+/// The box of a field in its uniform.
+pub(crate) fn field_box(low: [f32; 3], high: [f32; 3]) -> FieldStep {
+    let inverse = std::array::from_fn(|i| 1.0 / (high[i] - low[i]).max(1e-20));
+    FieldStep { box_min: low, box_max: high, box_inverse: inverse, ..FieldStep::default() }
 }
 
 /// By how much lights are brighter than the published start, which is for boxes of side 3: light falls off with the square

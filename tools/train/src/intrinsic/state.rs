@@ -4,6 +4,7 @@ use super::{Intrinsic, LightFile, write_lights};
 use crate::error::{Result, TrainError};
 use crate::floats::Floats;
 use crate::run::RunDirectory;
+use crate::visibility::VisibilityFile;
 use safetensors::{Dtype, SafeTensors};
 use sgs_passes::shade::environment::latlong;
 use sgs_scene::{Image, Splats};
@@ -11,6 +12,9 @@ use std::collections::HashMap;
 use std::path::Path;
 
 const FORMAT: &str = "sgs-intrinsic-1";
+
+/// Tensors of the visibility field.
+const FIELD: [&str; 4] = ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
 
 impl Intrinsic {
     /// Writes everything that resuming needs.
@@ -25,6 +29,13 @@ impl Intrinsic {
         }
         let gains = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
         values.push(("light_gains".to_owned(), gains));
+        if let Some(field) = &self.parameters.visibility {
+            let [tables, mlp] = field.download(&self.device)?;
+            let [table_moments, mlp_moments] = field.download_moments(&self.device)?;
+            for (name, v) in FIELD.iter().zip([tables, mlp, table_moments, mlp_moments]) {
+                values.push(((*name).to_owned(), v));
+            }
+        }
         let tensors = values.iter().map(|(name, v)| (name.clone(), Floats(v, vec![v.len()])));
         let meta = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
@@ -76,6 +87,20 @@ impl Intrinsic {
             read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
         }
         let gains = floats("light_gains", self.light_model.lights as usize)?;
+        let field = match &self.parameters.visibility {
+            Some(f) => {
+                let (table, mlp) = (2 * f.config().entries() as usize, f.config().weights());
+                let sizes = [table, mlp, 2 * table, 2 * mlp];
+                let read =
+                    FIELD.iter().zip(sizes).map(|(name, size)| floats(name, size)).collect::<Result<Vec<_>>>()?;
+                Some((f, read))
+            }
+            None => None,
+        };
+        if let Some((f, read)) = &field {
+            f.upload(&self.device, &read[0], &read[1])?;
+            f.upload_moments(&self.device, [&read[2], &read[3]])?;
+        }
         for (p, (values, moments)) in self.parameters.all().into_iter().zip(&read) {
             p.upload(&self.device, values)?;
             p.upload_moments(&self.device, moments)?;
@@ -114,7 +139,7 @@ impl Intrinsic {
         Ok(Some(LightFile::of(&self.light_model, normalizer, &positions, &lobes, &gains)))
     }
 
-    /// Writes `scene.ply`, `lights.json` and `environment.exr` of a run; what is not modeled is removed.
+    /// Writes `scene.ply`, `lights.json`, `environment.exr` and `visibility.safetensors` of a run; what is not modeled is removed.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -124,6 +149,15 @@ impl Intrinsic {
         match self.lights()? {
             Some(file) => write_lights(&lights, &file)?,
             None => remove(&lights)?,
+        }
+        let visibility = run.path("visibility.safetensors");
+        match &self.parameters.visibility {
+            Some(field) => {
+                let [tables, mlp] = field.download(&self.device)?;
+                let [low, high] = self.bounds;
+                VisibilityFile { config: *field.config(), low, high, tables, mlp }.save(&visibility)?;
+            }
+            None => remove(&visibility)?,
         }
         let exr = run.path("environment.exr");
         match (&self.parameters.environment, &self.environment) {

@@ -2,6 +2,7 @@
 
 use crate::error::TrainError;
 use serde::{Deserialize, Serialize};
+use sgs_passes::shade::visibility::FieldConfig;
 
 /// The intrinsic stage: materials, lights and shadows on fixed geometry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -148,6 +149,14 @@ impl Default for VisibilitySettings {
     }
 }
 
+impl VisibilitySettings {
+    /// The field, if it is learned.
+    pub fn config(&self) -> Option<FieldConfig> {
+        let &VisibilitySettings { kind, levels, log2_table, coarsest, finest, .. } = self;
+        (kind == VisibilityKind::Field).then_some(FieldConfig { levels, log2_table, coarsest, finest })
+    }
+}
+
 /// How shadows are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -251,7 +260,7 @@ impl IntrinsicSettings {
             let what = format!("{name} is {value}, but must be a finite number of at least 0.");
             return Err(TrainError::Setting(what));
         }
-        let (e, l) = (&self.environment, &self.lights);
+        let (e, v, l) = (&self.environment, &self.visibility, &self.lights);
         let fail = |what: String| Err(TrainError::Setting(what));
         if !(e.resolution.is_power_of_two() && (16..=512).contains(&e.resolution)) {
             return fail(format!(
@@ -261,6 +270,9 @@ impl IntrinsicSettings {
         }
         if !(1..=8).contains(&l.grid) {
             return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));
+        }
+        if let Some(Err(e)) = v.config().map(|c| c.check()) {
+            return fail(format!("intrinsic.visibility cannot be: {e}"));
         }
         if self.consistency_interval < 3 {
             return fail(format!(
