@@ -1,4 +1,5 @@
 // Light of the environment on each pixel's surface: (1 - M) A irradiance(n) + radiance(reflected, roughness) (F0 a + b).
+// With DIFFUSE_ONLY the first part of it alone.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -7,6 +8,7 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint LEVELS = 5;
 layout(constant_id = 2) const bool METALLIC = false;
+layout(constant_id = 3) const bool DIFFUSE_ONLY = false;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(float, points);    // [P * 3]
@@ -33,7 +35,8 @@ void main() {
         view *= inversesqrt(max(dot(view, view), 1e-30));
         Seen s = environment_seen(normal, view, materials[4u * i + 3u]);
         vec3 f0 = mix(vec3(0.04), albedo, metal);
-        result = (1.0 - metal) * albedo * s.irradiance + s.reflected * (f0 * s.split.x + s.split.y);
+        result = (1.0 - metal) * albedo * s.irradiance;
+        if (!DIFFUSE_ONLY) result += s.reflected * (f0 * s.split.x + s.split.y);
     }
     ambient[3u * i] = result.x;
     ambient[3u * i + 1u] = result.y;

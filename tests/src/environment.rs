@@ -5,8 +5,8 @@ use sgs_passes::Tuning;
 use sgs_passes::reference::environment::Pixel;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::{
-    Environment, EnvironmentOptions, EnvironmentView, environment, environment_bwd, environment_filter,
-    environment_filter_bwd, environment_smoothness,
+    Environment, EnvironmentOptions, EnvironmentView, environment, environment_bwd, environment_diffuse,
+    environment_filter, environment_filter_bwd, environment_smoothness,
 };
 use sgs_shaders::structs::Step;
 
@@ -47,6 +47,8 @@ pub struct Found {
     pub radiance: Vec<f32>,
     /// Light on each pixel.
     pub ambient: Vec<f32>,
+    /// The diffuse part of it.
+    pub diffuse: Vec<f32>,
     /// Gradients, added to [`BEFORE`].
     pub materials: Vec<f32>,
     /// Likewise.
@@ -103,6 +105,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
         pixels: count,
     };
     let ambient = g.external("ambient", 12 * count);
+    let diffuse = g.external("diffuse", 12 * count);
     let materials_gradient = g.external("materials_gradient", 16 * count);
     let metallic_gradient = g.external("metallic_gradient", 4 * count);
     let gradient = g.external("texel_gradient", 4 * u64::from(e.floats()));
@@ -112,6 +115,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
     let filtered = environment_filter(&mut g, t, e, &tables, texels).unwrap();
     environment(&mut g, t, e, &tables, &view, &filtered, ambient).unwrap();
     let back = if given.merge { Tuning { subgroup_size: 32, ..*t } } else { *t };
+    environment_diffuse(&mut g, t, e, &tables, &view, &filtered, diffuse).unwrap();
     let by_metallic = given.metallic.then_some(metallic_gradient);
     let sums = environment_bwd(
         &mut g,
@@ -158,6 +162,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
     Found {
         radiance: out.get(radiance),
         ambient: out.get(ambient),
+        diffuse: out.get(diffuse),
         materials: out.get(materials_gradient),
         metallic: out.get(metallic_gradient),
         texel_sums: out.get(sums_out),

@@ -74,6 +74,9 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
             let expected: Vec<f64> = pixels.iter().flat_map(shade).collect();
             assert_close("ambient", &expected, &found.ambient, Tolerance::new(1e-4, 1e-4));
 
+            let expected: Vec<f64> = pixels.iter().flat_map(|p| twin::shade_diffuse(&levels, p)).collect();
+            assert_close("diffuse", &expected, &found.diffuse, Tolerance::new(1e-4, 1e-4));
+
             // Materials: central differences of the twin.
             for (i, p) in pixels.iter().enumerate() {
                 let g = &gradient[3 * i..3 * i + 3];

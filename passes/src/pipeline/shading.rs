@@ -5,7 +5,7 @@ use crate::Tuning;
 use crate::scene::{Gaussians, Trainable, TrainableHandles};
 use crate::shade::environment::{
     Environment, EnvironmentTables, EnvironmentView, environment as ambient_light, environment_background,
-    environment_filter,
+    environment_diffuse, environment_filter,
 };
 use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
 use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
@@ -250,7 +250,7 @@ impl State {
                 pixels,
             };
             ambient_light(&mut g, t, &e.tables, &declared, &view, &filtered, out[4])?;
-            g.fill("no_ambient_diffuse", out[5], 0)?;
+            environment_diffuse(&mut g, t, &e.tables, &declared, &view, &filtered, out[5])?;
             environment_background(&mut g, t, &e.tables, step, pixels, texels.parameters, out[6])?;
         } else {
             for (name, buffer) in ["no_ambient", "no_ambient_diffuse", "no_background"].into_iter().zip(&out[4..]) {

@@ -299,6 +299,15 @@ pub fn shade(levels: &[Cube], table: &[[f32; 2]], camera: V3, p: &Pixel) -> V3 {
     })
 }
 
+/// The part of [`shade`] that is diffuse.
+pub fn shade_diffuse(levels: &[Cube], p: &Pixel) -> V3 {
+    if p.coverage < 1e-3 || p.normal == [0.0; 3] {
+        return [0.0; 3];
+    }
+    let irradiance = lookup(&levels[levels.len() - 1], p.normal);
+    std::array::from_fn(|c| (1.0 - p.metallic) * p.albedo[c] * irradiance[c])
+}
+
 /// Adjoint of [`shade`] by the levels: adds what a pixel's gradient gives to each.
 pub fn shade_bwd(levels: &mut [Cube], table: &[[f32; 2]], camera: V3, p: &Pixel, gradient: V3) {
     // Shading is linear in the levels: its coefficients are what it makes of single colors.

@@ -7,6 +7,7 @@ mod classes;
 mod commands;
 mod common;
 mod palette;
+mod pictures;
 mod ui;
 
 use clap::{Parser, Subcommand};
@@ -39,6 +40,8 @@ enum Command {
     Eval(commands::eval::Args),
     /// Render a run or a PLY from the cameras of a transforms file.
     Render(commands::render::Args),
+    /// Render a run under other lights, of other materials, with other things in it; train nothing.
+    Relight(commands::relight::Args),
     /// Train variants of the method and write a table of what each part is worth.
     Ablate(commands::ablate::Args),
     /// Write a run's Gaussians as a PLY that viewers open.
@@ -75,6 +78,7 @@ fn main() {
         Command::Train(a) => commands::train::run(&cli.common, a),
         Command::Eval(a) => commands::eval::run(&cli.common, a),
         Command::Render(a) => commands::render::run(&cli.common, a),
+        Command::Relight(a) => commands::relight::run(&cli.common, a),
         Command::Ablate(a) => commands::ablate::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
         Command::Devices => commands::devices::run(&cli.common),

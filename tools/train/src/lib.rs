@@ -21,6 +21,7 @@ pub mod metrics;
 mod normals;
 mod pseudo;
 mod regions;
+mod relight;
 mod run;
 mod schedule;
 mod semantics;
@@ -44,6 +45,10 @@ pub use intrinsic::{Intrinsic, LightFile, LightRow, LobeRow, read_lights, write_
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
+pub use relight::{
+    Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Relit,
+    Selector, Turn, Where,
+};
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};

@@ -167,6 +167,21 @@ impl Shading {
         Ok(ShadedView(self.shader.shade(&self.scene, &camera(view))?))
     }
 
+    /// Takes other factors of the lights, one for each; 0 is off.
+    ///
+    /// # Errors
+    /// If there are not as many lights, or the device fails.
+    pub fn set_gains(&mut self, device: &Device, gains: &[f32]) -> Result<()> {
+        let lights = self.scene.lights.as_ref().map_or(0, |l| l.model.lights as usize);
+        if gains.len() != lights {
+            return Err(TrainError::Setting(format!("{} gains were given for {lights} lights.", gains.len())));
+        }
+        if let Some(l) = &self.scene.lights {
+            l.gains.upload(device, gains)?;
+        }
+        Ok(())
+    }
+
     /// The scene.
     pub fn scene(&self) -> &ShadedScene {
         &self.scene
@@ -250,6 +265,17 @@ impl ShadedView {
     /// Light of the surroundings, linear, over black.
     pub fn ambient(&self) -> Image {
         self.over(&[&self.0.ambient], [0.0; 3])
+    }
+
+    /// Light of the surroundings on surfaces, over the surroundings themselves where there is no surface, linear.
+    pub fn surroundings(&self) -> Image {
+        let mut image = self.ambient();
+        for (p, color) in image.data.chunks_exact_mut(3).enumerate() {
+            let c = if self.0.coverage[p] >= LEAST_COVERAGE { self.0.coverage[p] } else { 0.0 };
+            let behind = self.0.background.get(3 * p..3 * p + 3).unwrap_or(&[0.0; 3]);
+            color.iter_mut().zip(behind).for_each(|(v, b)| *v += (1.0 - c) * b);
+        }
+        image
     }
 
     /// Diffuse light, linear, over black.

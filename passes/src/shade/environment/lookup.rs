@@ -76,6 +76,36 @@ pub fn environment(
     filtered: &Filtered,
     ambient: Buffer,
 ) -> Result<(), GraphError> {
+    light(g, t, ("environment", false), e, tables, view, filtered, ambient)
+}
+
+/// Adds the pass that writes the diffuse part of [`environment`] alone, `[P * 3]`.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn environment_diffuse(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    view: &EnvironmentView,
+    filtered: &Filtered,
+    diffuse: Buffer,
+) -> Result<(), GraphError> {
+    light(g, t, ("environment_diffuse", true), e, tables, view, filtered, diffuse)
+}
+
+/// Either; the name comes with whether only the diffuse part is wanted.
+fn light(
+    g: &mut Graph,
+    t: &Tuning,
+    (name, diffuse_only): (&'static str, bool),
+    e: &Environment,
+    tables: &EnvironmentTables,
+    view: &EnvironmentView,
+    filtered: &Filtered,
+    ambient: Buffer,
+) -> Result<(), GraphError> {
     let bindings = kernel::Bindings {
         params: view.step.into(),
         points: view.points.into(),
@@ -89,9 +119,8 @@ pub fn environment(
         ambient: ambient.into(),
     };
     let levels = e.levels.len() as u32;
-    let specs = kernel::Specs { workgroup: t.workgroup, levels, metallic: view.metallic.is_some() };
-    stage(g, "environment", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(view.pixels, t.workgroup))
+    let specs = kernel::Specs { workgroup: t.workgroup, levels, metallic: view.metallic.is_some(), diffuse_only };
+    stage(g, name, &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(view.pixels, t.workgroup))
 }
 
 /// Adds the passes of the gradients by `radiance_gradient`, `[P * 3]`: those of materials (`[P * 4]`) and of metallic

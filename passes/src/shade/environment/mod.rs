@@ -22,7 +22,9 @@ mod smoothness;
 pub mod split_sum;
 
 pub use filter::{Filtered, environment_filter, environment_filter_bwd};
-pub use lookup::{EnvironmentSums, EnvironmentView, environment, environment_background, environment_bwd};
+pub use lookup::{
+    EnvironmentSums, EnvironmentView, environment, environment_background, environment_bwd, environment_diffuse,
+};
 pub use smoothness::{Smoothness, environment_clamp, environment_smoothness};
 
 use crate::reference::rng::Pcg;

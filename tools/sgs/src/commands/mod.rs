@@ -8,6 +8,7 @@ pub mod intrinsic;
 pub mod plan;
 pub mod priors;
 pub mod pseudo;
+pub mod relight;
 pub mod render;
 pub mod synth;
 pub mod train;

@@ -1,9 +1,11 @@
-//! `sgs render`: pictures of a run or a PLY from any cameras.
+//! `sgs render`: pictures of a run or a PLY from any cameras: what is trained (color, depth, normals, classes), materials,
+//! and light part by part.
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
+use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use anyhow::bail;
 use sgs_engine::Device;
@@ -11,7 +13,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::splat::Channels;
 use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
-use sgs_train::{Classes, Classifier, SemanticHead};
+use sgs_train::{Classes, Classifier, LightFile, SemanticHead, Settings, Shading, shaded_scene};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -24,13 +26,17 @@ pub struct Args {
     /// Directory for the pictures.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains.
+    /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains. From
+    /// "albedo" on the source needs materials, from "pbr" on also light.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
     channels: Vec<Channel>,
     /// Also write how probably each pixel belongs to this class; may be repeated. PNG: black at chance, white at the most
     /// that the class gets; exr: the probability.
     #[arg(long, value_name = "CLASS")]
     query: Vec<String>,
+    /// Also write what each light alone sends, in its own picture.
+    #[arg(long)]
+    lights: bool,
     /// Of the probabilities of --query: the lower, the surer; that of training by default.
     #[arg(long, value_name = "T")]
     temperature: Option<f32>,
@@ -56,27 +62,38 @@ enum Channel {
     Depth,
     Normal,
     Semantic,
+    Albedo,
+    Roughness,
+    Metallic,
+    Pbr,
+    Diffuse,
+    Specular,
+    Visibility,
+    Env,
+    Direct,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    Exr,
-    Png,
-}
-
-impl Format {
-    fn file(self, dir: &Path, stem: &str, name: &str) -> PathBuf {
-        let extension = if self == Format::Exr { "exr" } else { "png" };
-        dir.join(format!("{stem}_{name}.{extension}"))
+impl Channel {
+    /// As part of a shaded view.
+    fn part(self) -> Option<Part> {
+        Some(match self {
+            Channel::Albedo => Part::Albedo,
+            Channel::Roughness => Part::Roughness,
+            Channel::Metallic => Part::Metallic,
+            Channel::Pbr => Part::Pbr,
+            Channel::Diffuse => Part::Diffuse,
+            Channel::Specular => Part::Specular,
+            Channel::Env => Part::Env,
+            Channel::Direct => Part::Direct,
+            Channel::Rgb | Channel::Alpha | Channel::Depth | Channel::Normal => return None,
+            Channel::Semantic | Channel::Visibility => return None,
+        })
     }
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let [r, g, b] = a.background[..] else { bail!("--background takes three numbers, r,g,b.") };
-    if ![r, g, b].iter().all(|v| v.is_finite()) {
-        bail!("--background is {r},{g},{b}, but must be finite numbers.");
-    }
-    let (splats, _) = splats_of(&a.source)?;
+    let background = background_of(&a.background)?;
+    let (splats, settings) = splats_of(&a.source)?;
     let cameras = Camera::read_transforms(&a.cameras)?;
     if cameras.is_empty() {
         bail!("\"{}\" holds no cameras.", a.cameras.display());
@@ -85,7 +102,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         bail!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
     let asked = Asked::of(a, &splats)?;
+    let light = Light::of(a, &splats, settings.as_ref())?;
     let device = common.open_device()?;
+    let mut light = light.map(|light| light.ready(&device, &splats)).transpose()?;
     let gaussians = upload(&device, &splats, asked.is_some())?;
     let mut meaning = asked.map(|asked| Meaning::new(&device, asked)).transpose()?;
     let channels = Channels {
@@ -101,9 +120,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut written = Vec::new();
     for (i, camera) in cameras.iter().enumerate() {
         let c = sgs_train::camera(camera);
-        let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, [r, g, b])?;
+        let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, background)?;
         for channel in &a.channels {
             written.extend(write(&a.output, &camera.name, *channel, a.format, &picture, channels)?);
+        }
+        if let Some(light) = &mut light {
+            written.extend(light.write(&device, a, camera, background)?);
         }
         if let Some(meaning) = &mut meaning {
             let classes = meaning.classifier.classify(&renderer, &picture)?;
@@ -120,7 +142,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     validated(&device)
 }
 
-/// Writes one channel of a picture; gives the file's path. Classes are no channel of it.
+/// Writes one channel of a picture; gives the file's path. Classes and what is shaded are no channels of it.
 fn write(
     dir: &Path,
     stem: &str,
@@ -139,7 +161,7 @@ fn write(
         Channel::Alpha => ("alpha", &["Y"], p.transmittance.iter().map(|t| 1.0 - t).collect()),
         Channel::Normal => ("normal", &["X", "Y", "Z"], pick(3, 3)),
         Channel::Depth => ("depth", &["Z"], pick(if channels.normals { 6 } else { 3 }, 1)),
-        Channel::Semantic => return Ok(None),
+        _ => return Ok(None),
     };
     let mut image = Image { width: p.size[0], height: p.size[1], channels: names.len() as u32, data };
     let path = format.file(dir, stem, name);
@@ -159,6 +181,84 @@ fn write(
         }
     }
     Ok(Some(path))
+}
+
+/// What is asked about materials and light.
+struct Light {
+    parts: Vec<Part>,
+    lights: Option<LightFile>,
+    environment: Option<sgs_train::Texels>,
+}
+
+impl Light {
+    /// Nothing, if nothing of that kind is asked for.
+    fn of(a: &Args, splats: &Splats, settings: Option<&Settings>) -> anyhow::Result<Option<Light>> {
+        let source = a.source.display();
+        if a.channels.contains(&Channel::Visibility) {
+            bail!("\"{source}\" has no visibility; leave \"visibility\" out of --channels.");
+        }
+        let parts: Vec<Part> = a.channels.iter().filter_map(|c| c.part()).collect();
+        if parts.is_empty() && !a.lights {
+            return Ok(None);
+        }
+        check_materials(&a.source, splats, parts.contains(&Part::Metallic))?;
+        let (lights, environment) = light_of_source(&a.source, settings)?;
+        let lit = parts.iter().find(|p| p.is_light());
+        if let (Some(part), None, None) = (lit, &lights, &environment) {
+            let name = part.name();
+            bail!(
+                "\"{source}\" has materials but neither lights nor an environment; leave \"{name}\" out of --channels."
+            );
+        }
+        if a.lights && lights.is_none() {
+            bail!("\"{source}\" has no lights; leave out --lights.");
+        }
+        Ok(Some(Light { parts, lights, environment }))
+    }
+
+    fn ready(self, device: &Device, splats: &Splats) -> anyhow::Result<Lit> {
+        let scene = shaded_scene(device, splats, self.lights.as_ref(), self.environment.as_ref())?;
+        let gains = self.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
+        Ok(Lit { parts: self.parts, gains, shading: Shading::new(device, scene)? })
+    }
+}
+
+/// What shades.
+struct Lit {
+    parts: Vec<Part>,
+    gains: Vec<f32>,
+    shading: Shading,
+}
+
+impl Lit {
+    /// Writes what was asked for; gives the files' paths.
+    fn write(
+        &mut self,
+        device: &Device,
+        a: &Args,
+        camera: &Camera,
+        background: [f32; 3],
+    ) -> anyhow::Result<Vec<PathBuf>> {
+        let mut written = Vec::new();
+        let (dir, stem) = (&a.output, &camera.name);
+        if !self.parts.is_empty() {
+            let shaded = self.shading.shade(camera)?;
+            for part in &self.parts {
+                let image = part.of(&shaded, background);
+                written.push(pictures::write(a.format, dir, stem, part.name(), &image)?);
+            }
+        }
+        if a.lights {
+            for i in 0..self.gains.len() {
+                let alone: Vec<f32> = (0..).zip(&self.gains).map(|(k, g)| if k == i { *g } else { 0.0 }).collect();
+                self.shading.set_gains(device, &alone)?;
+                let image = self.shading.shade(camera)?.direct();
+                written.push(pictures::write(a.format, dir, stem, &format!("light_{i:02}"), &image)?);
+            }
+            self.shading.set_gains(device, &self.gains)?;
+        }
+        Ok(written)
+    }
 }
 
 /// What is asked about classes.

@@ -50,6 +50,11 @@ pub struct LobeRow {
 }
 
 impl LightFile {
+    /// Of some lights.
+    pub fn new(normalizer: f32, lights: Vec<LightRow>) -> LightFile {
+        LightFile { format: FORMAT.to_owned(), normalizer, lights }
+    }
+
     /// From raw parameters.
     pub fn of(model: &LightModel, normalizer: f32, positions: &[f32], lobes: &[f32], gains: &[f32]) -> LightFile {
         let row = model.row() as usize;

@@ -1,0 +1,172 @@
+//! Pictures part by part, and under other light: what edits do to them, and what is refused.
+
+use serde_json::json;
+use sgs_scene::{Image, read_exr, write_exr};
+use sgs_tests::Place;
+use sgs_tests::cli::{Finished, sgs};
+use sgs_tests::rooms::Room;
+use sgs_train::read_lights;
+
+/// A room, and a run of a few steps in `run`.
+fn place() -> Place {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let mut a = vec!["train", "", "-o", "", "--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4"];
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    (a[1], a[3]) = (&scene, &run);
+    a.extend(["--stage", "all"]);
+    for set in [
+        "intrinsic.environment.resolution=16",
+        "intrinsic.lights.grid=2",
+        "intrinsic.visibility.levels=4",
+        "intrinsic.visibility.log2_table=10",
+        "intrinsic.visibility.finest=64",
+    ] {
+        a.extend(["--set", set]);
+    }
+    sgs(&a).ok();
+    let mut cameras: serde_json::Value = serde_json::from_slice(&place.read("scene/transforms.json")).unwrap();
+    cameras["frames"].as_array_mut().unwrap().truncate(1);
+    std::fs::write(place.path("cameras.json"), cameras.to_string()).unwrap();
+    place
+}
+
+/// Relights with an edit; pictures go to a directory.
+fn relit(place: &Place, edit: serde_json::Value, into: &str, more: &[&str]) -> Finished {
+    std::fs::write(place.path("edit.json"), edit.to_string()).unwrap();
+    let (run, cameras) = (place.text("run"), place.text("cameras.json"));
+    let (file, to) = (place.text("edit.json"), place.text(into));
+    let mut a = vec!["relight", &run, "--edit", &file, "--cameras", &cameras, "-o", &to, "--format", "exr"];
+    a.extend(more);
+    sgs(&a)
+}
+
+fn picture(place: &Place, file: &str) -> Image {
+    read_exr(&place.path(file)).unwrap().image
+}
+
+/// Largest difference, in units of the largest value.
+fn apart(a: &Image, b: &Image) -> f32 {
+    assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
+    let largest = b.data.iter().fold(1e-6_f32, |m, v| m.max(v.abs()));
+    a.data.iter().zip(&b.data).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max) / largest
+}
+
+fn sum(images: &[Image]) -> Image {
+    let mut all = images[0].clone();
+    for image in &images[1..] {
+        all.data.iter_mut().zip(&image.data).for_each(|(a, b)| *a += b);
+    }
+    all
+}
+
+#[test]
+fn edits_do_what_they_say_and_nothing_else() {
+    let place = place();
+    let cameras = place.text("cameras.json");
+    let render = |more: &[&str]| {
+        let (run, to) = (place.text("run"), place.text("all"));
+        let mut a = vec!["render", &run, "--cameras", &cameras, "-o", &to, "--format", "exr"];
+        a.extend(more);
+        sgs(&a)
+    };
+    render(&["--lights", "--channels", "pbr,direct,env,diffuse,specular,albedo,roughness"]).ok();
+    let of = |name: &str| picture(&place, &format!("all/000_{name}.exr"));
+    // Light is the sum of its parts.
+    let lights: Vec<Image> = (0..8).map(|i| of(&format!("light_{i:02}"))).collect();
+    assert!(lights.iter().all(|l| l.data.iter().any(|v| *v > 0.0)));
+    let direct = of("direct");
+    assert!(apart(&sum(&lights), &direct) < 1e-4, "{}", apart(&sum(&lights), &direct));
+    assert!(apart(&sum(&lights[1..]), &direct) > 1e-3);
+    assert!(apart(&sum(&[of("diffuse"), of("specular")]), &of("pbr")) < 1e-4);
+    assert!(of("specular").data.iter().all(|v| *v >= -1e-6) && of("env").data.iter().any(|v| *v > 0.0));
+    render(&["--channels", "visibility"]).refused(&["visibility"]);
+
+    // Nothing changes nothing.
+    relit(&place, json!({}), "same", &[]).ok();
+    let pbr = of("pbr");
+    assert_eq!(picture(&place, "same/000_relit.exr"), pbr);
+    // A light off is the sum without it; twice as bright, the sum with it once more.
+    let edit = |change: serde_json::Value| json!({"lights": {"change": [change]}, "environment": {"off": true}});
+    relit(&place, edit(json!({"light": 3, "on": false})), "off", &[]).ok();
+    let without = [&lights[..3], &lights[4..]].concat();
+    assert!(apart(&picture(&place, "off/000_relit.exr"), &sum(&without)) < 1e-4);
+    relit(&place, edit(json!({"light": 3, "intensity": 2, "color": [1, 0.5, 0.5]})), "color", &[]).ok();
+    let colored = picture(&place, "color/000_relit.exr");
+    let red =
+        |image: &Image| Image { channels: 1, data: image.data.iter().copied().step_by(3).collect(), ..image.clone() };
+    let green = |image: &Image| Image {
+        channels: 1,
+        data: image.data.iter().copied().skip(1).step_by(3).collect(),
+        ..image.clone()
+    };
+    assert!(apart(&red(&colored), &red(&sum(&[direct.clone(), lights[3].clone()]))) < 1e-4);
+    assert!(apart(&green(&colored), &green(&direct)) < 1e-4);
+    relit(&place, json!({"lights": {"only": [3]}, "environment": {"off": true}}), "only", &[]).ok();
+    assert!(apart(&picture(&place, "only/000_relit.exr"), &lights[3]) < 1e-4);
+    // The same light, added: in physical units.
+    let file = read_lights(&place.path("run/lights.json")).unwrap();
+    let lobes: Vec<serde_json::Value> = file.lights[3]
+        .lobes
+        .iter()
+        .map(|l| json!({"axis": l.axis, "sharpness": l.sharpness, "amplitude": l.amplitude.map(|a| a * file.normalizer)}))
+        .collect();
+    let add = json!([{"position": file.lights[3].position, "lobes": lobes}]);
+    relit(&place, json!({"lights": {"off": true, "add": add}, "environment": {"off": true}}), "added", &[]).ok();
+    assert!(apart(&picture(&place, "added/000_relit.exr"), &lights[3]) < 1e-4);
+    // Surroundings: linear in their color, and others from a file.
+    let env = sum(&[pbr.clone()]).data.iter().zip(&direct.data).map(|(a, b)| a - b).collect();
+    let env = Image { data: env, ..pbr.clone() };
+    relit(&place, json!({"lights": {"off": true}, "environment": {"scale": 3}}), "env", &[]).ok();
+    let thrice = Image { data: env.data.iter().map(|v| 3.0 * v).collect(), ..env.clone() };
+    assert!(apart(&picture(&place, "env/000_relit.exr"), &thrice) < 1e-3);
+    write_exr(&place.path("dark.exr"), &Image::new(32, 16, 3), &["R", "G", "B"]).unwrap();
+    relit(&place, json!({"environment": {"file": "dark.exr"}}), "dark", &[]).ok();
+    assert!(apart(&picture(&place, "dark/000_relit.exr"), &direct) < 1e-4);
+
+    // Materials: everything gets one.
+    let set = json!({"albedo": [0.2, 0.4, 0.6], "roughness": 0.7, "metallic": 0.5});
+    let everywhere = json!({"box": [[-9, -9, -9], [9, 9, 9]]});
+    let edit = json!({"materials": [{"where": everywhere, "set": set}]});
+    relit(&place, edit, "painted", &["--channels", "albedo,roughness,metallic"]).ok();
+    for (name, expected) in [("albedo", vec![0.2, 0.4, 0.6]), ("roughness", vec![0.7]), ("metallic", vec![0.5])] {
+        let found = picture(&place, &format!("painted/000_{name}.exr"));
+        let n = expected.len();
+        for (p, wanted) in found.data.chunks(n).zip(std::iter::repeat(&expected)) {
+            let near = p.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-3);
+            assert!(near || p.iter().all(|v| *v == 0.0), "{name}: {p:?}");
+        }
+    }
+    // Something far away changes nothing; something that fills the view does.
+    let insert = |at: f32| json!({"insert": [{"source": "run/scene.ply", "scale": 0.3, "translation": [0, 0, at]}]});
+    relit(&place, insert(-500.0), "far", &[]).ok();
+    assert!(apart(&picture(&place, "far/000_relit.exr"), &pbr) < 1e-5);
+    relit(&place, insert(0.3), "near", &[]).ok();
+    assert!(apart(&picture(&place, "near/000_relit.exr"), &pbr) > 0.01);
+
+    // A PLY has materials, but no light.
+    let ply = place.text("run/scene.ply");
+    let to = place.text("ply");
+    let a = ["render", &ply, "--cameras", &cameras, "-o", &to, "--format", "exr", "--channels"];
+    sgs(&[&a[..], &["albedo,roughness"]].concat()).ok();
+    assert_eq!(picture(&place, "ply/000_albedo.exr"), of("albedo"));
+    sgs(&[&a[..], &["pbr"]].concat()).refused(&["neither lights nor an environment", "pbr"]);
+    sgs(&[&a[..], &["albedo"], &["--lights"]].concat()).refused(&["no lights"]);
+
+    // What is wrong is named.
+    let refusal = |edit: serde_json::Value, words: &[&str]| {
+        relit(&place, edit, "refused", &[]).refused(words);
+    };
+    refusal(json!({"lamps": []}), &["edit.json", "lamps"]);
+    refusal(json!({"lights": {"only": [8]}}), &["light 8", "0 to 7"]);
+    refusal(json!({"environment": {"file": "missing.exr"}}), &["missing.exr"]);
+    let roughness = json!({"roughness": 0.5});
+    refusal(json!({"materials": [{"where": {"gaussians": [999_999]}, "set": roughness}]}), &["Gaussian 999999"]);
+    refusal(
+        json!({"materials": [{"where": {"box": [[50, 50, 50], [51, 51, 51]]}, "set": roughness}]}),
+        &["none", "box"],
+    );
+    refusal(json!({"materials": [{"where": {"class": "sofa"}, "set": roughness}]}), &["class"]);
+    let region = json!({"view": "000", "id": 77});
+    refusal(json!({"materials": [{"where": {"region": region}, "set": roughness}]}), &["region 77", "000"]);
+    refusal(json!({"insert": [{"source": "missing.ply"}]}), &["missing.ply"]);
+}

@@ -1,0 +1,117 @@
+//! Pictures of what shades: materials and parts of light, as files.
+//!
+//! EXR holds the blended values as they are (linear); PNG shows them: light and albedo as a screen does (sRGB, clamped).
+
+use anyhow::bail;
+use sgs_scene::{Image, Splats, write_exr, write_png};
+use sgs_train::{LightFile, RunDirectory, Settings, ShadedView, Texels, displayed, light_of};
+use std::path::{Path, PathBuf};
+
+/// Formats of picture files.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    Exr,
+    Png,
+}
+
+impl Format {
+    /// `DIR/STEM_NAME.EXTENSION`.
+    pub fn file(self, dir: &Path, stem: &str, name: &str) -> PathBuf {
+        let extension = if self == Format::Exr { "exr" } else { "png" };
+        dir.join(format!("{stem}_{name}.{extension}"))
+    }
+}
+
+/// A picture of a shaded view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    Albedo,
+    Roughness,
+    Metallic,
+    Pbr,
+    Diffuse,
+    Specular,
+    Env,
+    Direct,
+}
+
+impl Part {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Part::Albedo => "albedo",
+            Part::Roughness => "roughness",
+            Part::Metallic => "metallic",
+            Part::Pbr => "pbr",
+            Part::Diffuse => "diffuse",
+            Part::Specular => "specular",
+            Part::Env => "env",
+            Part::Direct => "direct",
+        }
+    }
+
+    /// Whether it needs light.
+    pub fn is_light(self) -> bool {
+        !matches!(self, Part::Albedo | Part::Roughness | Part::Metallic)
+    }
+
+    /// Takes it from a view. The background is display-referred and lies behind all light alone.
+    pub fn of(self, view: &ShadedView, background: [f32; 3]) -> Image {
+        match self {
+            Part::Albedo => view.albedo(),
+            Part::Roughness => view.roughness(),
+            Part::Metallic => view.metallic(),
+            Part::Pbr => view.radiance(background),
+            Part::Diffuse => view.diffuse(),
+            Part::Specular => view.specular(),
+            Part::Env => view.surroundings(),
+            Part::Direct => view.direct(),
+        }
+    }
+}
+
+/// Writes a linear picture, or one channel; gives the file's path.
+pub fn write(format: Format, dir: &Path, stem: &str, name: &str, image: &Image) -> anyhow::Result<PathBuf> {
+    let path = format.file(dir, stem, name);
+    let names: &[&str] = if image.channels == 1 { &["Y"] } else { &["R", "G", "B"] };
+    match format {
+        Format::Exr => write_exr(&path, image, names)?,
+        Format::Png if image.channels == 3 => write_png(&path, &displayed(image))?,
+        Format::Png => {
+            let data = image.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+            write_png(&path, &Image { data, ..image.clone() })?;
+        }
+    }
+    Ok(path)
+}
+
+/// The lamps and the surroundings of a run; none of a PLY file.
+pub fn light_of_source(
+    source: &Path,
+    settings: Option<&Settings>,
+) -> anyhow::Result<(Option<LightFile>, Option<Texels>)> {
+    let Some(settings) = settings else { return Ok((None, None)) };
+    Ok(light_of(&RunDirectory::open(source)?, settings)?)
+}
+
+/// Refuses splats that cannot be shaded.
+pub fn check_materials(source: &Path, splats: &Splats, metallic: bool) -> anyhow::Result<()> {
+    let missing = [
+        ("materials", splats.albedo.is_none() || splats.roughness.is_none()),
+        ("metallic", metallic && splats.metallic.is_none()),
+        ("normals", splats.normals.is_none()),
+    ];
+    if let Some((what, _)) = missing.iter().find(|(_, missing)| *missing) {
+        bail!("\"{}\" has no {what}; train its materials with --stage intrinsic.", source.display());
+    }
+    Ok(())
+}
+
+/// The color behind everything, from a command line.
+pub fn background_of(numbers: &[f32]) -> anyhow::Result<[f32; 3]> {
+    let [r, g, b] = *numbers else { bail!("--background takes three numbers, r,g,b.") };
+    if ![r, g, b].iter().all(|v| v.is_finite()) {
+        bail!("--background is {r},{g},{b}, but must be finite numbers.");
+    }
+    Ok([r, g, b])
+}

@@ -1,0 +1,70 @@
+//! Scenes under other light, of other materials, with other things in them; nothing is trained again.
+//!
+//! An [`Edit`] is applied to what a run has left, and gives what shades. Leaves shading and files to others.
+
+mod edit;
+mod environment;
+mod harmonics;
+mod insert;
+mod lights;
+mod materials;
+mod select;
+
+pub use edit::{
+    Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
+};
+pub use select::Selector;
+
+use crate::error::{Result, TrainError};
+use crate::intrinsic::LightFile;
+use crate::shaded::{Texels, shaded_scene};
+use sgs_engine::Device;
+use sgs_passes::pipeline::ShadedScene;
+use sgs_scene::Splats;
+
+/// Everything that shades, on the host.
+#[derive(Clone, Debug)]
+pub struct Relit {
+    /// Gaussians with materials.
+    pub splats: Splats,
+    /// Lamps.
+    pub lights: Option<LightFile>,
+    /// The surroundings.
+    pub environment: Option<Texels>,
+}
+
+impl Relit {
+    /// Applies an edit: materials first, so that they speak of the run's own Gaussians, then what is put in, then light.
+    /// Surroundings that are new have `size` texels along an edge; `load` gives what an insertion names.
+    ///
+    /// # Errors
+    /// If the edit names what is not there.
+    pub fn edited(
+        mut self,
+        edit: &Edit,
+        size: u32,
+        select: &mut Selector<'_>,
+        mut load: impl FnMut(&Insert) -> Result<Splats>,
+    ) -> Result<Relit> {
+        edit.check().map_err(|reason| TrainError::Setting(format!("The edit cannot be applied: {reason}.")))?;
+        for change in &edit.materials {
+            let chosen = select.choose(&change.place, &self.splats)?;
+            materials::edit_materials(change, &chosen, &mut self.splats);
+        }
+        for one in &edit.insert {
+            insert::join(&mut self.splats, insert::placed(load(one)?, one));
+        }
+        self.lights = lights::edit_lights(&edit.lights, self.lights)?;
+        let size = self.environment.as_ref().map_or(size, |e| e.size);
+        self.environment = environment::edit_environment(&edit.environment, self.environment, size)?;
+        Ok(self)
+    }
+
+    /// On a device.
+    ///
+    /// # Errors
+    /// If materials or normals are missing, or memory runs out.
+    pub fn upload(&self, device: &Device) -> Result<ShadedScene> {
+        shaded_scene(device, &self.splats, self.lights.as_ref(), self.environment.as_ref())
+    }
+}

@@ -1,0 +1,135 @@
+//! Which Gaussians an edit is about.
+
+use super::edit::{Region, Where};
+use crate::convert::{camera, gaussian_data};
+use crate::error::{Result, TrainError};
+use crate::head::SemanticHead;
+use sgs_engine::{Device, Location};
+use sgs_passes::Tuning;
+use sgs_passes::loss::normalize_embeddings;
+use sgs_passes::pipeline::{FeatureImage, Labeler, Renderer};
+use sgs_passes::scene::{Decoder, Gaussians, Model};
+use sgs_passes::splat::Channels;
+use sgs_scene::{Scene, Splats};
+
+/// How much farther than the surface in a pixel a center may lie to show there, as a share of its depth.
+const BEHIND: f32 = 0.05;
+
+/// Finds Gaussians, with what a run has.
+pub struct Selector<'a> {
+    /// Where classes are worked out.
+    pub device: &'a Device,
+    /// For classes.
+    pub head: Option<SemanticHead>,
+    /// For regions.
+    pub scene: Option<&'a Scene>,
+}
+
+impl Selector<'_> {
+    /// Whether each Gaussian is one of those.
+    ///
+    /// # Errors
+    /// If there are none, or what is named is not there.
+    pub fn choose(&mut self, which: &Where, splats: &Splats) -> Result<Vec<bool>> {
+        let mut chosen = vec![true; splats.len()];
+        let mut also = |holds: &dyn Fn(usize) -> bool| {
+            chosen.iter_mut().enumerate().for_each(|(i, c)| *c &= holds(i));
+        };
+        if let Some([low, high]) = which.within {
+            also(&|i| (0..3).all(|c| (low[c]..=high[c]).contains(&splats.means[i][c])));
+        }
+        if let Some(numbers) = &which.gaussians {
+            if let Some(far) = numbers.iter().find(|n| **n >= splats.len()) {
+                let said = format!("The edit names Gaussian {far}, but there are {}.", splats.len());
+                return Err(TrainError::Setting(said));
+            }
+            let mut named = vec![false; splats.len()];
+            numbers.iter().for_each(|n| named[*n] = true);
+            also(&|i| named[i]);
+        }
+        if let Some(name) = &which.class {
+            let of_class = self.of_class(name, splats)?;
+            also(&|i| of_class[i]);
+        }
+        if let Some(region) = &which.region {
+            let of_region = self.of_region(region, splats)?;
+            also(&|i| of_region[i]);
+        }
+        if !chosen.contains(&true) {
+            let said = serde_json::to_string(&without_null(which)).unwrap_or_default();
+            return Err(TrainError::Setting(format!("The edit chooses Gaussians by {said}, but there are none.")));
+        }
+        Ok(chosen)
+    }
+
+    /// By each Gaussian's own features.
+    fn of_class(&self, name: &str, splats: &Splats) -> Result<Vec<bool>> {
+        let missing = || TrainError::Setting(format!("The edit names class \"{name}\", but the run has no classes."));
+        let head = self.head.as_ref().ok_or_else(missing)?;
+        let (channels, values) = splats.semantic.as_ref().ok_or_else(missing)?;
+        let class = head.class(name)? as u32;
+        let decoder = Decoder::new(self.device, 0, false)?;
+        decoder.upload(self.device, &head.decoder)?;
+        let buffer = self.device.buffer("features", 4 * values.len().max(1) as u64, Location::Device)?;
+        self.device.upload(&buffer, 0, bytemuck::cast_slice(values))?;
+        let text = normalize_embeddings(&head.text.data);
+        let tuning = Tuning::for_device(self.device.info());
+        let mut labeler = Labeler::new(self.device, tuning, &text, head.temperature, &[])?;
+        let size = [splats.len() as u32, 1];
+        let image = FeatureImage { buffer: &buffer, size, channels: *channels as u32, first: 0 };
+        Ok(labeler.label(&decoder, &image)?.labels.iter().map(|l| *l == class).collect())
+    }
+
+    /// Whose center shows in a region of a view.
+    fn of_region(&self, region: &Region, splats: &Splats) -> Result<Vec<bool>> {
+        let (name, id) = (&region.view, region.id);
+        let wrong =
+            |said: String| TrainError::Setting(format!("The edit names region {id} of view \"{name}\", but {said}."));
+        let scene = self.scene.ok_or_else(|| wrong("there is no scene".into()))?;
+        let view = scene.split.train.iter().copied().find(|v| scene.views[*v].camera.name == *name);
+        let view = view.ok_or_else(|| wrong("there is no training view of that name".into()))?;
+        let map = scene.region_prior(view)?.ok_or_else(|| wrong("it has no map in priors/masks".into()))?;
+        if id == 0 || !map.ids.contains(&id) {
+            return Err(wrong("no pixel of its map is in it".into()));
+        }
+        let inside: Vec<bool> = map.ids.iter().map(|i| *i == id).collect();
+        seen(self.device, splats, &scene.views[view].camera, &inside)
+    }
+}
+
+/// Whose centers show in some pixels of a view.
+///
+/// # Errors
+/// If memory runs out or the device fails.
+pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: &[bool]) -> Result<Vec<bool>> {
+    let model = Model { sh_degree: 0, normals: false, semantics: false };
+    let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
+    gaussians.upload(device, &gaussian_data(splats, model))?;
+    let channels = Channels { colors: true, normals: false, depth: true };
+    let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
+    let picture = renderer.render(&gaussians, &camera(view), 0, [0.0; 3])?;
+    let width = picture.channels as usize;
+    let shows = |mean: &[f32; 3]| {
+        let point = glam::DVec3::from(mean.map(f64::from));
+        let depth = (view.rotation * point + view.translation).z as f32;
+        let Some(at) = view.project(point) else { return false };
+        let (x, y) = (at.x.floor(), at.y.floor());
+        if depth <= 0.0 || x < 0.0 || y < 0.0 || x >= f64::from(view.width) || y >= f64::from(view.height) {
+            return false;
+        }
+        let pixel = y as usize * view.width as usize + x as usize;
+        inside[pixel] && depth <= (1.0 + BEHIND) * picture.image[pixel * width + 3]
+    };
+    Ok(splats.means.iter().map(shows).collect())
+}
+
+fn without_null(which: &Where) -> serde_json::Value {
+    let mut value = serde_json::to_value(which).unwrap_or_default();
+    if let Some(fields) = value.as_object_mut() {
+        fields.retain(|_, v| !v.is_null());
+        if let Some(serde_json::Value::Array(all)) = fields.get_mut("gaussians") {
+            all.truncate(3);
+        }
+    }
+    value
+}
