@@ -4,7 +4,7 @@
 
 use anyhow::bail;
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_train::{LightFile, RunDirectory, Settings, ShadedView, Texels, displayed, light_of};
+use sgs_train::{RunDirectory, RunLight, Settings, ShadedView, displayed, light_of};
 use std::path::{Path, PathBuf};
 
 /// Formats of picture files.
@@ -31,6 +31,7 @@ pub enum Part {
     Pbr,
     Diffuse,
     Specular,
+    Visibility,
     Env,
     Direct,
 }
@@ -45,6 +46,7 @@ impl Part {
             Part::Pbr => "pbr",
             Part::Diffuse => "diffuse",
             Part::Specular => "specular",
+            Part::Visibility => "visibility",
             Part::Env => "env",
             Part::Direct => "direct",
         }
@@ -64,6 +66,7 @@ impl Part {
             Part::Pbr => view.radiance(background),
             Part::Diffuse => view.diffuse(),
             Part::Specular => view.specular(),
+            Part::Visibility => view.visibility().unwrap_or_else(|| view.coverage()),
             Part::Env => view.surroundings(),
             Part::Direct => view.direct(),
         }
@@ -85,12 +88,9 @@ pub fn write(format: Format, dir: &Path, stem: &str, name: &str, image: &Image) 
     Ok(path)
 }
 
-/// The lamps and the surroundings of a run; none of a PLY file.
-pub fn light_of_source(
-    source: &Path,
-    settings: Option<&Settings>,
-) -> anyhow::Result<(Option<LightFile>, Option<Texels>)> {
-    let Some(settings) = settings else { return Ok((None, None)) };
+/// What lights a run; nothing for a PLY file.
+pub fn light_of_source(source: &Path, settings: Option<&Settings>) -> anyhow::Result<RunLight> {
+    let Some(settings) = settings else { return Ok(RunLight::default()) };
     Ok(light_of(&RunDirectory::open(source)?, settings)?)
 }
 

@@ -81,7 +81,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if cameras.is_empty() {
         bail!("\"{}\" holds no cameras.", a.cameras.display());
     }
-    let (lights, environment) = light_of_source(&a.source, settings.as_ref())?;
+    let light = light_of_source(&a.source, settings.as_ref())?;
     let by_class = edit.materials.iter().any(|m| m.place.class.is_some());
     let head = match by_class && splats.semantic.is_some() {
         true => Some(head_of(&a.source, &splats)?),
@@ -91,7 +91,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut selector = Selector { device: &device, head, scene: scene.as_ref() };
     let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution);
-    let relit = Relit { splats, lights, environment }.edited(&edit, size, &mut selector, loaded)?;
+    let relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
     if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
         bail!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
@@ -111,7 +111,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         bar.set(i as u64 + 1, || camera.name.clone());
     }
     bar.finish();
-    let lights = relit.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
+    let lights = relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
     common.answer(&serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written}))?;
     validated(&device)
 }

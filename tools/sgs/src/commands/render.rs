@@ -13,7 +13,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::splat::Channels;
 use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
-use sgs_train::{Classes, Classifier, LightFile, SemanticHead, Settings, Shading, shaded_scene};
+use sgs_train::{Classes, Classifier, RunLight, SemanticHead, Settings, Shading, shaded_scene};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -83,10 +83,11 @@ impl Channel {
             Channel::Pbr => Part::Pbr,
             Channel::Diffuse => Part::Diffuse,
             Channel::Specular => Part::Specular,
+            Channel::Visibility => Part::Visibility,
             Channel::Env => Part::Env,
             Channel::Direct => Part::Direct,
             Channel::Rgb | Channel::Alpha | Channel::Depth | Channel::Normal => return None,
-            Channel::Semantic | Channel::Visibility => return None,
+            Channel::Semantic => return None,
         })
     }
 }
@@ -186,39 +187,39 @@ fn write(
 /// What is asked about materials and light.
 struct Light {
     parts: Vec<Part>,
-    lights: Option<LightFile>,
-    environment: Option<sgs_train::Texels>,
+    light: RunLight,
 }
 
 impl Light {
     /// Nothing, if nothing of that kind is asked for.
     fn of(a: &Args, splats: &Splats, settings: Option<&Settings>) -> anyhow::Result<Option<Light>> {
         let source = a.source.display();
-        if a.channels.contains(&Channel::Visibility) {
-            bail!("\"{source}\" has no visibility; leave \"visibility\" out of --channels.");
-        }
         let parts: Vec<Part> = a.channels.iter().filter_map(|c| c.part()).collect();
         if parts.is_empty() && !a.lights {
             return Ok(None);
         }
         check_materials(&a.source, splats, parts.contains(&Part::Metallic))?;
-        let (lights, environment) = light_of_source(&a.source, settings)?;
+        let light = light_of_source(&a.source, settings)?;
         let lit = parts.iter().find(|p| p.is_light());
-        if let (Some(part), None, None) = (lit, &lights, &environment) {
+        if let (Some(part), None, None) = (lit, &light.lights, &light.environment) {
             let name = part.name();
             bail!(
                 "\"{source}\" has materials but neither lights nor an environment; leave \"{name}\" out of --channels."
             );
         }
-        if a.lights && lights.is_none() {
+        if parts.contains(&Part::Visibility) && (light.visibility.is_none() || light.lights.is_none()) {
+            bail!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
+        }
+        if a.lights && light.lights.is_none() {
             bail!("\"{source}\" has no lights; leave out --lights.");
         }
-        Ok(Some(Light { parts, lights, environment }))
+        Ok(Some(Light { parts, light }))
     }
 
     fn ready(self, device: &Device, splats: &Splats) -> anyhow::Result<Lit> {
-        let scene = shaded_scene(device, splats, self.lights.as_ref(), self.environment.as_ref())?;
-        let gains = self.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
+        let RunLight { lights, environment, visibility } = &self.light;
+        let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility.as_ref())?;
+        let gains = lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
         Ok(Lit { parts: self.parts, gains, shading: Shading::new(device, scene)? })
     }
 }

@@ -16,8 +16,7 @@ pub use edit::{
 pub use select::Selector;
 
 use crate::error::{Result, TrainError};
-use crate::intrinsic::LightFile;
-use crate::shaded::{Texels, shaded_scene};
+use crate::shaded::{RunLight, shaded_scene};
 use sgs_engine::Device;
 use sgs_passes::pipeline::ShadedScene;
 use sgs_scene::Splats;
@@ -27,10 +26,8 @@ use sgs_scene::Splats;
 pub struct Relit {
     /// Gaussians with materials.
     pub splats: Splats,
-    /// Lamps.
-    pub lights: Option<LightFile>,
-    /// The surroundings.
-    pub environment: Option<Texels>,
+    /// Lamps, surroundings, what lamps see.
+    pub light: RunLight,
 }
 
 impl Relit {
@@ -54,9 +51,11 @@ impl Relit {
         for one in &edit.insert {
             insert::join(&mut self.splats, insert::placed(load(one)?, one));
         }
-        self.lights = lights::edit_lights(&edit.lights, self.lights)?;
-        let size = self.environment.as_ref().map_or(size, |e| e.size);
-        self.environment = environment::edit_environment(&edit.environment, self.environment, size)?;
+        let RunLight { lights, environment, visibility } = self.light;
+        let lights = lights::edit_lights(&edit.lights, lights)?;
+        let size = environment.as_ref().map_or(size, |e| e.size);
+        let environment = environment::edit_environment(&edit.environment, environment, size)?;
+        self.light = RunLight { lights, environment, visibility };
         Ok(self)
     }
 
@@ -65,6 +64,7 @@ impl Relit {
     /// # Errors
     /// If materials or normals are missing, or memory runs out.
     pub fn upload(&self, device: &Device) -> Result<ShadedScene> {
-        shaded_scene(device, &self.splats, self.lights.as_ref(), self.environment.as_ref())
+        let RunLight { lights, environment, visibility } = &self.light;
+        shaded_scene(device, &self.splats, lights.as_ref(), environment.as_ref(), visibility.as_ref())
     }
 }
