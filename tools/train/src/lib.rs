@@ -47,7 +47,7 @@ pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use relight::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Relit,
-    Selector, Turn, Where,
+    Selector, Turn, Where, evaluate_relit,
 };
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;

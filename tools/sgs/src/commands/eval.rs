@@ -9,7 +9,7 @@ use sgs_engine::Device;
 use sgs_scene::{Image, Scene, Splats, write_png};
 use sgs_train::{
     Evaluation, Nvs, RunDirectory, Semantic, Settings, ShadedMetrics, Shading, displayed, evaluate_classes,
-    evaluate_shaded, light_of, shaded_scene,
+    evaluate_relit, evaluate_shaded, light_of, shaded_scene,
 };
 use std::path::{Path, PathBuf};
 
@@ -115,6 +115,7 @@ pub fn measure(
             write_png(&dir.join(format!("{name}_shaded.png")), &beside(&row))?;
             Ok(())
         })?;
+        evaluate_relit(device, scene, splats, &light, views, &mut result)?;
     }
     record(run, if split == Split::Test { "test" } else { "train" }, &result, splats.len())?;
     Ok(result)

@@ -9,11 +9,13 @@ mod insert;
 mod lights;
 mod materials;
 mod select;
+mod truth;
 
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
 pub use select::Selector;
+pub use truth::evaluate_relit;
 
 use crate::error::{Result, TrainError};
 use crate::shaded::{RunLight, shaded_scene};
