@@ -289,7 +289,12 @@ pub(super) fn build(
             };
             // What lights' places are asked through the field comes on top of what is asked of them directly.
             let gradients = Gradients { lights: into.positions, ..gradients };
-            let options = BackwardOptions { regularized: o.visibility_jitter, add_places: true, ..Default::default() };
+            let options = BackwardOptions {
+                regularized: o.visibility_jitter,
+                add_places: true,
+                sample: o.visibility_sample.max(1),
+                ..Default::default()
+            };
             visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
             visibility_adam(g, *t, &v.field, &gradients, &moments)?;
         }

@@ -35,6 +35,8 @@ pub struct IntrinsicOptions {
     pub visibility: Option<FieldConfig>,
     /// Whether visibility is not to notice a jitter of places.
     pub visibility_jitter: bool,
+    /// One pair of pixel and light of so many teaches the field, for as many: 1 is all of them.
+    pub visibility_sample: u32,
     /// Weights of the lights' nearness to surfaces and of their amplitudes.
     pub light_regularizers: [f32; 2],
     /// Lights whose amplitudes are all below this share of the largest are switched off for good; 0 keeps all.

@@ -187,6 +187,7 @@ impl Intrinsic {
             lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
             visibility: s.visibility.config().filter(|_| s.lights.enabled),
             visibility_jitter: s.losses.visibility_jitter > 0.0,
+            visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
             light_prune: s.lights.prune,
             environment_smooth: s.losses.environment_smooth,

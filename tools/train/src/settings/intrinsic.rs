@@ -132,6 +132,9 @@ pub struct VisibilitySettings {
     pub coarsest: u32,
     /// Resolution of the finest level.
     pub finest: u32,
+    /// One pair of pixel and light of so many teaches the field in a step, for as many: 1 is all of them. More is quicker and
+    /// noisier, and right in the mean.
+    pub sample: u32,
     /// Standard deviation of the jitter that visibility should not notice, as a share of half the scene's box.
     pub jitter: f32,
 }
@@ -144,6 +147,7 @@ impl Default for VisibilitySettings {
             log2_table: 19,
             coarsest: 32,
             finest: 4096,
+            sample: 1,
             jitter: 0.01 / 1.5,
         }
     }
@@ -270,6 +274,9 @@ impl IntrinsicSettings {
         }
         if !(1..=8).contains(&l.grid) {
             return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));
+        }
+        if !(1..=4096).contains(&v.sample) {
+            return fail(format!("intrinsic.visibility.sample is {}, but must be 1 to 4096.", v.sample));
         }
         if let Some(Err(e)) = v.config().map(|c| c.check()) {
             return fail(format!("intrinsic.visibility cannot be: {e}"));
