@@ -172,3 +172,60 @@ fn the_command_leaves_what_shades_and_measures() {
         assert!((a - d - e).abs() <= 1e-5 * a.abs().max(1.0));
     }
 }
+
+/// What a step takes beside the scene, at the sizes that the published way needs some 90 GB for.
+#[test]
+fn a_large_step_fits_into_two_and_a_half_gigabytes() {
+    use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicRates, IntrinsicSizes, IntrinsicStep};
+    use sgs_passes::pipeline::{SurfaceBuilder, SurfaceShape};
+    use sgs_passes::scene::{Layout, Model};
+    use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
+    use sgs_passes::shade::lights::LightModel;
+    use sgs_passes::shade::visibility::FieldConfig;
+    let gpu = Gpu::new();
+    let pixels = 1600 * 1200;
+    // Twenty splats a pixel show, on a million of them.
+    let shape = SurfaceShape { largest: [1600, 1200], gaussians: 1_000_000, weights: 20 * pixels };
+    let environment =
+        Environment::new(256, &EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() }).unwrap();
+    let rates = IntrinsicRates {
+        albedo: 0.01,
+        roughness: 0.01,
+        metallic: 0.01,
+        light_positions: 0.05,
+        lights: 0.05,
+        environment: 0.05,
+        visibility: 4e-3,
+    };
+    let options = IntrinsicOptions {
+        shape,
+        metallic: false,
+        lights: Some((LightModel::default(), 1.0 / 64.0)),
+        visibility: Some(FieldConfig { levels: 16, log2_table: 19, coarsest: 32, finest: 4096 }),
+        visibility_jitter: true,
+        visibility_sample: 1,
+        light_regularizers: [1e-6, 1e-4],
+        light_prune: 0.0,
+        environment_smooth: 0.0,
+        edge_aware: true,
+        gradients: true,
+        cross_view: false,
+        relight: false,
+        returning: false,
+        rates,
+        timestamps: false,
+        frames_in_flight: 2,
+    };
+    let photographs = 12 * 4 * u64::from(pixels);
+    let priors = Some(photographs);
+    let sizes = IntrinsicSizes { targets: photographs, albedo: priors, roughness: priors, ..Default::default() };
+    let step = IntrinsicStep::plan(&gpu.tuning(), &sizes, Some(&environment), &options).unwrap();
+    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let layout = Layout { model, capacity: shape.gaussians, training: false, statistics: false };
+    let builder = SurfaceBuilder::plan(&gpu.tuning(), &layout, shape, 4_000_000).unwrap();
+    let (step, view, builder) = (step.arena_bytes, shape.bytes(), builder.arena_bytes);
+    let all = step + view + builder;
+    println!("step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
+    assert!(all < 2_500_000_000, "step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
+    assert!(step > 0 && view > 0, "nothing was counted");
+}

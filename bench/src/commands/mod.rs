@@ -2,6 +2,7 @@
 
 pub mod ceiling;
 pub mod compile;
+pub mod intrinsic;
 pub mod passes;
 pub mod results;
 pub mod scaling;

@@ -35,6 +35,12 @@ pub struct Args {
     /// Which step.
     #[arg(long, value_enum, default_value = "geometry")]
     pub stage: Stage,
+    /// Geometry of the intrinsic stage, a PLY file; the scene's points by default.
+    #[arg(long, value_name = "FILE.ply")]
+    pub geometry: Option<PathBuf>,
+    /// Settings of the intrinsic stage from a TOML file, as config.toml of a run.
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
     /// Steps to measure, in place of --repeats.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: Option<u32>,
@@ -69,6 +75,8 @@ pub struct Args {
 pub enum Stage {
     /// Geometry and appearance.
     Geometry,
+    /// Materials, lights and shadows on fixed geometry.
+    Intrinsic,
 }
 
 /// Which backward kernel.
@@ -141,7 +149,9 @@ impl Args {
 /// # Errors
 /// If the device fails, or what is measured is not what it should be.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let Stage::Geometry = a.stage;
+    if a.stage == Stage::Intrinsic {
+        return super::intrinsic::run(common, a);
+    }
     let device = common.open_device()?;
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
@@ -280,7 +290,7 @@ fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
 }
 
 /// What a plan is made of.
-fn shape(report: &mut Report, what: &str, plan: &Plan) {
+pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     let passes: usize = plan.groups.iter().map(|g| g.passes.len()).sum();
     let barriers = plan.groups.iter().filter(|g| g.barrier.is_some()).count();
     report.fact(&format!("{what}: passes, groups, barriers"), format!("{passes}, {}, {barriers}", plan.groups.len()));

@@ -6,11 +6,11 @@
 
 use super::Step;
 use crate::Tuning;
-use crate::scene::{Gaussians, Handles};
+use crate::scene::{Gaussians, Handles, Layout};
 use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, weights};
 use crate::splat::{Blended, Screen, blend, intersect, project};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
-use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Camera;
 use std::sync::Arc;
@@ -168,6 +168,14 @@ impl SurfaceBuilder {
         Ok(SurfaceBuilder { device: device.clone(), tuning, shape, entry_capacity, state })
     }
 
+    /// The plan of a builder that does not exist yet, for what it would cost.
+    ///
+    /// # Errors
+    /// If the sizes make no graph.
+    pub fn plan(t: &Tuning, gaussians: &Layout, shape: SurfaceShape, entry_capacity: u32) -> Result<Arc<Plan>> {
+        Ok(declare(t, gaussians, shape, entry_capacity)?.plan)
+    }
+
     /// The room that the views seen so far need ([`SurfaceBuilder::measure`]).
     pub fn shape(&self) -> SurfaceShape {
         self.shape
@@ -248,26 +256,8 @@ impl State {
         shape: SurfaceShape,
         entry_capacity: u32,
     ) -> Result<State> {
-        let mut g = Graph::new("surface");
-        let step = g.uniform("step", size_of::<Step>() as u64);
-        let screen = Screen { step, largest: shape.largest, tile: t.tile };
-        let handles = gaussians.declare(&mut g, false);
-        let flags = g.external("flags", 4);
-        let wanted = ["wanted_entries", "wanted_weights"].map(|name| g.external(name, 4));
-        let into = shape.declare(&mut g, "", true);
-        g.fill("clear_flags", flags, 0)?;
-        let visible = project(&mut g, t, &screen, &handles, GBUFFER_CHANNELS)?;
-        let entries = intersect(&mut g, t, &screen, &visible, entry_capacity, flags)?;
-        let blended = Blended {
-            image: g.transient("image", 4 * u64::from(GBUFFER_CHANNELS.count()) * screen.pixels()),
-            transmittance: g.transient("transmittance", 4 * screen.pixels()),
-        };
-        blend(&mut g, t, &screen, &visible, &entries, &blended)?;
-        gbuffer(&mut g, t, &screen, &blended, &into.surfaces)?;
-        let room = Room { capacity: shape.weights, gaussians: shape.gaussians, flags, wanted: wanted[1] };
-        weights(&mut g, t, &screen, &visible, &entries, into.surfaces.coverage, &room, &into.weights)?;
-        g.copy("copy_wanted", entries.wanted, wanted[0])?;
-        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        let declared = declare(t, &gaussians.layout(), shape, entry_capacity)?;
+        let Declared { plan, step, gaussians: handles, into, flags, wanted } = declared;
         let make = |name: &str| device.buffer(name, 4, Location::Device);
         let (flag_memory, wanted_memory) = (make("flags")?, [make("wanted_entries")?, make("wanted_weights")?]);
         let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
@@ -277,4 +267,38 @@ impl State {
         }
         Ok(State { exec, step, gaussians: handles, into, flags: flag_memory, wanted: wanted_memory })
     }
+}
+
+/// A compiled builder and what is bound to it.
+struct Declared {
+    plan: Arc<Plan>,
+    step: Buffer,
+    gaussians: Handles,
+    into: SurfaceHandles,
+    flags: Buffer,
+    wanted: [Buffer; 2],
+}
+
+fn declare(t: &Tuning, gaussians: &Layout, shape: SurfaceShape, entry_capacity: u32) -> Result<Declared> {
+    let mut g = Graph::new("surface");
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let screen = Screen { step, largest: shape.largest, tile: t.tile };
+    let handles = gaussians.declare(&mut g, false);
+    let flags = g.external("flags", 4);
+    let wanted = ["wanted_entries", "wanted_weights"].map(|name| g.external(name, 4));
+    let into = shape.declare(&mut g, "", true);
+    g.fill("clear_flags", flags, 0)?;
+    let visible = project(&mut g, t, &screen, &handles, GBUFFER_CHANNELS)?;
+    let entries = intersect(&mut g, t, &screen, &visible, entry_capacity, flags)?;
+    let blended = Blended {
+        image: g.transient("image", 4 * u64::from(GBUFFER_CHANNELS.count()) * screen.pixels()),
+        transmittance: g.transient("transmittance", 4 * screen.pixels()),
+    };
+    blend(&mut g, t, &screen, &visible, &entries, &blended)?;
+    gbuffer(&mut g, t, &screen, &blended, &into.surfaces)?;
+    let room = Room { capacity: shape.weights, gaussians: shape.gaussians, flags, wanted: wanted[1] };
+    weights(&mut g, t, &screen, &visible, &entries, into.surfaces.coverage, &room, &into.weights)?;
+    g.copy("copy_wanted", entries.wanted, wanted[0])?;
+    let plan = Arc::new(g.compile(&CompileOptions::default())?);
+    Ok(Declared { plan, step, gaussians: handles, into, flags, wanted })
 }

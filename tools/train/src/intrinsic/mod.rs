@@ -255,6 +255,11 @@ impl Intrinsic {
         self.bounds
     }
 
+    /// Bytes of what is kept of what views see of the geometry.
+    pub fn surface_bytes(&self) -> u64 {
+        self.surfaces.bytes()
+    }
+
     /// How many splats.
     pub fn gaussians(&self) -> usize {
         self.splats.len()

@@ -70,6 +70,11 @@ impl Surfaces {
         self.builder.shape()
     }
 
+    /// Bytes of all that is kept.
+    pub fn bytes(&self) -> u64 {
+        self.shape().bytes() * (self.kept.len() + self.others.len()) as u64
+    }
+
     /// Whether nothing may be in flight when a step is submitted.
     pub fn waits(&self, pseudo: bool) -> bool {
         pseudo || !self.all
