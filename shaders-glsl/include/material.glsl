@@ -1,10 +1,15 @@
-// Materials of a Gaussian are kept before their activation: albedo and roughness lie in (0.09, 0.99), metallic in (0, 1).
-const float MATERIAL_LOW = 0.09;
-const float MATERIAL_RANGE = 0.9;
+// Materials of a Gaussian are kept before their activation: albedo lies in (0.01, 0.99), roughness in (0.09, 0.99), metallic
+// in (0, 1). The published range of albedo begins at 0.09, too, which is a third of white on a screen: black things are darker.
+const float ALBEDO_LOW = 0.01;
+const float ALBEDO_RANGE = 0.98;
+const float ROUGHNESS_LOW = 0.09;
+const float ROUGHNESS_RANGE = 0.9;
 
 float sigmoid(float x) { return 1.0 / (1.0 + exp(-clamp(x, -80.0, 80.0))); }
 
-float material_value(float raw) { return MATERIAL_LOW + MATERIAL_RANGE * sigmoid(raw); }
+float albedo_value(float raw) { return ALBEDO_LOW + ALBEDO_RANGE * sigmoid(raw); }
+
+float roughness_value(float raw) { return ROUGHNESS_LOW + ROUGHNESS_RANGE * sigmoid(raw); }
 
 // d(value)/d(raw), from raw: without the cancellation of 1 - sigmoid where it is saturated.
 float sigmoid_slope(float raw) { return sigmoid(raw) * sigmoid(-raw); }

@@ -17,6 +17,6 @@ void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= values.length()) return;
     vec3 a = albedo[i];
-    values[i] = vec4(material_value(a.x), material_value(a.y), material_value(a.z), material_value(roughness[i]));
+    values[i] = vec4(albedo_value(a.x), albedo_value(a.y), albedo_value(a.z), roughness_value(roughness[i]));
     if (METALLIC) metallic_values[i] = sigmoid(metallic[i]);
 }

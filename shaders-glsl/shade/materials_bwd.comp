@@ -52,8 +52,8 @@ void main() {
     }
     if (!real || lane != 0u) return;
     vec3 a = albedo[i];
-    vec3 by_albedo = MATERIAL_RANGE * sum.xyz * vec3(sigmoid_slope(a.x), sigmoid_slope(a.y), sigmoid_slope(a.z));
-    float by_roughness = MATERIAL_RANGE * sum.w * sigmoid_slope(roughness[i]);
+    vec3 by_albedo = ALBEDO_RANGE * sum.xyz * vec3(sigmoid_slope(a.x), sigmoid_slope(a.y), sigmoid_slope(a.z));
+    float by_roughness = ROUGHNESS_RANGE * sum.w * sigmoid_slope(roughness[i]);
     if (METALLIC) metal *= sigmoid_slope(metallic[i]);
     if (ADD) {
         by_albedo += grad_albedo[i];

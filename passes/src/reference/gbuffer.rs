@@ -88,10 +88,9 @@ fn sigmoid(x: f64) -> f64 {
 impl Materials {
     /// Albedo, roughness, metallic of one Gaussian.
     pub fn values(&self, i: usize) -> [f64; 5] {
-        let range = |raw: f64| 0.09 + 0.9 * sigmoid(raw);
         let metallic = self.metallic.get(i).map_or(0.0, |m| sigmoid(*m));
-        let [r, g, b] = [0, 1, 2].map(|c| range(self.albedo[3 * i + c]));
-        [r, g, b, range(self.roughness[i]), metallic]
+        let [r, g, b] = [0, 1, 2].map(|c| 0.01 + 0.98 * sigmoid(self.albedo[3 * i + c]));
+        [r, g, b, 0.09 + 0.9 * sigmoid(self.roughness[i]), metallic]
     }
 
     /// At every pixel.

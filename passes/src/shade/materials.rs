@@ -1,6 +1,7 @@
 //! `material_values`, `materials`, `materials_bwd`: materials of Gaussians at the pixels of a view, and the way back.
 //!
-//! Albedo and roughness are 0.09 + 0.9 sigmoid(raw), metallic, where it is asked for, sigmoid(raw) (SGS-Intrinsic). The
+//! Roughness is 0.09 + 0.9 sigmoid(raw) as in SGS-Intrinsic, albedo 0.01 + 0.98 sigmoid(raw) (there 0.09 + 0.9, which cannot be
+//! darker than a third of white on a screen), metallic, where it is asked for, sigmoid(raw). The
 //! weights of the view are constants ([`super::weights`]), so that the picture is linear in the values and exact gradients
 //! are sums over the columns of the matrix, in the order of pixels.
 //!

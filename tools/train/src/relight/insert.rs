@@ -2,7 +2,7 @@
 
 use super::edit::Insert;
 use super::harmonics::{CONSTANT, Rotation};
-use super::materials::{raw, raw_metallic};
+use super::materials::{raw, raw_metallic, raw_roughness};
 use glam::{DQuat, DVec3};
 use sgs_scene::{Splats, srgb_to_linear};
 
@@ -52,7 +52,7 @@ pub fn join(host: &mut Splats, mut guest: Splats) {
         albedo.extend(guest.albedo.take().unwrap_or_else(|| (0..new).map(color).collect()));
     }
     if let Some(roughness) = &mut host.roughness {
-        roughness.extend(guest.roughness.take().unwrap_or_else(|| vec![raw(ROUGHNESS); new]));
+        roughness.extend(guest.roughness.take().unwrap_or_else(|| vec![raw_roughness(ROUGHNESS); new]));
     }
     if host.metallic.is_some() || guest.metallic.is_some() && host.albedo.is_some() {
         let metallic = host.metallic.get_or_insert_with(|| vec![raw_metallic(0.0); old]);
@@ -88,7 +88,7 @@ fn thinnest(s: &Splats) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::relight::materials::value;
+    use crate::relight::materials::{roughness_value, value};
 
     fn one() -> Splats {
         Splats {
@@ -137,7 +137,7 @@ mod tests {
         assert_eq!((host.len(), host.sh[1].len()), (2, 18));
         assert_eq!(host.normals.unwrap()[1], [0.0, 1.0, 0.0]);
         assert!((value(host.albedo.unwrap()[1][0]) - srgb_to_linear(0.5)).abs() < 1e-5);
-        assert!((value(host.roughness.unwrap()[1]) - 0.5).abs() < 1e-5);
+        assert!((roughness_value(host.roughness.unwrap()[1]) - 0.5).abs() < 1e-5);
         assert_eq!((host.metallic.unwrap()[1], host.semantic.unwrap().1), (3.0, vec![1.0, 2.0, 0.0, 0.0]));
     }
 }

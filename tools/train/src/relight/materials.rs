@@ -3,16 +3,22 @@
 use super::edit::MaterialEdit;
 use sgs_scene::Splats;
 
-/// Albedo and roughness lie between this and this plus [`RANGE`]; metallic between 0 and 1.
-const LOW: f32 = 0.09;
-const RANGE: f32 = 0.9;
+/// Lowest albedo, and how far it reaches from there.
+const ALBEDO: [f32; 2] = [0.01, 0.98];
+/// The same of roughness; metallic lies between 0 and 1.
+const ROUGHNESS: [f32; 2] = [0.09, 0.9];
 
 /// Nearer to the ends no value comes: beyond, what is before activation would be infinite.
 const MARGIN: f32 = 1e-4;
 
-/// Albedo or roughness before activation; values beyond what there is become the nearest.
+/// Albedo before activation; values beyond what there is become the nearest.
 pub fn raw(value: f32) -> f32 {
-    logit((value - LOW) / RANGE)
+    logit((value - ALBEDO[0]) / ALBEDO[1])
+}
+
+/// Roughness before activation.
+pub fn raw_roughness(value: f32) -> f32 {
+    logit((value - ROUGHNESS[0]) / ROUGHNESS[1])
 }
 
 /// Metallic before activation.
@@ -20,9 +26,14 @@ pub fn raw_metallic(value: f32) -> f32 {
     logit(value)
 }
 
-/// Albedo or roughness from before activation.
+/// Albedo from before activation.
 pub fn value(raw: f32) -> f32 {
-    LOW + RANGE * sigmoid(raw)
+    ALBEDO[0] + ALBEDO[1] * sigmoid(raw)
+}
+
+/// Roughness from before activation.
+pub fn roughness_value(raw: f32) -> f32 {
+    ROUGHNESS[0] + ROUGHNESS[1] * sigmoid(raw)
 }
 
 fn logit(share: f32) -> f32 {
@@ -47,8 +58,8 @@ pub fn edit_materials(edit: &MaterialEdit, chosen: &[bool], splats: &mut Splats)
     }
     if let (Some(roughness), true) = (&mut splats.roughness, set.roughness.is_some() || scale.roughness.is_some()) {
         for &i in &picked {
-            let old = set.roughness.unwrap_or_else(|| value(roughness[i]));
-            roughness[i] = raw(scale.roughness.unwrap_or(1.0) * old);
+            let old = set.roughness.unwrap_or_else(|| roughness_value(roughness[i]));
+            roughness[i] = raw_roughness(scale.roughness.unwrap_or(1.0) * old);
         }
     }
     if set.metallic.is_some() || scale.metallic.is_some() {
@@ -83,8 +94,8 @@ mod tests {
         let (albedo, roughness) = (splats.albedo.unwrap(), splats.roughness.unwrap());
         assert_eq!((albedo[0], albedo[2], roughness[0]), ([0.1, -0.2, 0.3], [0.1, -0.2, 0.3], 0.5));
         let is = albedo[1].map(value);
-        assert!((is[0] - 0.2).abs() < 1e-5 && (is[1] - 0.0901).abs() < 1e-4 && (is[2] - 0.9899).abs() < 1e-4, "{is:?}");
-        assert!((value(roughness[1]) - 0.5 * value(0.5)).abs() < 1e-5);
+        assert!((is[0] - 0.2).abs() < 1e-5 && (is[1] - 0.0101).abs() < 1e-4 && (is[2] - 0.9899).abs() < 1e-4, "{is:?}");
+        assert!((roughness_value(roughness[1]) - 0.5 * roughness_value(0.5)).abs() < 1e-5);
         let metallic = splats.metallic.unwrap().map_sigmoid();
         assert!(metallic[0] < 2e-4 && (metallic[1] - 0.75).abs() < 1e-5);
     }
