@@ -1,4 +1,5 @@
-//! Relit pictures against ground truth: the true lights in place of the learned ones, and no surroundings.
+//! Relit pictures against ground truth: the true lights in place of the learned ones, no surroundings, and nothing in the way:
+//! a visibility field knows what the learned lights see from their places, and says nothing sensible about others.
 //!
 //! Sets that show another edit than one of lights, or lights that are not known, are left out.
 
@@ -67,7 +68,8 @@ pub fn evaluate_relit(
     for name in truth.relit_names() {
         let Some(edit) = known.relight.get(&name).and_then(|lights| edit_of(lights)) else { continue };
         let mut select = Selector { device, head: None, scene: None };
-        let start = Relit { splats: splats.clone(), light: light.clone() };
+        let light = RunLight { visibility: None, ..light.clone() };
+        let start = Relit { splats: splats.clone(), light };
         let relit =
             start.edited(&edit, 16, &mut select, |i| Err(wrong(format!("it inserts {}", i.source.display()))))?;
         let mut shading = Shading::new(device, relit.upload(device)?)?;

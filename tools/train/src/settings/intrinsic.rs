@@ -210,7 +210,8 @@ pub struct IntrinsicLosses {
     pub l1: f32,
     /// One minus its SSIM.
     pub dssim: f32,
-    /// Of the albedo prior: times the same two and the gradients.
+    /// Of the albedo prior: times the same two and the gradients. Published: 0.3, with which lights write themselves into
+    /// albedo (docs/ABLATION.md).
     pub albedo: f32,
     /// Of the roughness prior, likewise.
     pub roughness: f32,
@@ -241,7 +242,7 @@ impl Default for IntrinsicLosses {
         IntrinsicLosses {
             l1: 0.8,
             dssim: 0.2,
-            albedo: 0.3,
+            albedo: 1.0,
             roughness: 0.3,
             metallic: 0.3,
             gradients: 1.0,
