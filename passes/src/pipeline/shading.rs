@@ -240,15 +240,7 @@ impl State {
             let texels = take(&mut g, "texels", &e.texels);
             bound.push((&e.texels, texels));
             let filtered = environment_filter(&mut g, t, &e.tables, &declared, texels.parameters)?;
-            let view = EnvironmentView {
-                step,
-                points: seen.points,
-                normals: seen.normals,
-                coverage: seen.coverage,
-                materials: of_pixels.materials,
-                metallic: of_pixels.metallic,
-                pixels,
-            };
+            let view = EnvironmentView::from(&lit);
             ambient_light(&mut g, t, &e.tables, &declared, &view, &filtered, out[4])?;
             environment_diffuse(&mut g, t, &e.tables, &declared, &view, &filtered, out[5])?;
             environment_background(&mut g, t, &e.tables, step, pixels, texels.parameters, out[6])?;

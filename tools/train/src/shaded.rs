@@ -14,7 +14,7 @@ use sgs_passes::pipeline::{
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
 use sgs_passes::shade::visibility::VisibilityField;
-use sgs_scene::{Image, Splats, linear_to_srgb, read_exr, srgb_to_linear};
+use sgs_scene::{Image, Splats, linear_to_srgb, read_environment, srgb_to_linear};
 use std::path::Path;
 
 /// An environment as texels of a cube: its size along an edge, and `[6 * size * size * 3]` numbers.
@@ -32,19 +32,8 @@ impl Texels {
     /// # Errors
     /// If it cannot be read or is none.
     pub fn read(path: &Path, size: u32) -> Result<Texels> {
-        let wrong = |reason: String| TrainError::File { path: path.to_owned(), reason };
-        let exr = read_exr(path)?;
-        if exr.names.get(..3).is_none_or(|n| n != ["R", "G", "B"]) || exr.image.width < 2 {
-            return Err(wrong("an environment is a latitude-longitude picture with channels R, G and B".into()));
-        }
-        let all = exr.image.channels as usize;
-        let data = exr.image.data.chunks_exact(all).flat_map(|p| [p[0], p[1], p[2]]).collect();
-        let image = Image { channels: 3, data, ..exr.image };
-        if image.data.iter().any(|v| !v.is_finite()) {
-            return Err(wrong("it holds values that are not finite".into()));
-        }
-        let data = latlong::to_cube(&image.data, [image.width, image.height], size);
-        Ok(Texels { size, data: data.into_iter().map(|v| v.max(0.0)).collect() })
+        let image = read_environment(path)?;
+        Ok(Texels { size, data: latlong::to_cube(&image.data, [image.width, image.height], size) })
     }
 
     /// One color all around.

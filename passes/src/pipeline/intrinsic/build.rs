@@ -104,15 +104,7 @@ pub(super) fn build(
     let around = match (environment, &inputs.environment) {
         (Some(e), Some((texels, tables))) => {
             let filtered = environment_filter(g, t, e, tables, texels.parameters)?;
-            let view = EnvironmentView {
-                step,
-                points: seen.points,
-                normals: seen.normals,
-                coverage: seen.coverage,
-                materials: of_pixels.materials,
-                metallic: of_pixels.metallic,
-                pixels,
-            };
+            let view = EnvironmentView::from(&shaded);
             let ambient = g.transient("ambient", 12 * pixels);
             ambient_light(g, t, e, tables, &view, &filtered, ambient)?;
             Some((e, texels, tables, filtered, view, ambient))
@@ -206,9 +198,9 @@ pub(super) fn build(
             weights: steps.weights,
             pictures: MaterialPictures { roughness: None, ..seen_as },
             coverage: seen.coverage,
-            albedo_prior: inputs.estimates.unwrap_or(priors),
+            albedo_prior: priors,
             roughness_prior: None,
-            all_views: inputs.estimates.is_none(),
+            all_views: true,
             mask: Some(mask),
             largest: o.shape.largest,
         };
@@ -279,14 +271,7 @@ pub(super) fn build(
         lights_prepare_bwd(g, &lights.prepared, parameters, &gradients, regularizers.as_ref(), &into)?;
         if let Some(v) = &inputs.visibility {
             let learned = v.gradients(g, l.model.lights).zip(v.moments(words.flags, 1, words.skipped));
-            let Some((gradients, moments)) = learned else {
-                return Err(GraphError::Unwritten {
-                    pass: "visibility_lights_bwd".into(),
-                    buffer: "visibility_tables".into(),
-                    offset: 0,
-                    bytes: 0,
-                });
-            };
+            let (gradients, moments) = learned.expect("invariant: the field is declared for training");
             // What lights' places are asked through the field comes on top of what is asked of them directly.
             let gradients = Gradients { lights: into.positions, ..gradients };
             let options = BackwardOptions {

@@ -55,8 +55,6 @@ pub struct IntrinsicInputs<'a> {
     pub metallic: Option<&'a DeviceBuffer>,
     /// Ids of regions of the training views ([`crate::loss::pack_regions`]).
     pub regions: Option<&'a DeviceBuffer>,
-    /// What somebody says albedo is under other lights: of the step's view alone, packed. Without, the prior stands in.
-    pub estimates: Option<&'a DeviceBuffer>,
 }
 
 /// The tables of an environment in device memory.
@@ -103,8 +101,6 @@ pub struct IntrinsicSizes {
     pub metallic: Option<u64>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
-    /// Bytes of the estimates.
-    pub estimates: Option<u64>,
 }
 
 impl IntrinsicInputs<'_> {
@@ -116,7 +112,6 @@ impl IntrinsicInputs<'_> {
             roughness: self.roughness.map(DeviceBuffer::bytes),
             metallic: self.metallic.map(DeviceBuffer::bytes),
             regions: self.regions.map(DeviceBuffer::bytes),
-            estimates: self.estimates.map(DeviceBuffer::bytes),
         }
     }
 
@@ -149,7 +144,6 @@ pub(super) struct Declared {
     pub roughness_priors: Option<Buffer>,
     pub metallic_priors: Option<Buffer>,
     pub regions: Option<Buffer>,
-    pub estimates: Option<Buffer>,
 }
 
 impl Declared {
@@ -192,7 +186,6 @@ impl Declared {
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
             metallic_priors: sizes.metallic.map(|bytes| g.input("metallic_priors", bytes)),
             regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
-            estimates: sizes.estimates.map(|bytes| g.input("estimates", bytes)),
         }
     }
 
@@ -223,7 +216,6 @@ impl Declared {
             (self.roughness_priors, inputs.roughness),
             (self.metallic_priors, inputs.metallic),
             (self.regions, inputs.regions),
-            (self.estimates, inputs.estimates),
         ] {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;

@@ -49,7 +49,8 @@ pub struct IntrinsicOptions {
     pub gradients: bool,
     /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
     pub cross_view: bool,
-    /// Whether albedo is compared with an estimate under other lights, in the region; needs the prior and regions.
+    /// Whether albedo in the region is compared with what is said of it under other lights, for which its prior stands in; needs
+    /// the prior and regions.
     pub relight: bool,
     /// Pixels that are too bright keep the gradients that lead them back.
     pub returning: bool,

@@ -14,7 +14,7 @@ use sgs_scene::Scene;
 
 /// What a step does beside comparing its view with photograph and priors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum StepKind {
     /// Nothing.
     Plain,
     /// Compares albedo with pseudo-views.
@@ -23,16 +23,16 @@ pub(super) enum Kind {
     Relight,
 }
 
-impl Kind {
+impl StepKind {
     /// All of them.
-    pub const ALL: [Kind; 3] = [Kind::Plain, Kind::CrossView, Kind::Relight];
+    pub const ALL: [StepKind; 3] = [StepKind::Plain, StepKind::CrossView, StepKind::Relight];
 
     /// What a step is due, as the settings have it.
-    pub fn of(s: &IntrinsicSettings, step: u32) -> Kind {
+    pub fn of(s: &IntrinsicSettings, step: u32) -> StepKind {
         match step % s.consistency_interval {
-            0 if s.losses.cross_view > 0.0 && step >= s.cross_view_from => Kind::CrossView,
-            1 if s.losses.relight > 0.0 && step >= s.relight_from => Kind::Relight,
-            _ => Kind::Plain,
+            0 if s.losses.cross_view > 0.0 && step >= s.cross_view_from => StepKind::CrossView,
+            1 if s.losses.relight > 0.0 && step >= s.relight_from => StepKind::Relight,
+            _ => StepKind::Plain,
         }
     }
 }
@@ -49,7 +49,7 @@ impl Consistency {
     /// None where nothing says what a region is, or nothing asks.
     pub fn load(device: &Device, scene: &Scene, settings: &Settings) -> Result<Option<Consistency>> {
         let s = &settings.intrinsic;
-        if (1..=s.steps).all(|step| Kind::of(s, step) == Kind::Plain) {
+        if (1..=s.steps).all(|step| StepKind::of(s, step) == StepKind::Plain) {
             return Ok(None);
         }
         let Some(maps) = RegionMaps::of_scene(scene)? else {
@@ -69,7 +69,7 @@ impl Consistency {
     /// The pseudo-views that training will see.
     pub fn cameras(&self, settings: &Settings, schedule: &Schedule) -> Vec<Camera> {
         let s = &settings.intrinsic;
-        let due = (1..=s.steps).filter(|step| Kind::of(s, *step) == Kind::CrossView);
+        let due = (1..=s.steps).filter(|step| StepKind::of(s, *step) == StepKind::CrossView);
         let mut seen = std::collections::HashSet::new();
         let mut all = Vec::new();
         for step in due {
@@ -99,12 +99,12 @@ mod tests {
     #[test]
     fn constraints_take_turns() {
         let s = IntrinsicSettings { relight_from: 7, ..Default::default() };
-        let kinds: Vec<Kind> = (1..=10).map(|step| Kind::of(&s, step)).collect();
-        use Kind::{CrossView as C, Plain as P, Relight as R};
+        let kinds: Vec<StepKind> = (1..=10).map(|step| StepKind::of(&s, step)).collect();
+        use StepKind::{CrossView as C, Plain as P, Relight as R};
         assert_eq!(kinds, [P, P, C, P, P, C, R, P, C, R]);
         let none = IntrinsicSettings::default();
         let mut off = none.clone();
         (off.losses.cross_view, off.losses.relight) = (0.0, 0.0);
-        assert!((1..=3000).all(|step| Kind::of(&off, step) == P));
+        assert!((1..=3000).all(|step| StepKind::of(&off, step) == P));
     }
 }

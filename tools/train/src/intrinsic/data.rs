@@ -16,7 +16,7 @@ pub(crate) struct MaterialPriors {
 
 /// Which material.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum Material {
     /// Compared as it is displayed: encoded in sRGB.
     Albedo,
     Roughness,
@@ -25,12 +25,12 @@ pub(crate) enum Kind {
 
 impl MaterialPriors {
     /// Reads them; none where no training view has one. A view without is trained without.
-    pub fn read(scene: &Scene, kind: Kind) -> Result<Option<MaterialPriors>> {
+    pub fn read(scene: &Scene, kind: Material) -> Result<Option<MaterialPriors>> {
         let one = |&i: &usize| -> Result<Option<Vec<u32>>> {
             let map = match kind {
-                Kind::Albedo => scene.albedo_prior(i)?,
-                Kind::Roughness => scene.roughness_prior(i)?,
-                Kind::Metallic => scene.metallic_prior(i)?,
+                Material::Albedo => scene.albedo_prior(i)?,
+                Material::Roughness => scene.roughness_prior(i)?,
+                Material::Metallic => scene.metallic_prior(i)?,
             };
             let counts = scene.load_mask(i)?;
             Ok(map.map(|m| pack(&m, kind, counts.as_ref())))
@@ -64,15 +64,15 @@ impl MaterialPriors {
     }
 }
 
-fn pack(map: &MaskedMap, kind: Kind, counts: Option<&Image>) -> Vec<u32> {
+fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> Vec<u32> {
     let channels = map.image.channels as usize;
     let rgb: Vec<f32> = map
         .image
         .data
         .chunks_exact(channels)
         .flat_map(|p| match kind {
-            Kind::Albedo => [p[0], p[1 % channels], p[2 % channels]].map(|v| linear_to_srgb(v.clamp(0.0, 1.0))),
-            Kind::Roughness | Kind::Metallic => [p[0]; 3],
+            Material::Albedo => [p[0], p[1 % channels], p[2 % channels]].map(|v| linear_to_srgb(v.clamp(0.0, 1.0))),
+            Material::Roughness | Material::Metallic => [p[0]; 3],
         })
         .collect();
     let mut valid = map.valid.clone();

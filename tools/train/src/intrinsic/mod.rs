@@ -17,8 +17,8 @@ use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, Metallic, Settings};
-use consistency::{Consistency, Kind as StepKind};
-use data::{Kind, MaterialPriors, scene_box, shortest_axes};
+use consistency::{Consistency, StepKind};
+use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
@@ -99,17 +99,17 @@ impl Intrinsic {
         }
         let bounds = scene_box(&splats, &cameras);
         let packed = Packed::read(scene, false)?;
-        let read = |kind: Kind, name: &str, weight: f32| -> Result<Option<DeviceBuffer>> {
+        let read = |kind: Material, name: &str, weight: f32| -> Result<Option<DeviceBuffer>> {
             let priors = if weight > 0.0 { MaterialPriors::read(scene, kind)? } else { None };
             priors.map(|p| p.upload(device, name)).transpose()
         };
         let mut priors = Priors {
-            albedo: read(Kind::Albedo, "albedo_priors", s.losses.albedo)?,
-            roughness: read(Kind::Roughness, "roughness_priors", s.losses.roughness)?,
+            albedo: read(Material::Albedo, "albedo_priors", s.losses.albedo)?,
+            roughness: read(Material::Roughness, "roughness_priors", s.losses.roughness)?,
             metallic: None,
         };
         if s.metallic != Metallic::Off {
-            priors.metallic = read(Kind::Metallic, "metallic_priors", s.losses.metallic)?;
+            priors.metallic = read(Material::Metallic, "metallic_priors", s.losses.metallic)?;
         }
         let metallic = match s.metallic {
             Metallic::Auto => priors.metallic.is_some(),
@@ -395,7 +395,6 @@ impl Intrinsic {
             roughness: self.priors.roughness.as_ref(),
             metallic: self.priors.metallic.as_ref(),
             regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
-            estimates: None,
         };
         let step = IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, options)?;
         self.execs[kind as usize] = Some(step);

@@ -165,7 +165,7 @@ impl Intrinsic {
                 let [width, height] = latlong::SIZE;
                 let data = latlong::from_cube(&texels.download(&self.device)?, e.size(), latlong::SIZE);
                 let image = Image { width, height, channels: 3, data };
-                sgs_scene::write_exr(&exr, &image, &["R", "G", "B"])?;
+                sgs_scene::write_environment(&exr, &image)?;
             }
             _ => remove(&exr)?,
         }

@@ -80,7 +80,7 @@ pub struct LightSettings {
     pub layout: LobeLayout,
     /// Lights that come to less than this share of the brightest one's largest amplitude are switched off; 0 keeps all.
     pub prune: f32,
-    /// How much darker than the published start they begin; 1 as there.
+    /// Factor on the brightness that they begin with, which is the published one for the size of the scene's box.
     pub start: f32,
 }
 
