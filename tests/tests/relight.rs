@@ -1,7 +1,7 @@
 //! Pictures part by part, and under other light: what edits do to them, and what is refused.
 
 use serde_json::json;
-use sgs_scene::{Image, read_exr, write_exr};
+use sgs_scene::{Image, read_exr, write_exr, write_ids};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
@@ -71,6 +71,21 @@ fn edits_do_what_they_say_and_nothing_else() {
     };
     render(&["--lights", "--channels", "pbr,direct,env,diffuse,specular,albedo,roughness"]).ok();
     let of = |name: &str| picture(&place, &format!("all/000_{name}.exr"));
+    // What is written is called what was asked for; some things have two names.
+    let files = |asked: &str| render(&["--channels", asked, "--json"]).ok().json()["files"].to_string();
+    for (asked, called) in [
+        ("rgb,alpha,depth", &["000_rgb.exr", "000_alpha.exr", "000_depth.exr"][..]),
+        ("normal", &["000_normal.exr"]),
+        ("normals", &["000_normal.exr"]),
+        ("metallic", &["metallic"]),
+        ("environment", &["000_env.exr"]),
+        ("lights", &["000_light_00.exr", "000_light_07.exr"]),
+    ] {
+        match asked {
+            "metallic" => drop(render(&["--channels", asked]).refused(called)),
+            _ => assert!(called.iter().all(|c| files(asked).contains(c)), "{asked}"),
+        }
+    }
     // Light is the sum of its parts.
     let lights: Vec<Image> = (0..8).map(|i| of(&format!("light_{i:02}"))).collect();
     assert!(lights.iter().all(|l| l.data.iter().any(|v| *v > 0.0)));
@@ -174,4 +189,61 @@ fn edits_do_what_they_say_and_nothing_else() {
     let region = json!({"view": "000", "id": 77});
     refusal(json!({"materials": [{"where": {"region": region}, "set": roughness}]}), &["region 77", "000"]);
     refusal(json!({"insert": [{"source": "missing.ply"}]}), &["missing.ply"]);
+}
+
+/// Geometry under materials stays as it is.
+#[test]
+fn geometry_is_not_resumed_under_materials() {
+    let place = place();
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let painted = place.read("run/scene.ply");
+    let words = ["has got to materials", "--stage intrinsic"];
+    sgs(&["train", &scene, "-o", &run, "--resume"]).refused(&words);
+    sgs(&["train", &scene, "-o", &run, "--resume", "--stage", "all"]).ok();
+    assert!(place.read("run/scene.ply") == painted);
+    // The splats say it themselves.
+    std::fs::remove_file(place.path("run/checkpoint/intrinsic.safetensors")).unwrap();
+    sgs(&["train", &scene, "-o", &run, "--resume", "--stage", "geometry"]).refused(&words);
+    assert!(place.read("run/scene.ply") == painted);
+}
+
+/// Sets that change the materials of an instance are measured under the learned light, and the true one if it is known.
+#[test]
+fn painted_sets_are_measured() {
+    let place = place();
+    let run = place.text("run");
+    let (train, test) = Room::default().split();
+    std::fs::create_dir_all(place.path("scene/priors/masks")).unwrap();
+    for stem in &train {
+        let ids = vec![5; 32 * 24];
+        write_ids(&place.path(&format!("scene/priors/masks/{stem}.png")), 32, 24, &ids).unwrap();
+    }
+    // What the edit really looks like, in the first test view: all that shows is painted, a little differently.
+    let mut cameras: serde_json::Value = serde_json::from_slice(&place.read("scene/transforms.json")).unwrap();
+    let stem = |frame: &serde_json::Value| frame["file_path"].as_str().unwrap().contains(&test[0]);
+    cameras["frames"].as_array_mut().unwrap().retain(stem);
+    std::fs::write(place.path("cameras.json"), cameras.to_string()).unwrap();
+    let everywhere = json!({"box": [[-9, -9, -9], [9, 9, 9]]});
+    let set = json!({"albedo": [0.7, 0.055, 0.02], "roughness": 0.4});
+    let (file, to) = (format!("truth/{}_relit.exr", test[0]), place.path("scene/gt/relit/chair"));
+    relit(&place, json!({"materials": [{"where": everywhere, "set": set}]}), "truth", &[]).ok();
+    std::fs::create_dir_all(&to).unwrap();
+    std::fs::copy(place.path(&file), to.join(format!("{}.exr", test[0]))).unwrap();
+    let measured = |id: u16| {
+        let painted = json!({"instance_id": id, "new_base_color_linear": [0.7, 0.05, 0.02], "new_roughness": 0.4,
+            "new_metallic": 0.0});
+        std::fs::write(place.path("scene/gt/relit/chair.json"), painted.to_string()).unwrap();
+        sgs(&["eval", &run, "--json"]).ok().json()["mean"]["relit"].clone()
+    };
+    let found = measured(5);
+    assert!(found["chair_learned_light"]["psnr"].as_f64().unwrap() > 30.0 && found.get("chair").is_none(), "{found}");
+    let lamp = json!({"on": true, "position": [0, 0, 0], "point_light_intensity_equivalent": [1, 1, 1]});
+    std::fs::write(place.path("scene/gt/lights.json"), json!({"training": [lamp]}).to_string()).unwrap();
+    let found = measured(5);
+    let psnr = |name: &str| found[name]["psnr"].as_f64().unwrap();
+    assert!(psnr("chair_learned_light") > 30.0 && psnr("chair") < 30.0, "{found}");
+    // Nothing is of that instance.
+    assert!(measured(6).is_null());
+    std::fs::write(place.path("scene/gt/relit/chair.json"), "{").unwrap();
+    sgs(&["eval", &run]).refused(&["chair.json"]);
 }

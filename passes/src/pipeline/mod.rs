@@ -25,7 +25,7 @@ pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use render::{Picture, Renderer};
 pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
 pub use status::{RING, Status};
-pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
+pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightColumns};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{

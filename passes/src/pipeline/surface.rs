@@ -133,6 +133,39 @@ impl Surface {
             device.download_as(&self.buffers[2], pixels)?,
         ])
     }
+
+    /// Its weights on the host (waits for the device).
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn weights(&self, device: &Device) -> Result<WeightColumns> {
+        let starts: Vec<u32> = device.download_as(&self.buffers[6], self.shape.gaussians as usize + 1)?;
+        let count = starts.last().map_or(0, |n| *n as usize);
+        let (pixels, weights) = match count {
+            0 => Default::default(),
+            n => (device.download_as(&self.buffers[7], n)?, device.download_as(&self.buffers[8], n)?),
+        };
+        Ok(WeightColumns { starts, pixels, weights })
+    }
+}
+
+/// The weights of a view on the host, Gaussian by Gaussian.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WeightColumns {
+    /// Where each Gaussian's weights begin, and where the last one's end.
+    pub starts: Vec<u32>,
+    /// Pixels.
+    pub pixels: Vec<u32>,
+    /// What a Gaussian is of the surface there.
+    pub weights: Vec<f32>,
+}
+
+impl WeightColumns {
+    /// Pixels and weights of a Gaussian.
+    pub fn of(&self, gaussian: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let range = self.starts[gaussian] as usize..self.starts[gaussian + 1] as usize;
+        self.pixels[range.clone()].iter().map(|p| *p as usize).zip(self.weights[range].iter().copied())
+    }
 }
 
 /// Fills surfaces, view by view.

@@ -27,14 +27,14 @@ pub struct Args {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains. From
-    /// "albedo" on the source needs materials, from "pbr" on also light.
+    /// "albedo" on the source needs materials, from "pbr" on also light; "lights" is --lights.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
     channels: Vec<Channel>,
     /// Also write how probably each pixel belongs to this class; may be repeated. PNG: black at chance, white at the most
     /// that the class gets; exr: the probability.
     #[arg(long, value_name = "CLASS")]
     query: Vec<String>,
-    /// Also write what each light alone sends, in its own picture.
+    /// Also write what each light alone sends, in a picture of its own: STEM_light_NN.
     #[arg(long)]
     lights: bool,
     /// Of the probabilities of --query: the lower, the surer; that of training by default.
@@ -60,6 +60,7 @@ enum Channel {
     Rgb,
     Alpha,
     Depth,
+    #[value(alias = "normals")]
     Normal,
     Semantic,
     Albedo,
@@ -69,8 +70,10 @@ enum Channel {
     Diffuse,
     Specular,
     Visibility,
+    #[value(alias = "environment")]
     Env,
     Direct,
+    Lights,
 }
 
 impl Channel {
@@ -87,7 +90,7 @@ impl Channel {
             Channel::Env => Part::Env,
             Channel::Direct => Part::Direct,
             Channel::Rgb | Channel::Alpha | Channel::Depth | Channel::Normal => return None,
-            Channel::Semantic => return None,
+            Channel::Semantic | Channel::Lights => return None,
         })
     }
 }
@@ -187,6 +190,8 @@ fn write(
 /// What is asked about materials and light.
 struct Light {
     parts: Vec<Part>,
+    /// Also each light by itself.
+    each: bool,
     light: RunLight,
 }
 
@@ -195,7 +200,8 @@ impl Light {
     fn of(a: &Args, splats: &Splats, settings: Option<&Settings>) -> anyhow::Result<Option<Light>> {
         let source = a.source.display();
         let parts: Vec<Part> = a.channels.iter().filter_map(|c| c.part()).collect();
-        if parts.is_empty() && !a.lights {
+        let each = a.lights || a.channels.contains(&Channel::Lights);
+        if parts.is_empty() && !each {
             return Ok(None);
         }
         check_materials(&a.source, splats, parts.contains(&Part::Metallic))?;
@@ -210,23 +216,24 @@ impl Light {
         if parts.contains(&Part::Visibility) && (light.visibility.is_none() || light.lights.is_none()) {
             bail!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
         }
-        if a.lights && light.lights.is_none() {
+        if each && light.lights.is_none() {
             bail!("\"{source}\" has no lights; leave out --lights.");
         }
-        Ok(Some(Light { parts, light }))
+        Ok(Some(Light { parts, each, light }))
     }
 
     fn ready(self, device: &Device, splats: &Splats) -> anyhow::Result<Lit> {
         let RunLight { lights, environment, visibility } = &self.light;
         let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility.as_ref())?;
         let gains = lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
-        Ok(Lit { parts: self.parts, gains, shading: Shading::new(device, scene)? })
+        Ok(Lit { parts: self.parts, each: self.each, gains, shading: Shading::new(device, scene)? })
     }
 }
 
 /// What shades.
 struct Lit {
     parts: Vec<Part>,
+    each: bool,
     gains: Vec<f32>,
     shading: Shading,
 }
@@ -249,12 +256,14 @@ impl Lit {
                 written.push(pictures::write(a.format, dir, stem, part.name(), &image)?);
             }
         }
-        if a.lights {
+        if self.each {
+            // As wide as the last number, so that names stand in order.
+            let digits = self.gains.len().saturating_sub(1).to_string().len().max(2);
             for i in 0..self.gains.len() {
                 let alone: Vec<f32> = (0..).zip(&self.gains).map(|(k, g)| if k == i { *g } else { 0.0 }).collect();
                 self.shading.set_gains(device, &alone)?;
                 let image = self.shading.shade(camera)?.direct();
-                written.push(pictures::write(a.format, dir, stem, &format!("light_{i:02}"), &image)?);
+                written.push(pictures::write(a.format, dir, stem, &format!("light_{i:0digits$}"), &image)?);
             }
             self.shading.set_gains(device, &self.gains)?;
         }

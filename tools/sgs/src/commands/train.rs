@@ -7,7 +7,7 @@ use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
-use sgs_scene::Scene;
+use sgs_scene::{Scene, Splats};
 use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -196,6 +196,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
+    if resuming && a.stage == Stage::Geometry {
+        untouched(&a.output)?;
+    }
     let mut settings = if resuming {
         resumed(a)?
     } else if a.stage == Stage::Intrinsic && there && a.start.is_none() {
@@ -257,6 +260,21 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     common.answer(&summary)?;
     validated(&device)
+}
+
+/// Refuses to go on with geometry on which there are materials: they would be lost, and belong to the geometry as it is.
+fn untouched(output: &Path) -> anyhow::Result<()> {
+    let run = RunDirectory::open(output)?;
+    let scene = run.path("scene.ply");
+    let painted = || scene.is_file() && Splats::read_ply(&scene).is_ok_and(|s| s.albedo.is_some());
+    if run.intrinsic_checkpoint().is_file() || painted() {
+        bail!(
+            "\"{}\" has got to materials, which its geometry must not change under: resume it with --stage intrinsic, or \
+             train geometry into another directory.",
+            output.display()
+        );
+    }
+    Ok(())
 }
 
 /// How training ended.

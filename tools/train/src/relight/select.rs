@@ -7,7 +7,7 @@ use crate::head::SemanticHead;
 use sgs_engine::{Device, Location};
 use sgs_passes::Tuning;
 use sgs_passes::loss::normalize_embeddings;
-use sgs_passes::pipeline::{FeatureImage, Labeler, Renderer};
+use sgs_passes::pipeline::{FeatureImage, Labeler, Renderer, Surface, SurfaceBuilder};
 use sgs_passes::scene::{Decoder, Gaussians, Model};
 use sgs_passes::splat::Channels;
 use sgs_scene::{Scene, Splats};
@@ -118,9 +118,44 @@ pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: 
             return false;
         }
         let pixel = y as usize * view.width as usize + x as usize;
-        inside[pixel] && depth <= (1.0 + BEHIND) * picture.image[pixel * width + 3]
+        // Depth is blended: it counts for as much as there is of anything.
+        let opacity = 1.0 - picture.transmittance[pixel];
+        inside[pixel] && depth * opacity <= (1.0 + BEHIND) * picture.image[pixel * width + 3]
     };
     Ok(splats.means.iter().map(shows).collect())
+}
+
+/// The Gaussians of a region that has the same number in all training views: those that show more of themselves in it than
+/// elsewhere. Views without a map say nothing, nor do pixels in no region. The Gaussians need normals.
+///
+/// # Errors
+/// If a map is damaged, memory runs out or the device fails.
+pub fn of_region_everywhere(device: &Device, scene: &Scene, splats: &Splats, id: u16) -> Result<Vec<usize>> {
+    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
+    gaussians.upload(device, &gaussian_data(splats, model))?;
+    let cameras: Vec<_> = scene.split.train.iter().map(|v| camera(&scene.views[*v].camera)).collect();
+    let largest = cameras.iter().fold([1; 2], |l, c| [l[0].max(c.size[0]), l[1].max(c.size[1])]);
+    let mut builder = SurfaceBuilder::new(device, Tuning::for_device(device.info()), &gaussians, largest)?;
+    let mut votes = vec![0.0_f64; splats.len()];
+    for (&view, camera) in scene.split.train.iter().zip(&cameras) {
+        let Some(map) = scene.region_prior(view)? else { continue };
+        builder.measure(&gaussians, camera)?;
+        let surface = Surface::new(device, builder.shape())?;
+        builder.fill(&gaussians, camera, &surface)?;
+        builder.finish()?;
+        let columns = surface.weights(device)?;
+        for (i, vote) in votes.iter_mut().enumerate() {
+            for (pixel, weight) in columns.of(i) {
+                *vote += match map.ids[pixel] {
+                    0 => 0.0,
+                    found if found == id => f64::from(weight),
+                    _ => -f64::from(weight),
+                };
+            }
+        }
+    }
+    Ok((0..splats.len()).filter(|i| votes[*i] > 0.0).collect())
 }
 
 fn without_null(which: &Where) -> serde_json::Value {
