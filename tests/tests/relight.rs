@@ -1,7 +1,7 @@
 //! Pictures part by part, and under other light: what edits do to them, and what is refused.
 
 use serde_json::json;
-use sgs_scene::{Image, read_exr, write_exr, write_ids};
+use sgs_scene::{Image, Splats, linear_to_srgb, read_exr, write_exr, write_ids};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
@@ -246,4 +246,59 @@ fn painted_sets_are_measured() {
     assert!(measured(6).is_null());
     std::fs::write(place.path("scene/gt/relit/chair.json"), "{").unwrap();
     sgs(&["eval", &run]).refused(&["chair.json"]);
+}
+
+/// A relit scene as plain harmonics: the same geometry, colors that show the relit pictures.
+#[test]
+fn relit_scenes_are_baked() {
+    let place = place();
+    let (run, cameras, to) = (place.text("run"), place.text("cameras.json"), place.text("pictures"));
+    // Bright and red, unlike the photographs.
+    let lights = json!({"change": [{"light": 3, "intensity": 3, "color": [1, 0.2, 0.1]}]});
+    std::fs::write(place.path("edit.json"), json!({"lights": lights, "environment": {"scale": 0.2}}).to_string())
+        .unwrap();
+    let edit = place.text("edit.json");
+    let bake = |file: &str, more: &[&str]| {
+        let file = place.text(file);
+        let a = ["relight", &run, "--edit", &edit, "--bake", &file, "--json"];
+        sgs(&[&a[..], more].concat())
+    };
+    let said = bake("baked.ply", &["--cameras", &cameras, "-o", &to, "--format", "exr"]).ok().json();
+    let psnr = |said: &serde_json::Value, key: &str| said["bake"][key].as_f64().unwrap();
+    assert!(place.path("pictures/000_relit.exr").is_file() && said["bake"]["views"] == 18, "{said}");
+    // Trained on pictures, colors are nearer to them than those of Gaussians alone; both than the photographs' own.
+    let alone = bake("alone.ply", &["--bake-steps", "0"]).ok().json();
+    println!("{said}, {alone}");
+    assert!(psnr(&said, "psnr") > 30.0 && psnr(&said, "psnr_cameras") > 30.0, "{said}");
+    assert!(psnr(&said, "psnr") > psnr(&alone, "psnr") + 2.0, "{said} {alone}");
+    // Geometry keeps its bits; nothing else is left.
+    let read = |file: &str| Splats::read_ply(&place.path(file)).unwrap();
+    let (before, after) = (read("run/scene.ply"), read("baked.ply"));
+    assert!(before.means == after.means && before.rotations == after.rotations && before.normals == after.normals);
+    assert!(before.log_scales == after.log_scales && before.opacity_logits == after.opacity_logits);
+    assert!(after.albedo.is_none() && after.roughness.is_none() && after.sh_degree() == before.sh_degree());
+    assert!(after.sh[0] != before.sh[0] && after.sh[1].iter().any(|v| *v != 0.0));
+    // The program shows them as it says.
+    sgs(&["render", &place.text("baked.ply"), "--cameras", &cameras, "-o", &to, "--format", "exr"]).ok();
+    let (ours, theirs) = (picture(&place, "pictures/000_rgb.exr"), picture(&place, "pictures/000_relit.exr"));
+    let shown = theirs.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0)));
+    let square: f64 = ours.data.iter().zip(shown).map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2)).sum();
+    let shown = -10.0 * (square / ours.data.len() as f64).log10();
+    assert!((shown - psnr(&said, "psnr_cameras")).abs() < 0.5, "{shown}: {said}");
+    // Twice the same; and fewer bands where they are asked for.
+    bake("again.ply", &[]).ok();
+    assert!(place.read("again.ply") == place.read("baked.ply"));
+    bake("flat.ply", &["--bake-degree", "0", "--bake-steps", "30"]).ok();
+    assert_eq!(read("flat.ply").sh_degree(), 0);
+    // A PLY has no training views.
+    let ply = place.text("run/scene.ply");
+    let (out, short) = (place.text("other.ply"), ["--bake-steps", "3"]);
+    sgs(&["relight", &ply, "--bake", &out]).refused(&["no training views", "--cameras"]);
+    let dark =
+        sgs(&[&["relight", &ply, "--bake", &out, "--cameras", &cameras, "--json"], &short[..]].concat()).ok().json();
+    assert_eq!(dark["bake"]["views"], 1);
+    bake("baked.txt", &[]).refused(&["baked.txt", ".ply"]);
+    bake("missing/baked.ply", &[]).refused(&["missing", "no directory"]);
+    assert_eq!(sgs(&["relight", &run]).status, Some(2));
+    assert_eq!(sgs(&["relight", &run, "--bake", &out, "-o", &to]).status, Some(2));
 }

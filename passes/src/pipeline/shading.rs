@@ -171,6 +171,31 @@ impl Shader {
         shaded
     }
 
+    /// Shades each Gaussian alone, at its center, as seen from a place: pixel `i` of `surface`
+    /// ([`Surface::of_gaussians`]) is Gaussian `i`.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_centers(&mut self, scene: &ShadedScene, surface: &Surface, from: [f32; 3]) -> Result<Shaded> {
+        let shape = surface.shape();
+        let mut state = match self.state.take().filter(|s| s.shape == shape) {
+            Some(state) => state,
+            None => State::new(&self.device, &self.tuning, scene, shape)?,
+        };
+        // Where a pixel lies in a picture matters to what is behind everything, which nobody asks for.
+        let camera = Camera {
+            world_to_camera: [[1.0, 0.0, 0.0, -from[0]], [0.0, 1.0, 0.0, -from[1]], [0.0, 0.0, 1.0, -from[2]]],
+            position: from,
+            near: 1e-3,
+            focal: [1.0; 2],
+            size: shape.largest,
+            ..Camera::default()
+        };
+        let shaded = state.shade(&self.device, &self.tuning, scene, surface, &camera);
+        self.state = Some(state);
+        shaded
+    }
+
     /// Forgets what was made for a scene whose parts have come or gone.
     pub fn forget(&mut self) {
         self.state = None;

@@ -108,6 +108,44 @@ impl Surface {
         Ok(Surface { shape, buffers })
     }
 
+    /// A picture of each Gaussian alone, at its center: pixel `i` is Gaussian `i`, opaque, and what is left of the last row is
+    /// empty. Three floats a Gaussian each; normals are unit or zero. For colors by Gaussian rather than by view.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn of_gaussians(device: &Device, points: &[f32], normals: &[f32], capacity: u32) -> Result<Surface> {
+        let count = (points.len() / 3) as u32;
+        let width = count.isqrt().max(1);
+        let shape =
+            SurfaceShape { largest: [width, count.div_ceil(width).max(1)], gaussians: capacity, weights: count };
+        let surface = Surface::new(device, shape)?;
+        let pixels = shape.pixels() as usize;
+        let floats = |given: &[f32], length: usize| {
+            let mut all = given.to_vec();
+            all.resize(length, 0.0);
+            all
+        };
+        let ones = vec![1.0_f32; count as usize];
+        let values = [floats(points, 3 * pixels), floats(normals, 3 * pixels), floats(&ones, pixels)];
+        let starts = |n: usize| (0..=n as u32).map(|i| i.min(count)).collect::<Vec<u32>>();
+        let (each, rows, columns) = (starts(count as usize), starts(pixels), starts(capacity as usize));
+        for (buffer, values) in surface.buffers.iter().zip(&values) {
+            device.upload(buffer, 0, bytemuck::cast_slice(values))?;
+        }
+        for (i, words) in [(3, &rows), (6, &columns)] {
+            device.upload(&surface.buffers[i], 0, bytemuck::cast_slice(words))?;
+        }
+        if count > 0 {
+            for i in [4, 7] {
+                device.upload(&surface.buffers[i], 0, bytemuck::cast_slice(&each[..count as usize]))?;
+            }
+            for i in [5, 8] {
+                device.upload(&surface.buffers[i], 0, bytemuck::cast_slice(&ones))?;
+            }
+        }
+        Ok(surface)
+    }
+
     /// How large it is.
     pub fn shape(&self) -> SurfaceShape {
         self.shape

@@ -5,7 +5,7 @@ use crate::error::{Result, TrainError};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::Camera;
-use sgs_scene::Scene;
+use sgs_scene::{Image, Scene};
 
 /// Training views in device memory.
 pub struct TrainingData {
@@ -34,19 +34,11 @@ impl Packed {
         let train = &scene.split.train;
         let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
         let images: Vec<Vec<u32>> = train.par_iter().map(pack).collect::<Result<_>>()?;
-        let mut views = Vec::new();
+        let mut packed = Packed { images, normals: None, views: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
-        let mut largest = [1, 1];
         for &i in train {
-            let c = camera(&scene.views[i].camera);
-            largest = [largest[0].max(c.size[0]), largest[1].max(c.size[1])];
-            let first = u32::try_from(offset).map_err(|_| {
-                TrainError::Setting("The training views hold more than 2^32 pixels; use --scale.".into())
-            })?;
-            views.push((c, first));
-            offset += u64::from(c.size[0]) * u64::from(c.size[1]);
+            packed.add(camera(&scene.views[i].camera), &mut offset)?;
         }
-        let mut packed = Packed { images, normals: None, views, largest };
         if normals {
             let maps: Vec<Option<Vec<u32>>> = train
                 .par_iter()
@@ -64,6 +56,27 @@ impl Packed {
             }
         }
         Ok(packed)
+    }
+
+    /// Of pictures that are no photographs: display-referred, of their cameras.
+    pub fn of(pictures: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
+        let images = pictures.par_iter().map(|(_, image)| pack_image(image, None)).collect();
+        let mut packed = Packed { images, normals: None, views: Vec::new(), largest: [1, 1] };
+        let mut offset = 0_u64;
+        for (c, _) in pictures {
+            packed.add(camera(c), &mut offset)?;
+        }
+        Ok(packed)
+    }
+
+    /// One more view behind the others.
+    fn add(&mut self, c: Camera, offset: &mut u64) -> Result<()> {
+        self.largest = [self.largest[0].max(c.size[0]), self.largest[1].max(c.size[1])];
+        let many = "The training views hold more than 2^32 pixels; use --scale.";
+        let first = u32::try_from(*offset).map_err(|_| TrainError::Setting(many.into()))?;
+        *offset += u64::from(c.size[0]) * u64::from(c.size[1]);
+        self.views.push((c, first));
+        Ok(())
     }
 
     /// The normal priors, by training view.

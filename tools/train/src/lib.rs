@@ -46,8 +46,8 @@ pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use relight::{
-    Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Relit,
-    Selector, Turn, Where, evaluate_relit,
+    BakeOptions, Baked, Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight,
+    Region, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
 };
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;

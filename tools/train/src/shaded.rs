@@ -9,7 +9,7 @@ use crate::visibility::VisibilityFile;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader,
+    EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader, Surface,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
@@ -134,6 +134,7 @@ pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<RunLight> {
 
 /// Shades views of one scene.
 pub struct Shading {
+    device: Device,
     scene: ShadedScene,
     shader: Shader,
 }
@@ -145,7 +146,7 @@ impl Shading {
     /// If memory runs out.
     pub fn new(device: &Device, scene: ShadedScene) -> Result<Shading> {
         let shader = Shader::new(device, Tuning::for_device(device.info()), &scene, [1, 1])?;
-        Ok(Shading { scene, shader })
+        Ok(Shading { device: device.clone(), scene, shader })
     }
 
     /// Shades a view.
@@ -154,6 +155,22 @@ impl Shading {
     /// If memory runs out or the device fails.
     pub fn shade(&mut self, view: &sgs_scene::Camera) -> Result<ShadedView> {
         Ok(ShadedView(self.shader.shade(&self.scene, &camera(view))?))
+    }
+
+    /// What each splat, alone and at its center, sends to a place: linear red, green, blue.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_centers(&mut self, splats: &Splats, from: [f32; 3]) -> Result<Vec<f32>> {
+        let unit = |n: &[f32; 3]| glam::Vec3::from(*n).normalize_or_zero().to_array();
+        let normals: Vec<[f32; 3]> = splats.normals.iter().flatten().map(unit).collect();
+        let capacity = self.scene.gaussians.capacity;
+        let (points, normals) = (splats.means.as_flattened(), normals.as_flattened());
+        let surface = Surface::of_gaussians(&self.device, points, normals, capacity)?;
+        let shaded = self.shader.shade_centers(&self.scene, &surface, from)?;
+        let mut light: Vec<f32> = shaded.direct.iter().zip(&shaded.ambient).map(|(d, a)| d + a).collect();
+        light.truncate(3 * splats.len());
+        Ok(light)
     }
 
     /// Takes other factors of the lights, one for each; 0 is off.

@@ -7,9 +7,12 @@ use crate::common::Common;
 use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use anyhow::bail;
+use sgs_engine::Device;
 use sgs_scene::{Camera, Scene, Splats};
-use sgs_train::{Edit, Insert, Relit, Selector, Settings, Shading, TrainError};
-use std::path::PathBuf;
+use sgs_train::{
+    BakeOptions, Edit, Insert, Relit, Selector, Settings, Shading, TrainError, bake, bake_cameras, baked_psnr,
+};
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -19,18 +22,28 @@ pub struct Args {
     #[arg(long, value_name = "FILE.json")]
     edit: Option<PathBuf>,
     /// Cameras: a transforms file.
-    #[arg(long, value_name = "FILE.json")]
-    cameras: PathBuf,
+    #[arg(long, value_name = "FILE.json", required_unless_present = "bake")]
+    cameras: Option<PathBuf>,
     /// Directory for the pictures.
-    #[arg(short, long, value_name = "DIR")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "DIR", required_unless_present = "bake", requires = "cameras")]
+    output: Option<PathBuf>,
+    /// Also write the scene as it is lit now as a PLY with plain spherical harmonics, for any viewer of 3DGS. Colors are
+    /// fitted to pictures from the run's training views and between them; from --cameras, if the source is a PLY.
+    #[arg(long, value_name = "FILE.ply")]
+    bake: Option<PathBuf>,
+    /// Highest band of the harmonics of --bake; that of the scene by default.
+    #[arg(long, value_name = "0..3", requires = "bake", value_parser = clap::value_parser!(u32).range(0..=3))]
+    bake_degree: Option<u32>,
+    /// Steps of the fit of --bake; 0 takes what each Gaussian would show alone.
+    #[arg(long, value_name = "N", requires = "bake", default_value_t = 600)]
+    bake_steps: u32,
     /// What to write. "relit": all light.
     #[arg(long, value_delimiter = ',', default_value = "relit")]
     channels: Vec<Channel>,
     /// File format: exr keeps the values (float32, linear), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
-    /// Another place of the scene than the run remembers, for regions of its views.
+    /// Another place of the scene than the run remembers, for regions of its views and the cameras of --bake.
     #[arg(long)]
     scene: Option<PathBuf>,
     /// Color behind everything.
@@ -77,9 +90,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let edit = a.edit.as_deref().map(Edit::read).transpose()?.unwrap_or_default();
     let (splats, settings) = splats_of(&a.source)?;
     check_materials(&a.source, &splats, false)?;
-    let cameras = Camera::read_transforms(&a.cameras)?;
-    if cameras.is_empty() {
-        bail!("\"{}\" holds no cameras.", a.cameras.display());
+    let cameras = match &a.cameras {
+        Some(file) => Camera::read_transforms(file)?,
+        None => Vec::new(),
+    };
+    if let (Some(file), true) = (&a.cameras, cameras.is_empty()) {
+        bail!("\"{}\" holds no cameras.", file.display());
+    }
+    if let Some(file) = &a.bake {
+        check_bake(a, file, settings.is_some())?;
     }
     let light = light_of_source(&a.source, settings.as_ref())?;
     let by_class = edit.materials.iter().any(|m| m.place.class.is_some());
@@ -88,6 +107,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         false => None,
     };
     let scene = scene_of(a, &edit, settings.as_ref())?;
+    let from = match (&scene, &settings) {
+        (Some(scene), Some(s)) if a.bake.is_some() => bake_cameras(scene, &s.geometry.pseudo)?,
+        _ => cameras.clone(),
+    };
     let device = common.open_device()?;
     let mut selector = Selector { device: &device, head, scene: scene.as_ref() };
     let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution);
@@ -96,29 +119,85 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         bail!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
     let mut shading = Shading::new(&device, relit.upload(&device)?)?;
-    std::fs::create_dir_all(&a.output)
-        .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
-    let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
     let mut written = Vec::new();
-    for (i, camera) in cameras.iter().enumerate() {
-        let shaded = shading.shade(camera)?;
-        for channel in &a.channels {
-            let part = channel.part();
-            let name = if part == Part::Pbr { "relit" } else { part.name() };
-            let image = part.of(&shaded, background);
-            written.push(pictures::write(a.format, &a.output, &camera.name, name, &image)?);
+    if let Some(output) = &a.output {
+        std::fs::create_dir_all(output)
+            .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", output.display()))?;
+        let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
+        for (i, camera) in cameras.iter().enumerate() {
+            let shaded = shading.shade(camera)?;
+            for channel in &a.channels {
+                let part = channel.part();
+                let name = if part == Part::Pbr { "relit" } else { part.name() };
+                let image = part.of(&shaded, background);
+                written.push(pictures::write(a.format, output, &camera.name, name, &image)?);
+            }
+            bar.set(i as u64 + 1, || camera.name.clone());
         }
-        bar.set(i as u64 + 1, || camera.name.clone());
+        bar.finish();
     }
-    bar.finish();
     let lights = relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
-    common.answer(&serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written}))?;
+    let mut answer = serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written});
+    if let Some(file) = &a.bake {
+        answer["bake"] = baked(common, a, &device, &relit.splats, &mut shading, [&from, &cameras], background, file)?;
+    }
+    common.answer(&answer)?;
     validated(&device)
 }
 
-/// The scene, if regions of its views are asked for.
+/// Refuses what baking cannot do, before any work.
+fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
+    if file.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
+        bail!("\"{}\" does not end in .ply, the format that is written.", file.display());
+    }
+    let folder = file.parent().filter(|p| !p.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|p| !p.is_dir()) {
+        bail!("\"{}\" is no directory to write into.", folder.display());
+    }
+    if !run && a.cameras.is_none() {
+        bail!("\"{}\" is no run and has no training views; give --cameras to bake from.", a.source.display());
+    }
+    Ok(())
+}
+
+/// Bakes, writes, and says how near it comes: at the views of the fit, and at those of `--cameras` if they are others.
+fn baked(
+    common: &Common,
+    a: &Args,
+    device: &Device,
+    splats: &Splats,
+    shading: &mut Shading,
+    [from, others]: [&[Camera]; 2],
+    background: [f32; 3],
+    file: &Path,
+) -> anyhow::Result<serde_json::Value> {
+    let degree = a.bake_degree.unwrap_or(splats.sh_degree() as u32);
+    let options = BakeOptions { degree, steps: a.bake_steps, background };
+    let mut bar = Bar::new(common, "baking", u64::from(a.bake_steps), 0);
+    let made = bake(device, splats, shading, from, &options, |step| {
+        bar.set(u64::from(step), || format!("{} pictures", from.len()));
+    })?;
+    bar.finish();
+    made.splats.write_ply(file)?;
+    let psnr = made.psnr;
+    let mut answer = serde_json::json!({"file": file, "degree": degree, "views": from.len(), "psnr": psnr});
+    let mut also = String::new();
+    if !others.is_empty() && others != from {
+        let psnr = baked_psnr(device, &made.splats, shading, others, background)?;
+        answer["psnr_cameras"] = psnr.into();
+        also = format!(", {psnr:.2} dB at those of --cameras");
+    }
+    if !common.quiet {
+        let (file, views) = (file.display(), from.len());
+        eprintln!("wrote {file}: {psnr:.2} dB from the relit pictures at the {views} views of the fit{also}");
+    }
+    Ok(answer)
+}
+
+/// The scene, if regions of its views are asked for, or its cameras.
 fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Result<Option<Scene>> {
-    if edit.materials.iter().all(|m| m.place.region.is_none()) {
+    let cameras = a.bake.is_some() && settings.is_some();
+    if edit.materials.iter().all(|m| m.place.region.is_none()) && !cameras {
         return Ok(None);
     }
     let mut settings = settings.cloned().unwrap_or_default();

@@ -5,12 +5,13 @@
 //! one two before it; the host looks at reports of steps that are done.
 
 mod backward;
+mod given;
 mod room;
 mod state;
 
 use crate::convert::{gaussian_data, splats};
 use crate::correspondence::Correspondence;
-use crate::data::{Packed, TrainingData};
+use crate::data::TrainingData;
 use crate::error::{Result, TrainError};
 use crate::head::SemanticHead;
 use crate::memory::{Needs, allowed};
@@ -18,6 +19,7 @@ use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings};
+pub(crate) use given::Given;
 use room::{first_entry_capacity, most_gaussians, room_for};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
@@ -87,6 +89,20 @@ impl Geometry {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
+        let points = || Splats::from_points(&scene.points, settings.geometry.sh_degree as usize);
+        let initial;
+        let start = match start {
+            Some(splats) => splats,
+            None => {
+                initial = points()?;
+                &initial
+            }
+        };
+        Geometry::of(device, &Given::Scene(scene), settings, start)
+    }
+
+    /// Prepares training of given splats on a scene, or on pictures without one.
+    pub(crate) fn of(device: &Device, given: &Given<'_>, settings: &Settings, start: &Splats) -> Result<Geometry> {
         settings.check()?;
         let g = &settings.geometry;
         let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
@@ -96,8 +112,7 @@ impl Geometry {
         }
         let wants_views = g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
-        let data = Packed::read(scene, wants_normals)?;
-        let maps = if wants_semantics { SemanticMaps::read(scene)? } else { None };
+        let (data, maps) = given.read(wants_normals, wants_semantics)?;
         let inputs = InputSizes {
             targets: data.image_bytes(),
             normals: data.normal_bytes(),
@@ -106,18 +121,12 @@ impl Geometry {
         };
         let model = Model { sh_degree: g.sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
         let mut initial;
-        let mut start = match start {
-            Some(s) => s,
-            None => {
-                initial = Splats::from_points(&scene.points, g.sh_degree as usize)?;
-                &initial
-            }
-        };
+        let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
-            let cameras = scene.split.train.iter().map(|&i| &scene.views[i].camera);
-            let views: Vec<Prior> = cameras.zip(priors).map(|(camera, prior)| (camera, prior.as_slice())).collect();
-            let normals = initial_normals(&start.means, &views);
-            initial = Splats { normals: Some(normals), ..start.clone() };
+            let cameras = given.cameras();
+            let views: Vec<Prior> = cameras.into_iter().zip(priors).map(|(c, prior)| (c, prior.as_slice())).collect();
+            initial = start.clone();
+            initial.normals = Some(initial_normals(&start.means, &views));
             start = &initial;
         }
         let count = start.len() as u32;
@@ -150,12 +159,9 @@ impl Geometry {
             )));
         }
         let data = data.upload(device)?;
-        let semantics = match maps {
-            Some(maps) => Some((maps.upload(device, scene)?, Decoder::new(device, settings.seed as u32, true)?)),
-            None => None,
-        };
+        let semantics = given.semantics(device, maps, settings.seed)?;
         let correspondence = match &semantics {
-            Some((data, _)) if wants_views => Correspondence::load(device, scene, data, settings, options.largest)?,
+            Some((data, _)) if wants_views => given.correspondence(device, data, settings, options.largest)?,
             _ => None,
         };
         if let Some(c) = &correspondence {
@@ -165,7 +171,7 @@ impl Geometry {
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
-        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let schedule = Schedule::new(settings, given.extent(), data.views.len());
         let scarce = most < g.densify.max_gaussians;
         let mut settings = settings.clone();
         // Processors run lanes one after the other: engine-bench shows the pixel kernel ahead on them by far.

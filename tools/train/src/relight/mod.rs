@@ -2,6 +2,7 @@
 //!
 //! An [`Edit`] is applied to what a run has left, and gives what shades. Leaves shading and files to others.
 
+mod bake;
 mod edit;
 mod environment;
 mod harmonics;
@@ -11,6 +12,7 @@ mod materials;
 mod select;
 mod truth;
 
+pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
