@@ -2,12 +2,12 @@
 //! where growth is refused nothing that was reached is lost.
 
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
-use sgs_scene::{Scene, SceneOptions};
+use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::Gpu;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Progress, Settings, TrainError};
+use sgs_train::{Geometry, Intrinsic, Progress, Settings, TrainError, VisibilityKind};
 
 fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
@@ -73,6 +73,82 @@ fn the_sum_before_the_first_step_is_what_is_taken() {
         Geometry::new(gpu.device(), &scene, &s, None).unwrap().train(2, |_| {}, || true).unwrap();
         gpu.device().set_memory_budget(None);
     }
+}
+
+/// What the intrinsic stage is reckoned to take is what it takes, with all kinds of steps; less is refused with the figures.
+#[test]
+fn the_intrinsic_stage_takes_what_was_reckoned() {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(room);
+    for kind in ["albedo", "masks"] {
+        std::fs::create_dir_all(place.path(&format!("scene/priors/{kind}"))).unwrap();
+    }
+    for camera in room.cameras() {
+        let (width, height) = (camera.width, camera.height);
+        let file = |kind: &str| place.path(&format!("scene/priors/{kind}/{}.png", camera.name));
+        let data = vec![0.5; (3 * width * height) as usize];
+        write_png(&file("albedo"), &Image { width, height, channels: 3, data }).unwrap();
+        write_ids(&file("masks"), width, height, &vec![3; (width * height) as usize]).unwrap();
+    }
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let mut s = settings(10);
+    s.intrinsic.steps = 12;
+    (s.intrinsic.relight_from, s.intrinsic.environment.resolution, s.intrinsic.lights.grid) = (1, 16, 2);
+    (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
+    (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let used = || gpu.device().memory_use().0;
+    for field in [true, false] {
+        if !field {
+            s.intrinsic.visibility.kind = VisibilityKind::None;
+        }
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        training.train(12, |_| {}, || true).unwrap();
+        let needs = *training.needs();
+        assert_eq!(training.compares(), [true, true]);
+        assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
+        let (taken, reckoned) = (used(), needs.total() - needs.staging);
+        println!("{taken} bytes taken, {reckoned} reckoned");
+        assert!(taken == reckoned, "{taken} bytes taken, {reckoned} reckoned: {needs:?}");
+        drop(training);
+        // The least that will do is without surfaces of all views.
+        let least =
+            needs.total() - needs.surfaces / scene.split.train.len() as u64 * (scene.split.train.len() as u64 - 1);
+        s.memory.budget = least - 1;
+        let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap();
+        assert!(matches!(error, TrainError::Memory(_)), "{error}");
+        for word in ["The intrinsic stage needs", "surfaces of views", "environment", "arena", "--memory-budget"] {
+            assert!(error.to_string().contains(word), "{word}: {error}");
+        }
+        assert_eq!(used(), 0);
+        s.memory.budget = least;
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        assert!(!training.keeps_surfaces());
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        drop(training);
+        gpu.device().set_memory_budget(None);
+        s.memory.budget = 0;
+    }
+    let plan = |more: &[&str]| {
+        let scene = place.text("scene");
+        sgs(&[&["plan", &scene, "--set", "intrinsic.visibility.log2_table=12"][..], more].concat())
+    };
+    let found = plan(&["--stage", "intrinsic", "--json"]).ok().json();
+    let parts: u64 = found["needs"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert!(
+        found["needs_bytes"] == parts && found["lights"] == 64 && found["lobes"] == 12 && found["environment"] == 256
+    );
+    assert!(found["priors"]["albedo"] == true && found["priors"]["roughness"] == false && found["cross_view"] == true);
+    let both = plan(&["--stage", "all"]).ok().stdout;
+    for word in
+        ["densify", "lights      64 of 12 lobes", "visibility  a field of 16 levels", "relight     every 3 steps"]
+    {
+        assert!(both.contains(word), "{word}: {both}");
+    }
+    let words = ["The intrinsic stage needs", "the budget leaves 8.0 of 8.0 MiB"];
+    plan(&["--stage", "intrinsic", "--memory-budget", "8M"]).refused(&words);
 }
 
 /// Tile entries that do not fit must be given room; when that is refused, training says so and can go on later.

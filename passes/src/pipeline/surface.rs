@@ -252,6 +252,14 @@ impl SurfaceBuilder {
         self.shape
     }
 
+    /// Its plan, for what it costs; beside arena and uniforms it has [`SurfaceBuilder::BYTES`].
+    pub fn compiled(&self) -> &Plan {
+        self.state.exec.plan()
+    }
+
+    /// Bytes of its flags.
+    pub const BYTES: u64 = 12;
+
     /// Makes room for a view: it fits from now on, and so does every view that did before (waits for the device).
     ///
     /// # Errors

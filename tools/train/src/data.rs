@@ -84,6 +84,11 @@ impl Packed {
         self.normals.as_deref()
     }
 
+    /// Camera and first pixel of each view.
+    pub fn views(&self) -> &[(Camera, u32)] {
+        &self.views
+    }
+
     /// Bytes of the photographs.
     pub fn image_bytes(&self) -> u64 {
         bytes(&self.images)

@@ -41,7 +41,7 @@ pub use evaluate::{
 pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;
-pub use intrinsic::{Intrinsic, LightFile, LightRow, LobeRow, read_lights, write_lights};
+pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};

@@ -7,6 +7,7 @@ use crate::correspondence::Correspondence;
 use crate::error::{Result, TrainError};
 use crate::settings::Settings;
 use serde::Serialize;
+use sgs_engine::graph::{BufferKind, Plan};
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, Status, Step};
@@ -112,25 +113,43 @@ impl Needs {
 
     /// Refuses if it does not fit.
     pub(crate) fn check(&self, budget: &Budget) -> Result<()> {
-        if self.total() <= budget.left() {
-            return Ok(());
-        }
-        let mib = |bytes: u64| format!("{:.1}", bytes as f64 / f64::from(1 << 20));
-        let parts: Vec<String> = self
-            .parts()
-            .into_iter()
-            .filter(|(_, bytes)| *bytes >= 1 << 16)
-            .map(|(name, bytes)| format!("{name} {}", mib(bytes)))
-            .collect();
-        Err(TrainError::Memory(format!(
-            "The first step needs {} MiB of device memory ({}), but the budget leaves {} of {} MiB; use --scale, --views, \
-             fewer points, a lower geometry.sh_degree, or a larger --memory-budget.",
-            mib(self.total()),
-            parts.join(", "),
-            mib(budget.left()),
-            mib(budget.budget)
-        )))
+        let advice = "use --scale, --views, fewer points, a lower geometry.sh_degree, or a larger --memory-budget";
+        refuse_beyond(budget, self.total(), &self.parts(), "The first step", advice)
     }
+}
+
+/// Refuses what does not fit, with the figures.
+pub(crate) fn refuse_beyond(
+    budget: &Budget,
+    total: u64,
+    parts: &[(&'static str, u64)],
+    what: &str,
+    advice: &str,
+) -> Result<()> {
+    if total <= budget.left() {
+        return Ok(());
+    }
+    let mib = |bytes: u64| format!("{:.1}", bytes as f64 / f64::from(1 << 20));
+    let parts: Vec<String> = parts
+        .iter()
+        .filter(|(_, bytes)| *bytes >= 1 << 16)
+        .map(|(name, bytes)| format!("{name} {}", mib(*bytes)))
+        .collect();
+    Err(TrainError::Memory(format!(
+        "{what} needs {} MiB of device memory ({}), but the budget leaves {} of {} MiB; {advice}.",
+        mib(total),
+        parts.join(", "),
+        mib(budget.left()),
+        mib(budget.budget)
+    )))
+}
+
+/// Bytes of the uniforms of all replays of a plan that are in flight.
+pub(crate) fn uniform_bytes(device: &Device, plan: &Plan, frames: usize) -> u64 {
+    let info = device.info();
+    let alignment = info.uniform_alignment.max(info.storage_alignment).max(16);
+    let uniforms = plan.buffers.iter().filter(|b| b.kind == BufferKind::Uniform);
+    frames as u64 * uniforms.map(|b| b.bytes.next_multiple_of(alignment)).sum::<u64>()
 }
 
 /// The budget that settings and device allow together.

@@ -78,6 +78,13 @@ impl EnvironmentMemory {
         Ok(EnvironmentMemory(environment.contents(&tables).into_iter().map(put).collect::<Result<_>>()?))
     }
 
+    /// What they take.
+    pub fn bytes_of(environment: &Environment) -> u64 {
+        let mut g = Graph::new("tables");
+        let tables = environment.declare(&mut g);
+        environment.contents(&tables).iter().map(|(_, bytes)| bytes.len() as u64).sum()
+    }
+
     /// Puts them behind their handles.
     ///
     /// # Errors

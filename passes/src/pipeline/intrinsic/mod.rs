@@ -134,6 +134,9 @@ pub struct IntrinsicStatus {
 const REPORTS: u64 = RING as u64 * size_of::<IntrinsicReport>() as u64;
 
 impl IntrinsicStatus {
+    /// What it takes.
+    pub const BYTES: u64 = 8 + REPORTS;
+
     /// Makes it, all clear.
     ///
     /// # Errors

@@ -150,7 +150,8 @@ impl VisibilityField {
     pub fn bytes(config: &FieldConfig, training: bool) -> std::result::Result<u64, FieldError> {
         config.check()?;
         let [tables, mlp, bits] = sizes(config);
-        Ok(if training { 5 * tables + 3 * mlp + bits } else { tables + mlp })
+        let levels = u64::from(config.levels) * size_of::<FieldLevel>() as u64;
+        Ok(levels + if training { 5 * tables + 3 * mlp + bits } else { tables + mlp })
     }
 
     /// Declares the buffers in a graph; kernels may write them if `training`.

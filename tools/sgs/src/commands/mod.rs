@@ -6,6 +6,7 @@ pub mod eval;
 pub mod export;
 pub mod intrinsic;
 pub mod plan;
+mod plan_intrinsic;
 pub mod priors;
 pub mod pseudo;
 pub mod relight;

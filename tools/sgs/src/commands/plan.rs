@@ -1,10 +1,11 @@
 //! `sgs plan`: what would be modeled, why, and what it costs.
 
-use super::train::{Options, open_scene, settings};
+use super::plan_intrinsic::IntrinsicPlan;
+use super::train::{Options, Stage, open_scene, settings};
 use crate::common::Common;
 use anyhow::Context;
-use sgs_engine::BudgetSource;
 use sgs_engine::graph::{Plan, dump};
+use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::pipeline::Masks;
 use sgs_train::Geometry;
 use std::path::{Path, PathBuf};
@@ -13,6 +14,13 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
+    /// Which stage: geometry, or materials, lights and shadows, or both.
+    #[arg(long, value_enum, default_value = "geometry")]
+    stage: Stage,
+    /// Geometry of the intrinsic stage, as a PLY file of 3DGS; by default the scene's points as the geometry stage begins
+    /// with them.
+    #[arg(long, value_name = "FILE.ply")]
+    start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
     /// Print the compiled graph of a step as well: as text below the summary; as json, dot or html in its place.
@@ -67,8 +75,39 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             (_, format) => format,
         };
     let s = settings(&a.scene, &a.options)?;
+    if a.start.is_some() && a.stage == Stage::Geometry {
+        anyhow::bail!("--start gives geometry to the intrinsic stage; add --stage intrinsic or all.");
+    }
     let scene = open_scene(&s)?;
     let device = common.open_device()?;
+    // One after the other, as they are trained.
+    let intrinsic = match a.stage {
+        Stage::Geometry => None,
+        _ => Some(IntrinsicPlan::of(&device, &scene, &s, a.start.as_deref())?),
+    };
+    if let (Stage::Intrinsic, Some(plan)) = (a.stage, &intrinsic) {
+        let graph = &plan.graph;
+        if let (Some(path), Some(format)) = (&a.output, format) {
+            let text = format.write(graph);
+            sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+        }
+        if common.json.is_some() && common.answer(&plan.json(&device.budget()))? {
+            return Ok(());
+        }
+        if let (None, Some(format @ (Format::Json | Format::Dot | Format::Html))) = (&a.output, format) {
+            println!("{}", format.write(graph));
+            return Ok(());
+        }
+        println!("scene       {} ({} training views)", a.scene.display(), scene.split.train.len());
+        println!("device      {}", device.info().name);
+        plan.print(&device.budget());
+        match (&a.output, format) {
+            (Some(path), _) => println!("graph       {}", path.display()),
+            (None, Some(_)) => println!("\n{}", dump::text(graph)),
+            (None, None) => {}
+        }
+        return Ok(());
+    }
     let mut training = Geometry::new(&device, &scene, &s, None)?;
     let g = training.gaussians();
     let (count, model, capacity, gaussian_bytes) = (g.count(&device)?, g.model, g.capacity, g.bytes());
@@ -80,7 +119,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let (needs, budget) = (*training.needs(), device.budget());
     if common.json.is_some() {
-        let value = serde_json::json!({
+        let mut value = serde_json::json!({
             "views": scene.split.train.len(),
             "gaussians": count,
             "capacity": capacity,
@@ -99,6 +138,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
         });
+        if let Some(plan) = &intrinsic {
+            value["intrinsic"] = plan.json(&budget);
+        }
         if common.answer(&value)? {
             return Ok(());
         }
@@ -163,20 +205,29 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     for (name, bytes) in needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
         println!("memory      {:>9.1} MiB {name}", mib(bytes));
     }
-    let source = match budget.source {
-        BudgetSource::Given => "as set",
-        BudgetSource::Driver => "by the driver",
-        BudgetSource::Heap => "the device's heap",
-    };
     println!(
-        "in all      {:>9.1} MiB before growth, of a budget of {:.1} MiB ({source})",
+        "in all      {:>9.1} MiB before growth, of a budget of {:.1} MiB ({})",
         mib(needs.total()),
-        mib(budget.budget)
+        mib(budget.budget),
+        source_of(&budget)
     );
+    if let Some(plan) = &intrinsic {
+        println!();
+        plan.print(&budget);
+    }
     match (&a.output, format) {
         (Some(path), _) => println!("graph       {}", path.display()),
         (None, Some(_)) => println!("\n{}", dump::text(&plan)),
         (None, None) => {}
     }
     Ok(())
+}
+
+/// Where a budget comes from.
+pub fn source_of(budget: &Budget) -> &'static str {
+    match budget.source {
+        BudgetSource::Given => "as set",
+        BudgetSource::Driver => "by the driver",
+        BudgetSource::Heap => "the device's heap",
+    }
 }

@@ -70,7 +70,7 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Stage {
+pub enum Stage {
     Geometry,
     Intrinsic,
     All,

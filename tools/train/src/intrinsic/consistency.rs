@@ -9,7 +9,7 @@ use crate::regions::RegionMaps;
 use crate::schedule::Schedule;
 use crate::settings::{IntrinsicSettings, Settings};
 use sgs_engine::{Device, DeviceBuffer};
-use sgs_passes::pipeline::{Camera, IntrinsicStepValues, PSEUDO_VIEWS, Step};
+use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO_VIEWS, Step};
 use sgs_scene::Scene;
 
 /// What a step does beside comparing its view with photograph and priors.
@@ -26,6 +26,11 @@ pub(super) enum StepKind {
 impl StepKind {
     /// All of them.
     pub const ALL: [StepKind; 3] = [StepKind::Plain, StepKind::CrossView, StepKind::Relight];
+
+    /// The options of such a step, of those that all kinds share.
+    pub fn options(self, o: &IntrinsicOptions) -> IntrinsicOptions {
+        IntrinsicOptions { cross_view: self == StepKind::CrossView, relight: self == StepKind::Relight, ..*o }
+    }
 
     /// What a step is due, as the settings have it.
     pub fn of(s: &IntrinsicSettings, step: u32) -> StepKind {

@@ -7,24 +7,30 @@
 mod consistency;
 mod data;
 mod files;
+mod modeled;
+mod needs;
 mod state;
 mod surfaces;
 
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+pub use needs::IntrinsicNeeds;
 
 use crate::convert::gaussian_data;
 use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
+use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, Metallic, Settings};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
+use needs::Sizes;
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     EnvironmentMemory, FieldStep, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates,
-    IntrinsicReport, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
+    IntrinsicReport, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
+    SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
@@ -54,6 +60,7 @@ pub struct Intrinsic {
     splats: Splats,
     gaussians: Gaussians,
     surfaces: Surfaces,
+    needs: IntrinsicNeeds,
     parameters: IntrinsicParameters,
     light_model: LightModel,
     /// What the lights started in.
@@ -90,6 +97,7 @@ impl Intrinsic {
         if settings.memory.budget > 0 {
             device.set_memory_budget(Some(settings.memory.budget));
         }
+        let budget = allowed(device, settings);
         let cameras: Vec<&sgs_scene::Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
         let mut splats = splats.clone();
         let without = splats.normals.as_ref().is_none_or(|n| n.iter().all(|n| *n == [0.0; 3]));
@@ -99,20 +107,14 @@ impl Intrinsic {
         }
         let bounds = scene_box(&splats, &cameras);
         let packed = Packed::read(scene, false)?;
-        let read = |kind: Material, name: &str, weight: f32| -> Result<Option<DeviceBuffer>> {
-            let priors = if weight > 0.0 { MaterialPriors::read(scene, kind)? } else { None };
-            priors.map(|p| p.upload(device, name)).transpose()
+        let read = |kind: Material, weight: f32| -> Result<Option<MaterialPriors>> {
+            if weight > 0.0 { MaterialPriors::read(scene, kind) } else { Ok(None) }
         };
-        let mut priors = Priors {
-            albedo: read(Material::Albedo, "albedo_priors", s.losses.albedo)?,
-            roughness: read(Material::Roughness, "roughness_priors", s.losses.roughness)?,
-            metallic: None,
-        };
-        if s.metallic != Metallic::Off {
-            priors.metallic = read(Material::Metallic, "metallic_priors", s.losses.metallic)?;
-        }
+        let albedo = read(Material::Albedo, s.losses.albedo)?;
+        let roughness = read(Material::Roughness, s.losses.roughness)?;
+        let told = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
         let metallic = match s.metallic {
-            Metallic::Auto => priors.metallic.is_some(),
+            Metallic::Auto => told.is_some(),
             Metallic::On => true,
             Metallic::Off => false,
         };
@@ -120,11 +122,10 @@ impl Intrinsic {
         let model = Model { sh_degree: 0, normals: true, semantics: false };
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;
-        let data = packed.upload(device)?;
-        let schedule = Schedule::new(settings, scene.extent(), data.views.len());
+        let schedule = Schedule::new(settings, scene.extent(), packed.views().len());
         let consistency = Consistency::load(device, scene, settings)?;
         let others = consistency.as_ref().map(|c| c.cameras(settings, &schedule)).unwrap_or_default();
-        let surfaces = Surfaces::new(device, tuning, &gaussians, &data, &others, settings)?;
+        let builder = Surfaces::measure(device, tuning, &gaussians, packed.views(), packed.largest, &others)?;
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
         let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: LOBES, axes };
         let seed = settings.seed as u32;
@@ -135,10 +136,83 @@ impl Intrinsic {
                 let options = EnvironmentOptions { smoothness: options.smoothness.filter(|_| smooth), ..options };
                 let made = Environment::new(s.environment.resolution, &options)
                     .map_err(|e| TrainError::Setting(e.to_string()))?;
-                let memory = EnvironmentMemory::new(device, &made)?;
-                Some((made, memory))
+                Some(made)
             }
             false => None,
+        };
+        let r = &s.rates;
+        let options = IntrinsicOptions {
+            shape: builder.shape(),
+            metallic,
+            lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
+            visibility: s.visibility.config().filter(|_| s.lights.enabled),
+            visibility_jitter: s.losses.visibility_jitter > 0.0,
+            visibility_sample: s.visibility.sample,
+            light_regularizers: [s.losses.light_position, s.losses.light_value],
+            light_prune: s.lights.prune,
+            environment_smooth: s.losses.environment_smooth,
+            cross_view: false,
+            relight: false,
+            edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
+            gradients: s.losses.gradients > 0.0,
+            returning: s.returning,
+            rates: IntrinsicRates {
+                albedo: r.albedo,
+                roughness: r.roughness,
+                metallic: r.metallic,
+                // The published unit is that of a box of side 3.
+                light_positions: r.lights * light_scale(&bounds).sqrt(),
+                lights: r.lights,
+                environment: r.environment,
+                visibility: r.visibility,
+            },
+            timestamps: false,
+            frames_in_flight: IN_FLIGHT,
+        };
+        let sizes = Sizes {
+            inputs: IntrinsicSizes {
+                targets: packed.image_bytes(),
+                albedo: albedo.as_ref().map(MaterialPriors::bytes),
+                roughness: roughness.as_ref().map(MaterialPriors::bytes),
+                metallic: told.as_ref().map(MaterialPriors::bytes),
+                regions: consistency.as_ref().map(|c| c.ids.bytes()),
+            },
+            environment: environment.as_ref(),
+            options: &options,
+            geometry: gaussians.bytes(),
+            kept: 1,
+            surface_arena: builder.compiled().arena_bytes,
+            // Beside the parameters Gaussians have their count.
+            surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
+            kinds: StepKind::ALL.map(|kind| {
+                let can = consistency.is_some() && (kind != StepKind::Relight || albedo.is_some());
+                kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)
+            }),
+        };
+        // Surfaces of all views are kept where that fits beside everything else.
+        let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
+        let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
+        one.check(&budget)?;
+        let kept = match s.surface_bytes {
+            0 => all.total() <= budget.left(),
+            most => all.surfaces <= most,
+        };
+        let needs = if kept { all } else { one };
+        if !kept {
+            let bytes = all.surfaces;
+            tracing::info!("what views see of the geometry takes {bytes} bytes: it is worked out anew in each step");
+        }
+        let data = packed.upload(device)?;
+        let up = |priors: Option<MaterialPriors>, name: &str| priors.map(|p| p.upload(device, name)).transpose();
+        let priors = Priors {
+            albedo: up(albedo, "albedo_priors")?,
+            roughness: up(roughness, "roughness_priors")?,
+            metallic: up(told, "metallic_priors")?,
+        };
+        let surfaces = Surfaces::new(device, builder, &gaussians, &data, kept, &others)?;
+        let environment = match environment {
+            Some(made) => Some((EnvironmentMemory::new(device, &made)?, made)).map(|(memory, made)| (made, memory)),
+            None => None,
         };
         let n = splats.len();
         let start = |given: Option<Vec<f32>>, width: usize, otherwise: f32| {
@@ -180,35 +254,6 @@ impl Intrinsic {
         };
         let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
         device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
-        let r = &s.rates;
-        let options = IntrinsicOptions {
-            shape: surfaces.shape(),
-            metallic,
-            lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
-            visibility: s.visibility.config().filter(|_| s.lights.enabled),
-            visibility_jitter: s.losses.visibility_jitter > 0.0,
-            visibility_sample: s.visibility.sample,
-            light_regularizers: [s.losses.light_position, s.losses.light_value],
-            light_prune: s.lights.prune,
-            environment_smooth: s.losses.environment_smooth,
-            cross_view: false,
-            relight: false,
-            edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
-            gradients: s.losses.gradients > 0.0,
-            returning: s.returning,
-            rates: IntrinsicRates {
-                albedo: r.albedo,
-                roughness: r.roughness,
-                metallic: r.metallic,
-                // The published unit is that of a box of side 3.
-                light_positions: r.lights * light_scale(&bounds).sqrt(),
-                lights: r.lights,
-                environment: r.environment,
-                visibility: r.visibility,
-            },
-            timestamps: false,
-            frames_in_flight: IN_FLIGHT,
-        };
         let status = IntrinsicStatus::new(device)?;
         let training = Intrinsic {
             device: device.clone(),
@@ -220,6 +265,7 @@ impl Intrinsic {
             splats,
             gaussians,
             surfaces,
+            needs,
             parameters,
             light_model,
             bounds,
@@ -381,11 +427,7 @@ impl Intrinsic {
         if self.execs[kind as usize].is_some() {
             return Ok(());
         }
-        let options = IntrinsicOptions {
-            cross_view: kind == StepKind::CrossView,
-            relight: kind == StepKind::Relight,
-            ..self.options
-        };
+        let options = kind.options(&self.options);
         let inputs = IntrinsicInputs {
             parameters: &self.parameters,
             gains: Some(&self.gains),

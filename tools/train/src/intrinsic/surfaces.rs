@@ -3,8 +3,6 @@
 
 use crate::data::TrainingData;
 use crate::error::Result;
-use crate::memory::allowed;
-use crate::settings::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
@@ -23,37 +21,36 @@ pub(super) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Measures all views, `others` among them that are only seen now and then, and keeps what fits.
-    pub fn new(
+    /// Measures all views, `others` among them that are only seen now and then.
+    pub fn measure(
         device: &Device,
         tuning: Tuning,
         gaussians: &Gaussians,
-        data: &TrainingData,
+        views: &[(Camera, u32)],
+        largest: [u32; 2],
         others: &[Camera],
-        settings: &Settings,
-    ) -> Result<Surfaces> {
-        let mut builder = SurfaceBuilder::new(device, tuning, gaussians, data.largest)?;
+    ) -> Result<SurfaceBuilder> {
+        let mut builder = SurfaceBuilder::new(device, tuning, gaussians, largest)?;
         let mut most = 1;
-        for camera in data.views.iter().map(|v| &v.0).chain(others) {
+        for camera in views.iter().map(|v| &v.0).chain(others) {
             builder.measure(gaussians, camera)?;
             most = most.max(builder.wanted()?);
         }
         // The room that the fullest view needs, for all: a step is made for one size.
         builder.fit(gaussians, most)?;
+        Ok(builder)
+    }
+
+    /// Keeps the surfaces of all training views, or room for one.
+    pub fn new(
+        device: &Device,
+        mut builder: SurfaceBuilder,
+        gaussians: &Gaussians,
+        data: &TrainingData,
+        all: bool,
+        others: &[Camera],
+    ) -> Result<Surfaces> {
         let shape = builder.shape();
-        let wanted = shape.bytes() * data.views.len() as u64;
-        let limit = match settings.intrinsic.surface_bytes {
-            // Half of what is left: the step needs the rest.
-            0 => {
-                let b = allowed(device, settings);
-                b.budget.saturating_sub(b.used) / 2
-            }
-            bytes => bytes,
-        };
-        let all = wanted <= limit;
-        if !all {
-            tracing::info!("what views see of the geometry takes {wanted} bytes: it is worked out anew in each step");
-        }
         let mut kept = Vec::new();
         for (camera, _) in data.views.iter().take(if all { data.views.len() } else { 1 }) {
             let surface = Surface::new(device, shape)?;

@@ -1,0 +1,132 @@
+//! What `sgs plan` says of the intrinsic stage.
+
+use super::plan::source_of;
+use sgs_engine::graph::Plan;
+use sgs_engine::{Budget, Device};
+use sgs_passes::pipeline::IntrinsicOptions;
+use sgs_scene::{Scene, Splats};
+use sgs_train::{Intrinsic, IntrinsicNeeds, Settings};
+use std::path::Path;
+use std::sync::Arc;
+
+/// What the stage would model, and what it takes. Training is made for it as far as its first step, and given up again.
+pub struct IntrinsicPlan {
+    gaussians: usize,
+    /// Whether the scene's points stand in for what the geometry stage will come to.
+    points: bool,
+    options: IntrinsicOptions,
+    resolution: Option<u32>,
+    priors: [bool; 3],
+    compares: [bool; 2],
+    kept: bool,
+    interval: u32,
+    needs: IntrinsicNeeds,
+    /// A plain step.
+    pub graph: Arc<Plan>,
+}
+
+impl IntrinsicPlan {
+    pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<IntrinsicPlan> {
+        let splats = match start {
+            Some(file) => Splats::read_ply(file)?,
+            None => Splats::from_points(&scene.points, s.geometry.sh_degree as usize)?,
+        };
+        let mut training = Intrinsic::new(device, scene, s, &splats)?;
+        let graph = training.executor()?.executor().plan().clone();
+        Ok(IntrinsicPlan {
+            gaussians: training.gaussians(),
+            points: start.is_none(),
+            options: *training.options(),
+            resolution: s.intrinsic.environment.enabled.then_some(s.intrinsic.environment.resolution),
+            priors: training.priors(),
+            compares: training.compares(),
+            kept: training.keeps_surfaces(),
+            interval: s.intrinsic.consistency_interval,
+            needs: *training.needs(),
+            graph,
+        })
+    }
+
+    pub fn json(&self, budget: &Budget) -> serde_json::Value {
+        let o = &self.options;
+        let [albedo, roughness, metallic] = self.priors;
+        serde_json::json!({
+            "gaussians": self.gaussians,
+            "from_points": self.points,
+            "metallic": o.metallic,
+            "lights": o.lights.map(|(model, _)| model.lights),
+            "lobes": o.lights.map(|(model, _)| model.lobes),
+            "environment": self.resolution,
+            "visibility": o.visibility.map(|v| serde_json::json!({
+                "levels": v.levels, "log2_table": v.log2_table, "coarsest": v.coarsest, "finest": v.finest,
+                "entries": v.entries(), "bytes": self.needs.visibility,
+            })),
+            "priors": {"albedo": albedo, "roughness": roughness, "metallic": metallic},
+            "cross_view": self.compares[0],
+            "relight": self.compares[1],
+            "surfaces_kept": self.kept,
+            "needs": self.needs,
+            "needs_bytes": self.needs.total(),
+            "budget": budget,
+            "passes": self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
+            "barriers": self.graph.groups.iter().filter(|g| g.barrier.is_some()).count(),
+        })
+    }
+
+    pub fn print(&self, budget: &Budget) {
+        let o = &self.options;
+        let mib = |b: u64| b as f64 / f64::from(1 << 20);
+        let stand_in =
+            if self.points { ", the scene's points: what geometry comes to needs more (--start)" } else { "" };
+        println!("Gaussians   {}, standing still{stand_in}", self.gaussians);
+        let names = ["albedo", "roughness", "metallic"];
+        let told: Vec<&str> = names.iter().zip(self.priors).filter(|(_, there)| *there).map(|(n, _)| *n).collect();
+        let metallic = if o.metallic { "albedo, roughness, metallic" } else { "albedo, roughness" };
+        println!("materials   {metallic} (intrinsic.metallic)");
+        println!("priors      {}", if told.is_empty() { "none".to_owned() } else { told.join(", ") });
+        match &o.lights {
+            Some((model, _)) => println!("lights      {} of {} lobes (intrinsic.lights)", model.lights, model.lobes),
+            None => println!("lights      none (intrinsic.lights.enabled)"),
+        }
+        match self.resolution {
+            Some(size) => println!("environment a cube of {size} x {size} texels a face (intrinsic.environment)"),
+            None => println!("environment none (intrinsic.environment.enabled)"),
+        }
+        match &o.visibility {
+            Some(v) => println!(
+                "visibility  a field of {} levels, {} to {}, {} entries (intrinsic.visibility)",
+                v.levels,
+                v.coarsest,
+                v.finest,
+                v.entries()
+            ),
+            None => println!("visibility  no field (intrinsic.visibility.kind, or there are no lights)"),
+        }
+        let [cross_view, relight] = self.compares;
+        let every = format!("every {} steps", self.interval);
+        let said = |due: bool| {
+            if due { every.clone() } else { "never: switched off, or regions or priors are missing".into() }
+        };
+        println!("cross view  {} (albedo in pseudo-views)", said(cross_view));
+        println!("relight     {} (albedo under other lights)", said(relight));
+        println!(
+            "surfaces    {}",
+            if self.kept { "kept for all training views" } else { "worked out anew in each step: memory is short" }
+        );
+        println!(
+            "a step      {} passes in {} groups, {} barriers",
+            self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
+            self.graph.groups.len(),
+            self.graph.groups.iter().filter(|g| g.barrier.is_some()).count()
+        );
+        for (name, bytes) in self.needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
+            println!("memory      {:>9.1} MiB {name}", mib(bytes));
+        }
+        println!(
+            "in all      {:>9.1} MiB, of a budget of {:.1} MiB ({})",
+            mib(self.needs.total()),
+            mib(budget.budget),
+            source_of(budget)
+        );
+    }
+}
