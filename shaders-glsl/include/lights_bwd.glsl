@@ -17,6 +17,11 @@ layout(constant_id = 6) const bool MINE = false; // only where SUBGROUP is 8
 layout(push_constant, scalar) uniform Push {
     float normalizer; // 1 / lights at the start
     uint blocks;      // of a workgroup
+#ifdef BY_STRETCH
+    uint block; // first of the stretch
+    uint end;   // behind its last
+    uint row;   // first of its workgroups' rows
+#endif
 } push;
 
 IN(vec3, radiance_gradient);
@@ -30,7 +35,11 @@ const uint GROUPS = (LOBES + GROUP - 1u) / GROUP;
 
 float mine[MINE ? LIGHTS * (1u + LOBES) : 1u]; // lane j has number j of every eight
 
+#ifdef BY_STRETCH
+uint row_start() { return (push.row + folded_workgroup()) * LIGHTS * LIGHT_ROW; }
+#else
 uint row_start() { return folded_workgroup() * LIGHTS * LIGHT_ROW; }
+#endif
 
 // Adds a number of each lane to a light's part of the row, from `at` on; lanes from `lanes` on have none.
 void keep(uint light, uint at, uint lanes, float value) {
@@ -67,6 +76,10 @@ void main() {
     uint pixels = pixel_count();
     uint blocks = (pixels + SUBGROUP * PER_LANE - 1u) / (SUBGROUP * PER_LANE);
     uint first = folded_workgroup() * by_workgroup(push.blocks);
+#ifdef BY_STRETCH
+    blocks = min(blocks, by_workgroup(push.end));
+    first += push.block;
+#endif
     if (row_start() >= partials.length()) return; // only there because the grid is folded
     // The rows in the buffer are zeros to begin with.
     if (MINE) {

@@ -4,6 +4,9 @@
 
 layout(push_constant, scalar) uniform Push {
     float normalizer; // 1 / lights at the start
+#ifdef BY_STRETCH
+    uint block; // first of the stretch
+#endif
 } push;
 
 OUT(vec3, direct);
@@ -16,6 +19,9 @@ OUT(vec3, diffuse);
 
 void main() {
     uint block = folded_workgroup();
+#ifdef BY_STRETCH
+    block += push.block;
+#endif
     uint pixels = pixel_count();
     vec3 f0[PER_LANE];
     float f90[PER_LANE];

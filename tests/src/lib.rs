@@ -17,6 +17,7 @@ pub mod priors;
 pub mod random;
 pub mod rooms;
 pub mod scenes;
+pub mod splats;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};

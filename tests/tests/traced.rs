@@ -1,77 +1,15 @@
 //! Traced visibility on a device against the product over all Gaussians.
 
 use sgs_engine::graph::Graph;
-use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::traced::{self as twin, Splat, V3};
-use sgs_passes::scene::{GaussianData, Group};
 use sgs_passes::shade::lights::{Axes, LightModel, Lights, Shape, lights, lights_prepare};
 use sgs_passes::shade::traced::{TracedTree, lights_traced, visibility_traced};
 use sgs_tests::lit::{Lit, SPARE, narrow};
+use sgs_tests::splats::{doubt, random_splats, splat_data};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
 /// How far above surfaces rays begin; exact in 32 bits.
 const OFFSET: f32 = 0.015625;
-
-fn data(splats: &[Splat]) -> GaussianData {
-    let mut d = GaussianData::default();
-    let f = |x: f64| x as f32;
-    for s in splats {
-        d.groups[Group::Means as usize].extend(s.mean.map(f));
-        d.groups[Group::LogScales as usize].extend(s.log_scale.map(f));
-        d.groups[Group::Rotations as usize].extend(s.rotation.map(f));
-        d.groups[Group::OpacityLogits as usize].push(f(s.opacity_logit));
-    }
-    d
-}
-
-/// Gaussians of all kinds between the pixels of a case and its lights: balls, sheets, needles, faint ones, giants.
-fn gaussians(count: usize, seed: u32) -> Vec<Splat> {
-    let mut rng = Pcg::new(seed);
-    let typical = (1.0 / (count as f64).cbrt()).ln() - 0.5;
-    (0..count)
-        .map(|_| {
-            let kind = rng.next_u32() % 8;
-            let flat: V3 = match kind {
-                0..3 => [0.0; 3],
-                3..5 => [-4.0, 0.0, 0.0],
-                5 => [-3.0, 1.0, -3.0],
-                6 => [1.0, 1.0, 1.0],
-                _ => [-6.0; 3],
-            };
-            let mut q = [rng.normal(), rng.normal(), rng.normal(), rng.normal()];
-            if rng.uniform() < 0.02 {
-                q = [0.0; 4];
-            }
-            Splat {
-                mean: std::array::from_fn(|_| narrow(rng.range(-1.4, 1.4))),
-                log_scale: std::array::from_fn(|k| narrow(typical + flat[k] + 0.3 * rng.normal())),
-                rotation: q.map(narrow),
-                opacity_logit: narrow(rng.range(-7.0, 4.0)),
-            }
-        })
-        .map(|s| if s.rotation == [0.0; 4] { Splat { rotation: [1.0, 0.0, 0.0, 0.0], ..s } } else { s })
-        .collect()
-}
-
-/// What gets through, and how far it may be off because a Gaussian's alpha is at the threshold or its peak at an end.
-fn expected(splats: &[Splat], from: V3, to: V3) -> (f64, f64) {
-    let v: V3 = std::array::from_fn(|k| to[k] - from[k]);
-    let reach = v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let along = v.map(|x| x / reach);
-    let mut doubt = 0.0;
-    for s in splats {
-        let m = twin::meet(s, from, along);
-        if m.at.abs().min((m.at - reach).abs()) < 1e-4 {
-            doubt += m.alpha;
-        }
-        let [more, less] = [2e-3, -2e-3].map(|d| Splat { opacity_logit: s.opacity_logit + d, ..*s });
-        let [a, b] = [more, less].map(|s| twin::meet(&s, from, along));
-        if (a.alpha > 0.0) != (b.alpha > 0.0) || (a.before > 0.0) != (b.before > 0.0) {
-            doubt += 0.005;
-        }
-    }
-    (twin::transmittance(splats, from, to), doubt)
-}
 
 struct Found {
     visibility: Vec<f32>,
@@ -81,7 +19,7 @@ struct Found {
 
 fn run(gpu: &Gpu, case: &Lit, splats: &[Splat]) -> Found {
     let tuning = gpu.tuning();
-    let tree = TracedTree::new(&data(splats)).unwrap();
+    let tree = TracedTree::new(&splat_data(splats)).unwrap();
     let mut g = Graph::new("traced");
     let size = case.size.map(|s| s as u32);
     let mut bound = case.bind(&mut g, size);
@@ -117,7 +55,7 @@ fn visibility_is_the_product_over_all_gaussians() {
     for (count, seed) in [(0, 1), (1, 2), (7, 3), (60, 4), (3000, 5)] {
         let mut c = case([9, 5], 4, seed);
         c.pixels[3].coverage = 0.0;
-        let splats = gaussians(count, seed);
+        let splats = random_splats(count, seed);
         let found = run(&gpu, &c, &splats);
         let (mut hidden, mut doubtful) = (0, 0);
         for (i, p) in c.pixels.iter().enumerate() {
@@ -129,7 +67,7 @@ fn visibility_is_the_product_over_all_gaussians() {
                 }
                 let from = std::array::from_fn(|k| p.point[k] + f64::from(OFFSET) * p.normal[k]);
                 let to = std::array::from_fn(|k| c.raw.positions[3 * l + k]);
-                let (right, doubt) = expected(&splats, from, to);
+                let (right, doubt) = (twin::transmittance(&splats, from, to), doubt(&splats, from, to));
                 assert!((is - right).abs() < 3e-4 + doubt, "{count}: pixel {i}, light {l}: {right} {is} ({doubt})");
                 hidden += usize::from(right < 0.9);
                 doubtful += usize::from(doubt > 0.0);
@@ -148,7 +86,7 @@ fn lights_are_dimmed_by_what_hides_them() {
     let gpu = Gpu::new();
     // Of a single light, radiance is what it would be times how much of it is seen.
     let c = case([8, 7], 1, 11);
-    let found = run(&gpu, &c, &gaussians(200, 12));
+    let found = run(&gpu, &c, &random_splats(200, 12));
     let right: Vec<f64> =
         found.plain.iter().enumerate().map(|(i, x)| f64::from(*x) * f64::from(found.visibility[i / 3])).collect();
     assert_close("direct", &right, &found.traced, Tolerance::new(1e-7, 1e-5));
@@ -188,14 +126,14 @@ fn a_surface_does_not_shadow_itself_but_a_wall_does() {
 
 #[test]
 fn what_cannot_be_seen_is_not_in_the_tree() {
-    let mut splats = gaussians(50, 31);
+    let mut splats = random_splats(50, 31);
     let seen = splats.iter().filter(|s| 1.0 / (1.0 + (-s.opacity_logit).exp()) >= 1.0 / 255.0).count();
-    assert_eq!(TracedTree::new(&data(&splats)).unwrap().splats(), seen);
+    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), seen);
     splats[0].mean[1] = f64::NAN;
     splats[1].log_scale[2] = f64::NAN;
     splats[2].opacity_logit = f64::NAN;
-    assert!(TracedTree::new(&data(&splats)).unwrap().splats() <= seen);
+    assert!(TracedTree::new(&splat_data(&splats)).unwrap().splats() <= seen);
     // Many in one place are still a tree.
-    let heap = vec![Splat { opacity_logit: 1.0, ..gaussians(1, 1)[0] }; 5000];
-    assert_eq!(TracedTree::new(&data(&heap)).unwrap().splats(), 5000);
+    let heap = vec![Splat { opacity_logit: 1.0, ..random_splats(1, 1)[0] }; 5000];
+    assert_eq!(TracedTree::new(&splat_data(&heap)).unwrap().splats(), 5000);
 }

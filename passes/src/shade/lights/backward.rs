@@ -45,7 +45,17 @@ pub(in crate::shade) fn cut(
     pixels: &Pixels,
     extra: u32,
 ) -> (u32, u32) {
-    let blocks = pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32;
+    cut_blocks(tuning, shape, prepared, pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32, extra)
+}
+
+/// The same of some blocks.
+pub(in crate::shade) fn cut_blocks(
+    tuning: Tuning,
+    shape: &Shape,
+    prepared: &Prepared,
+    blocks: u32,
+    extra: u32,
+) -> (u32, u32) {
     // Each light of a block takes two rounds, and one a group of lobes.
     let groups = prepared.model.lobes.div_ceil(shape.subgroup / 8);
     let rounds = prepared.model.lights * (3 + groups) + 8 + extra;

@@ -10,7 +10,12 @@
 //! node visited, 52 for a Gaussian tried, a subgroup's rays together; memory about 60 bytes a Gaussian.
 //!
 //! Promises: the same bits from run to run, at most 1e-4 beside the product over all Gaussians. llvmpipe ends an
-//! invocation's loops after 65535 rounds, all lights together: there, many lights belong in several passes.
+//! invocation's loops after 65535 rounds, all lights of [`lights_traced`] together: [`lights_train_traced`] and its like
+//! take a ray an invocation.
+
+mod lights;
+
+pub use lights::{Sight, lights_bwd_traced, lights_split_traced, lights_train_traced};
 
 use super::Surfaces;
 use super::lights::Lights;
@@ -23,11 +28,15 @@ use glam::{Mat3, Quat, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 use obvhs::cwbvh::builder::build_cwbvh;
 use obvhs::{Boundable, BvhBuildParams};
+use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::{lights_traced as lit, visibility_traced as kernel};
 
 /// Below this a Gaussian shows nowhere.
 const ALPHA_MIN: f32 = 1.0 / 255.0;
+/// Half a million pixels under 64 lights.
+const ROOM: u64 = 32 << 20;
 /// Levels that a kernel remembers.
 const STACK: usize = 32;
 
@@ -63,6 +72,54 @@ pub struct Traced {
     splats: Buffer,
     /// How far above the surface rays begin.
     pub offset: f32,
+    /// Most bytes of what [`lights_train_traced`] and its like keep of rays: views that take more are gone through in
+    /// stretches.
+    pub room: u64,
+}
+
+/// The tree in device memory.
+#[derive(Debug)]
+pub struct TracedMemory {
+    nodes: DeviceBuffer,
+    splats: DeviceBuffer,
+}
+
+impl TracedMemory {
+    /// Puts it there.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, tree: &TracedTree) -> Result<TracedMemory> {
+        let put = |name: &str, bytes: &[u8]| -> Result<DeviceBuffer> {
+            let buffer = device.buffer(name, bytes.len() as u64, Location::Device)?;
+            device.upload(&buffer, 0, bytes)?;
+            Ok(buffer)
+        };
+        let nodes = put("traced.nodes", bytemuck::cast_slice(&tree.nodes))?;
+        Ok(TracedMemory { nodes, splats: put("traced.splats", bytemuck::cast_slice(&tree.splats))? })
+    }
+
+    /// What graphs need to know of it.
+    pub fn sizes(&self) -> [u64; 2] {
+        [self.nodes.bytes(), self.splats.bytes()]
+    }
+
+    /// Puts it behind its handles.
+    ///
+    /// # Errors
+    /// If the plan was made for another tree.
+    pub fn bind(&self, exec: &mut Executor, traced: &Traced) -> Result<()> {
+        exec.bind(traced.nodes, &self.nodes)?;
+        exec.bind(traced.splats, &self.splats)
+    }
+}
+
+impl Traced {
+    /// Declares a tree of these sizes as inputs of a graph. `offset`: how far above the surface rays begin.
+    pub fn declare(g: &mut Graph, sizes: [u64; 2], offset: f32) -> Traced {
+        let [nodes, splats] = [g.input("traced.nodes", sizes[0]), g.input("traced.splats", sizes[1])];
+        Traced { nodes, splats, offset, room: ROOM }
+    }
 }
 
 struct Boxed(Aabb);
@@ -78,7 +135,7 @@ impl TracedTree {
     ///
     /// # Errors
     /// If the tree becomes too deep.
-    pub fn new(data: &GaussianData) -> Result<TracedTree, TracedError> {
+    pub fn new(data: &GaussianData) -> std::result::Result<TracedTree, TracedError> {
         let (boxes, splats): (Vec<Boxed>, Vec<TracedSplat>) = (0..data.len()).filter_map(|i| splat(data, i)).unzip();
         if splats.is_empty() {
             // One node without children.
@@ -111,11 +168,7 @@ impl TracedTree {
 
     /// Declares the tree as inputs of a graph. `offset`: how far above the surface rays begin.
     pub fn declare(&self, g: &mut Graph, offset: f32) -> Traced {
-        Traced {
-            nodes: g.input("traced.nodes", 4 * self.nodes.len() as u64),
-            splats: g.input("traced.splats", size_of_val(self.splats.as_slice()) as u64),
-            offset,
-        }
+        Traced::declare(g, [4 * self.nodes.len() as u64, size_of_val(self.splats.as_slice()) as u64], offset)
     }
 
     /// What the host must put there once.
@@ -172,7 +225,7 @@ pub fn visibility_traced(
     traced: &Traced,
     places: (Buffer, u32),
     visibility: Buffer,
-) -> Result<(), GraphError> {
+) -> std::result::Result<(), GraphError> {
     let workgroup = t.workgroup.min(64);
     let bindings = kernel::Bindings {
         params: screen.step.into(),
@@ -199,7 +252,12 @@ pub fn visibility_traced(
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
-pub fn lights_traced(g: &mut Graph, a: &Lights, traced: &Traced, direct: Buffer) -> Result<(), GraphError> {
+pub fn lights_traced(
+    g: &mut Graph,
+    a: &Lights,
+    traced: &Traced,
+    direct: Buffer,
+) -> std::result::Result<(), GraphError> {
     let p = &a.pixels;
     let bindings = lit::Bindings {
         params: p.screen.step.into(),

@@ -1,0 +1,11 @@
+// Radiance of pixels under lights that Gaussians may hide, as traced before, and what materials' gradients need.
+#version 460
+#include "common.glsl"
+#include "step.glsl"
+#include "lights_pixels.glsl"
+#include "visibility_seen.glsl"
+#define SUMS 1
+#define SPLIT 0
+#include "lights_forward.glsl"
+
+uint stretch_first() { return push.block * PER_LANE * SUBGROUP; }
