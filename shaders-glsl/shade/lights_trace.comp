@@ -15,7 +15,8 @@ layout(constant_id = 1) const uint LOBES = 12;
 layout(push_constant, scalar) uniform Push {
     uint first;   // pixel of the stretch
     uint stretch; // pixels from one light's to the next one's, a multiple of SUBGROUP
-    float offset; // of rays' begin above the surface
+    float offset;    // of rays' begin above the surface
+    float clearance; // of their end before the light
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -38,7 +39,7 @@ void main() {
     bool lit = i < count && is_covered(coverage[pixel]) && dot(normal, place - point) > 0.0;
     vec3 from = point + push.offset * normal, to = place - from;
     float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
-    float through = traced_transmittance(from, to * inverse, lit ? square * inverse : -1.0);
+    float through = traced_transmittance(from, to * inverse, lit ? max(square * inverse - push.clearance, 0.0) : -1.0);
     uint word = (lit ? uint(255.0 * through + 0.5) : 0u) << (8u * (lane & 3u));
     word |= subgroupShuffleXor(word, 1u);
     word |= subgroupShuffleXor(word, 2u);

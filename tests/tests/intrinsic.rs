@@ -159,7 +159,7 @@ fn the_command_leaves_what_shades_and_measures() {
     let splats = Splats::read_ply(&place.path("a/scene.ply")).unwrap();
     let light = light_of(&run, &run.settings().unwrap()).unwrap();
     let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
-    let scene = shaded_scene(gpu.device(), &splats, lights, environment, light.visibility.as_ref()).unwrap();
+    let scene = shaded_scene(gpu.device(), &splats, lights, environment, &light.visibility).unwrap();
     let mut shading = Shading::new(gpu.device(), scene).unwrap();
     let opened = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let shaded = shading.shade(&opened.views[0].camera).unwrap();
@@ -202,6 +202,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         metallic: false,
         lights: Some((LightModel::default(), 1.0 / 64.0)),
         visibility: Some(FieldConfig { levels: 16, log2_table: 19, coarsest: 32, finest: 4096 }),
+        traced: None,
         visibility_jitter: true,
         visibility_sample: 1,
         light_regularizers: [1e-6, 1e-4],

@@ -8,6 +8,7 @@ use crate::shade::environment::{
     environment_diffuse, environment_filter,
 };
 use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
+use crate::shade::traced::{Traced, TracedMemory, TracedShape, lights_split_traced};
 use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
 use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
 use crate::splat::Screen;
@@ -36,13 +37,23 @@ pub struct ShadedScene {
     pub visibility: Option<ShadedVisibility>,
 }
 
-/// A visibility field in device memory.
+/// What lights see, in device memory.
 #[derive(Debug)]
-pub struct ShadedVisibility {
-    /// Tables and layers.
-    pub field: VisibilityField,
-    /// Its box; what else a step's uniform holds is filled in.
-    pub place: FieldStep,
+pub enum ShadedVisibility {
+    /// What has been learned.
+    Field {
+        /// Tables and layers.
+        field: VisibilityField,
+        /// Its box; what else a step's uniform holds is filled in.
+        place: FieldStep,
+    },
+    /// What rays through the Gaussians find.
+    Traced {
+        /// The tree.
+        memory: TracedMemory,
+        /// What it is.
+        shape: TracedShape,
+    },
 }
 
 /// Point lights in device memory.
@@ -116,6 +127,8 @@ struct State {
     surface: SurfaceHandles,
     /// Uniform of the visibility field.
     field: Option<Buffer>,
+    /// Whether anything is in the way of lights.
+    hidden: bool,
     outputs: Vec<DeviceBuffer>,
 }
 
@@ -229,6 +242,7 @@ impl State {
         let seen = &surface.surfaces;
         let lit = Pixels { screen, surfaces: *seen, materials: of_pixels };
         let mut field: Option<FieldHandles> = None;
+        let mut tree: Option<Traced> = None;
         if let Some(l) = &scene.lights {
             let [positions, lobes, gains] = [("positions", &l.positions), ("lobes", &l.lobes), ("gains", &l.gains)]
                 .map(|(name, given)| {
@@ -240,8 +254,13 @@ impl State {
             let prepared = lights_prepare(&mut g, *t, "lights_prepare", step, l.model, &parameters, None)?;
             let lights = Lights { pixels: lit, prepared, normalizer: l.normalizer, shape: Shape::for_device(*t) };
             match &scene.visibility {
-                Some(v) => {
-                    let handles = v.field.declare(&mut g, false);
+                Some(ShadedVisibility::Traced { shape, .. }) => {
+                    let traced = Traced::declare(&mut g, shape);
+                    lights_split_traced(&mut g, *t, &lights, &traced, [out[2], out[3]], out[7])?;
+                    tree = Some(traced);
+                }
+                Some(ShadedVisibility::Field { field: given, .. }) => {
+                    let handles = given.declare(&mut g, false);
                     lights_split_field(&mut g, *t, &lights, &handles.field, out[2], out[3])?;
                     let view = VisibilityView {
                         pixels: pixels as u32,
@@ -277,7 +296,8 @@ impl State {
         if metallic.is_none() {
             g.fill("no_metallic", out[1], 0)?;
         }
-        if field.is_none() {
+        let hidden = field.is_some() || tree.is_some();
+        if !hidden {
             g.fill("no_visibility", out[7], 0)?;
         }
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
@@ -295,10 +315,13 @@ impl State {
         if let (Some(e), Some(tables)) = (&scene.environment, &tables) {
             e.memory.bind(&mut exec, &e.tables, tables)?;
         }
-        if let (Some(v), Some(handles)) = (&scene.visibility, &field) {
-            v.field.bind(&mut exec, handles)?;
+        if let (Some(ShadedVisibility::Field { field, .. }), Some(handles)) = (&scene.visibility, &field) {
+            field.bind(&mut exec, handles)?;
         }
-        Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), outputs })
+        if let (Some(ShadedVisibility::Traced { memory, .. }), Some(handles)) = (&scene.visibility, &tree) {
+            memory.bind(&mut exec, handles)?;
+        }
+        Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), hidden, outputs })
     }
 
     fn shade(
@@ -313,11 +336,14 @@ impl State {
         let mut camera = *camera;
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
         let step = Step { camera, step: 1, ..Default::default() };
-        let place = scene.visibility.as_ref().map_or_else(FieldStep::default, |v| FieldStep {
-            pixels: camera.size[0] * camera.size[1],
-            lights: scene.lights.as_ref().map_or(0, |l| l.model.lights),
-            ..v.place
-        });
+        let place = match &scene.visibility {
+            Some(ShadedVisibility::Field { place, .. }) => FieldStep {
+                pixels: camera.size[0] * camera.size[1],
+                lights: scene.lights.as_ref().map_or(0, |l| l.model.lights),
+                ..*place
+            },
+            _ => FieldStep::default(),
+        };
         let mut uniforms = vec![(self.step, bytemuck::bytes_of(&step))];
         if let Some(field) = self.field {
             uniforms.push((field, bytemuck::bytes_of(&place)));
@@ -343,7 +369,7 @@ impl State {
             ambient: read(4)?,
             ambient_diffuse: read(5)?,
             background: read(6)?,
-            visibility: if self.field.is_some() { read(7)? } else { Vec::new() },
+            visibility: if self.hidden { read(7)? } else { Vec::new() },
         })
     }
 }

@@ -27,6 +27,7 @@ mod schedule;
 mod semantics;
 mod settings;
 mod shaded;
+mod shadows;
 mod visibility;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
@@ -57,5 +58,6 @@ pub use settings::{
     IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, ProviderSettings, Rates,
     Settings, VisibilityKind, VisibilitySettings,
 };
-pub use shaded::{RunLight, ShadedView, Shading, Texels, displayed, light_of, shaded_scene};
+pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
+pub use shadows::Rays;
 pub use visibility::VisibilityFile;

@@ -4,7 +4,8 @@ use crate::convert::{camera, gaussian_data};
 use crate::error::{Result, TrainError};
 use crate::intrinsic::{LightFile, field_box, read_lights};
 use crate::run::RunDirectory;
-use crate::settings::Settings;
+use crate::settings::{Settings, VisibilityKind};
+use crate::shadows::{Rays, traced};
 use crate::visibility::VisibilityFile;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
@@ -51,7 +52,7 @@ pub fn shaded_scene(
     splats: &Splats,
     lights: Option<&LightFile>,
     environment: Option<&Texels>,
-    visibility: Option<&VisibilityFile>,
+    visibility: &Visibility,
 ) -> Result<ShadedScene> {
     let missing = |what: &str| TrainError::Setting(format!("The splats have no {what}; shading needs materials."));
     let albedo = splats.albedo.as_ref().ok_or_else(|| missing("albedo"))?;
@@ -86,12 +87,16 @@ pub fn shaded_scene(
         None => None,
     };
     let visibility = match visibility {
-        Some(file) => {
+        Visibility::Learned(file) => {
             let field = VisibilityField::new(device, file.config, 0, false)?;
             field.upload(device, &file.tables, &file.mlp)?;
-            Some(ShadedVisibility { field, place: field_box(file.low, file.high) })
+            Some(ShadedVisibility::Field { field, place: field_box(file.low, file.high) })
         }
-        None => None,
+        Visibility::Traced(rays) if lights.is_some() => {
+            let (memory, shape) = traced(device, splats, *rays)?;
+            Some(ShadedVisibility::Traced { memory, shape })
+        }
+        Visibility::Traced(_) | Visibility::None => None,
     };
     Ok(ShadedScene {
         gaussians,
@@ -115,7 +120,19 @@ pub struct RunLight {
     /// Surroundings.
     pub environment: Option<Texels>,
     /// What lamps see.
-    pub visibility: Option<VisibilityFile>,
+    pub visibility: Visibility,
+}
+
+/// What lamps see.
+#[derive(Clone, Debug, Default)]
+pub enum Visibility {
+    /// Everything: nothing is in their way.
+    #[default]
+    None,
+    /// What training has learned of the lamps where they are.
+    Learned(Box<VisibilityFile>),
+    /// What rays through the Gaussians find.
+    Traced(Rays),
 }
 
 /// What lights a run: its lamps, its surroundings and what lamps see, as its files have them.
@@ -128,7 +145,12 @@ pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<RunLight> {
     let size = settings.intrinsic.environment.resolution;
     let environment = if exr.is_file() { Some(Texels::read(&exr, size)?) } else { None };
     let file = run.path("visibility.safetensors");
-    let visibility = if file.is_file() { Some(VisibilityFile::load(&file)?) } else { None };
+    let v = &settings.intrinsic.visibility;
+    let visibility = match v.kind {
+        VisibilityKind::Traced if lights.is_some() => Visibility::Traced(Rays::of(v)),
+        _ if file.is_file() => Visibility::Learned(Box::new(VisibilityFile::load(&file)?)),
+        _ => Visibility::None,
+    };
     Ok(RunLight { lights, environment, visibility })
 }
 

@@ -21,6 +21,7 @@ use crate::shade::lights::{
     LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_prepare,
     lights_prepare_bwd, lights_prune, lights_regularize, lights_train,
 };
+use crate::shade::traced::{lights_bwd_traced, lights_train_traced};
 use crate::shade::visibility::{
     BackwardOptions, Gradients, lights_bwd_field, lights_train_field, visibility_adam, visibility_lights_bwd,
 };
@@ -93,11 +94,15 @@ pub(super) fn build(
             let shape = Shape::for_device(*t);
             let lights = Lights { pixels: shaded, prepared, normalizer: l.normalizer, shape };
             let direct = g.transient("direct", 12 * pixels);
-            let sums = match &inputs.visibility {
-                Some(v) => lights_train_field(g, *t, &lights, &v.field, direct)?,
-                None => lights_train(g, &lights, direct)?,
+            let (sums, sight) = match (&inputs.visibility, &inputs.traced) {
+                (Some(v), _) => (lights_train_field(g, *t, &lights, &v.field, direct)?, None),
+                (None, Some(traced)) => {
+                    let (sums, sight) = lights_train_traced(g, &lights, traced, direct)?;
+                    (sums, Some((traced, sight)))
+                }
+                (None, None) => (lights_train(g, &lights, direct)?, None),
             };
-            Some((lights, parameters, direct, sums))
+            Some((lights, parameters, direct, sums, sight))
         }
         None => None,
     };
@@ -250,15 +255,16 @@ pub(super) fn build(
     material_pictures_bwd(g, *t, &shown, &of_pictures, gradient.materials)?;
 
     // Back through light to materials.
-    if let Some((_, _, _, sums)) = &lit {
+    if let Some((_, _, _, sums, _)) = &lit {
         lights_materials_bwd(g, *t, &shaded, sums, radiance_gradient, gradient.materials, gradient.metallic)?;
     }
     let words_of = StepWords { step, flags: words.flags, skipped: words.skipped };
     let mut moves = Vec::new();
-    if let (Some((lights, parameters, ..)), Some(l)) = (&lit, &inputs.lights) {
-        let gradients = match &inputs.visibility {
-            Some(v) => lights_bwd_field(g, *t, lights, &v.field, radiance_gradient)?,
-            None => lights_bwd(g, *t, lights, radiance_gradient)?,
+    if let (Some((lights, parameters, _, _, sight)), Some(l)) = (&lit, &inputs.lights) {
+        let gradients = match (&inputs.visibility, sight) {
+            (Some(v), _) => lights_bwd_field(g, *t, lights, &v.field, radiance_gradient)?,
+            (None, Some((traced, sight))) => lights_bwd_traced(g, *t, lights, traced, sight, radiance_gradient)?,
+            (None, None) => lights_bwd(g, *t, lights, radiance_gradient)?,
         };
         let into = LightParameterGradients { positions: l.positions.gradient(g), lobes: l.lobes.gradient(g) };
         let regularizers = match o.light_regularizers {

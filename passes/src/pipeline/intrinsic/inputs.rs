@@ -4,6 +4,7 @@ use super::IntrinsicOptions;
 use crate::scene::{Trainable, TrainableHandles};
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
+use crate::shade::traced::{Traced, TracedMemory};
 use crate::shade::visibility::{FieldHandles, VisibilityField};
 use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
@@ -45,6 +46,8 @@ pub struct IntrinsicInputs<'a> {
     pub gains: Option<&'a DeviceBuffer>,
     /// The environment's tables: what it is, and where they lie.
     pub environment: Option<(&'a Environment, &'a EnvironmentMemory)>,
+    /// What rays to lights go through.
+    pub traced: Option<&'a TracedMemory>,
     /// Photographs, packed.
     pub targets: &'a DeviceBuffer,
     /// Priors, packed likewise.
@@ -146,6 +149,7 @@ pub(super) struct Declared {
     pub lights: Option<LightHandles>,
     pub environment: Option<(TrainableHandles, EnvironmentTables)>,
     pub visibility: Option<FieldHandles>,
+    pub traced: Option<Traced>,
     pub targets: Buffer,
     pub albedo_priors: Option<Buffer>,
     pub roughness_priors: Option<Buffer>,
@@ -188,6 +192,7 @@ impl Declared {
             lights,
             environment,
             visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true)),
+            traced: o.traced.map(|shape| Traced::declare(g, &shape)),
             targets: g.input("targets", sizes.targets),
             albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
@@ -216,6 +221,9 @@ impl Declared {
         }
         if let (Some(field), Some(handles)) = (&p.visibility, &self.visibility) {
             field.bind(exec, handles)?;
+        }
+        if let (Some(tree), Some(handles)) = (inputs.traced, &self.traced) {
+            tree.bind(exec, handles)?;
         }
         exec.bind(self.targets, inputs.targets)?;
         for (handle, memory) in [

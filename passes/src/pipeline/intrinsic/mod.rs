@@ -15,6 +15,7 @@ use super::{PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
+use crate::shade::traced::TracedShape;
 use crate::shade::visibility::FieldConfig;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
@@ -33,6 +34,8 @@ pub struct IntrinsicOptions {
     pub lights: Option<(LightModel, f32)>,
     /// What lights see, if it is learned.
     pub visibility: Option<FieldConfig>,
+    /// What lights see, if it is traced; the tree itself is an input. Nothing is learned of it.
+    pub traced: Option<TracedShape>,
     /// Whether visibility is not to notice a jitter of places.
     pub visibility_jitter: bool,
     /// One pair of pixel and light of so many teaches the field, for as many: 1 is all of them.

@@ -70,7 +70,8 @@ fn lights_trace(g: &mut Graph, a: &Lights, traced: &Traced, s: &Stretch) -> Buil
         seen: seen.into(),
     };
     let specs = trace::Specs { subgroup: a.shape.subgroup, lobes: a.prepared.model.lobes };
-    let push = trace::Push { first: s.blocks[0] * a.shape.block(), stretch: s.stretch, offset: traced.offset };
+    let (offset, clearance) = (traced.offset, traced.clearance);
+    let push = trace::Push { first: s.blocks[0] * a.shape.block(), stretch: s.stretch, offset, clearance };
     stage(g, "lights_trace", &trace::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
         .dispatch(groups(lights * u64::from(s.stretch), a.shape.subgroup))?;

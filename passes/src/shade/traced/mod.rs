@@ -72,8 +72,24 @@ pub struct Traced {
     splats: Buffer,
     /// How far above the surface rays begin.
     pub offset: f32,
+    /// How far before the light rays of [`lights_train_traced`] and its like end, so that what a light is fixed in does not
+    /// hide it.
+    pub clearance: f32,
     /// Most bytes of what [`lights_train_traced`] and its like keep of rays: views that take more are gone through in
     /// stretches.
+    pub room: u64,
+}
+
+/// What graphs need to know of a tree before there is one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TracedShape {
+    /// Bytes of nodes and of Gaussians.
+    pub sizes: [u64; 2],
+    /// How far above the surface rays begin.
+    pub offset: f32,
+    /// As [`Traced::clearance`].
+    pub clearance: f32,
+    /// As [`Traced::room`].
     pub room: u64,
 }
 
@@ -99,11 +115,6 @@ impl TracedMemory {
         Ok(TracedMemory { nodes, splats: put("traced.splats", bytemuck::cast_slice(&tree.splats))? })
     }
 
-    /// What graphs need to know of it.
-    pub fn sizes(&self) -> [u64; 2] {
-        [self.nodes.bytes(), self.splats.bytes()]
-    }
-
     /// Puts it behind its handles.
     ///
     /// # Errors
@@ -115,10 +126,10 @@ impl TracedMemory {
 }
 
 impl Traced {
-    /// Declares a tree of these sizes as inputs of a graph. `offset`: how far above the surface rays begin.
-    pub fn declare(g: &mut Graph, sizes: [u64; 2], offset: f32) -> Traced {
-        let [nodes, splats] = [g.input("traced.nodes", sizes[0]), g.input("traced.splats", sizes[1])];
-        Traced { nodes, splats, offset, room: ROOM }
+    /// Declares a tree as inputs of a graph.
+    pub fn declare(g: &mut Graph, shape: &TracedShape) -> Traced {
+        let [nodes, splats] = [g.input("traced.nodes", shape.sizes[0]), g.input("traced.splats", shape.sizes[1])];
+        Traced { nodes, splats, offset: shape.offset, clearance: shape.clearance, room: shape.room }
     }
 }
 
@@ -166,9 +177,16 @@ impl TracedTree {
         4 * self.nodes.len() as u64 + size_of_val(self.splats.as_slice()) as u64
     }
 
+    /// What graphs need to know of it. `offset`: how far above the surface rays begin; `clearance`: how far before the
+    /// light they end.
+    pub fn shape(&self, offset: f32, clearance: f32) -> TracedShape {
+        let sizes = [4 * self.nodes.len() as u64, size_of_val(self.splats.as_slice()) as u64];
+        TracedShape { sizes, offset, clearance, room: ROOM }
+    }
+
     /// Declares the tree as inputs of a graph. `offset`: how far above the surface rays begin.
     pub fn declare(&self, g: &mut Graph, offset: f32) -> Traced {
-        Traced::declare(g, [4 * self.nodes.len() as u64, size_of_val(self.splats.as_slice()) as u64], offset)
+        Traced::declare(g, &self.shape(offset, 0.0))
     }
 
     /// What the host must put there once.

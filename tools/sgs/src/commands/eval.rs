@@ -100,7 +100,7 @@ pub fn measure(
     if splats.albedo.is_some() && splats.roughness.is_some() {
         let light = light_of(run, settings)?;
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
-        let shaded = shaded_scene(device, splats, lights, environment, light.visibility.as_ref())?;
+        let shaded = shaded_scene(device, splats, lights, environment, &light.visibility)?;
         let mut shading = Shading::new(device, shaded)?;
         evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, shaded| {
             let Some(dir) = images else { return Ok(()) };

@@ -10,7 +10,8 @@ use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Camera, Scene, Splats};
 use sgs_train::{
-    BakeOptions, Edit, Insert, Relit, Selector, Settings, Shading, TrainError, bake, bake_cameras, baked_psnr,
+    BakeOptions, Edit, Insert, Rays, Relit, Selector, Settings, Shading, TrainError, Visibility, bake, bake_cameras,
+    baked_psnr,
 };
 use std::path::{Path, PathBuf};
 
@@ -43,6 +44,10 @@ pub struct Args {
     /// File format: exr keeps the values (float32, linear), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
+    /// What lights see: learned with the run, traced through the Gaussians, or none: nothing is in their way. As the run has
+    /// it by default, but traced where it was learned and none of the run's own lights is left at its place.
+    #[arg(long, value_enum)]
+    visibility: Option<Seen>,
     /// Another place of the scene than the run remembers, for regions of its views and the cameras of --bake.
     #[arg(long)]
     scene: Option<PathBuf>,
@@ -68,6 +73,13 @@ enum Channel {
     Specular,
     Env,
     Direct,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Seen {
+    Learned,
+    Traced,
+    None,
 }
 
 impl Channel {
@@ -114,7 +126,20 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut selector = Selector { device: &device, head, scene: scene.as_ref() };
     let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution);
-    let relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
+    let given = light.visibility.clone();
+    let mut relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
+    match a.visibility {
+        Some(Seen::Learned) if !matches!(given, Visibility::Learned(_)) => {
+            bail!("\"{}\" has no learned visibility; use --visibility traced or none.", a.source.display())
+        }
+        Some(Seen::Learned) => relit.light.visibility = given,
+        Some(Seen::Traced) => {
+            let rays = settings.as_ref().map_or_else(Rays::default, |s| Rays::of(&s.intrinsic.visibility));
+            relit.light.visibility = Visibility::Traced(rays);
+        }
+        Some(Seen::None) => relit.light.visibility = Visibility::None,
+        None => {}
+    }
     if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
         bail!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }

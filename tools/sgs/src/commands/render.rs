@@ -13,7 +13,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::splat::Channels;
 use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
-use sgs_train::{Classes, Classifier, RunLight, SemanticHead, Settings, Shading, shaded_scene};
+use sgs_train::{Classes, Classifier, RunLight, SemanticHead, Settings, Shading, Visibility, shaded_scene};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -213,7 +213,8 @@ impl Light {
                 "\"{source}\" has materials but neither lights nor an environment; leave \"{name}\" out of --channels."
             );
         }
-        if parts.contains(&Part::Visibility) && (light.visibility.is_none() || light.lights.is_none()) {
+        if parts.contains(&Part::Visibility) && (matches!(light.visibility, Visibility::None) || light.lights.is_none())
+        {
             bail!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
         }
         if each && light.lights.is_none() {
@@ -224,7 +225,7 @@ impl Light {
 
     fn ready(self, device: &Device, splats: &Splats) -> anyhow::Result<Lit> {
         let RunLight { lights, environment, visibility } = &self.light;
-        let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility.as_ref())?;
+        let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility)?;
         let gains = lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
         Ok(Lit { parts: self.parts, each: self.each, gains, shading: Shading::new(device, scene)? })
     }

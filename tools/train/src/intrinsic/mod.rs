@@ -20,7 +20,8 @@ use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
-use crate::settings::{LobeLayout, Metallic, Settings};
+use crate::settings::{LobeLayout, Metallic, Settings, VisibilityKind};
+use crate::shadows::{Rays, traced};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use needs::Sizes;
@@ -35,6 +36,7 @@ use sgs_passes::pipeline::{
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
 use sgs_passes::shade::lights::{Axes, LightModel};
+use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
 use sgs_scene::{Scene, Splats};
 use surfaces::Surfaces;
@@ -67,6 +69,8 @@ pub struct Intrinsic {
     bounds: [[f32; 3]; 2],
     gains: DeviceBuffer,
     environment: Option<(Environment, EnvironmentMemory)>,
+    /// What rays to lights go through.
+    traced: Option<TracedMemory>,
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
@@ -140,12 +144,18 @@ impl Intrinsic {
             }
             false => None,
         };
+        let traced = match s.visibility.kind == VisibilityKind::Traced && s.lights.enabled {
+            true => Some(traced(device, &splats, Rays::of(&s.visibility))?),
+            false => None,
+        };
+        let (traced, shape) = traced.unzip();
         let r = &s.rates;
         let options = IntrinsicOptions {
             shape: builder.shape(),
             metallic,
             lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
             visibility: s.visibility.config().filter(|_| s.lights.enabled),
+            traced: shape,
             visibility_jitter: s.losses.visibility_jitter > 0.0,
             visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
@@ -271,6 +281,7 @@ impl Intrinsic {
             bounds,
             gains,
             environment,
+            traced,
             status,
             options,
             consistency,
@@ -432,6 +443,7 @@ impl Intrinsic {
             parameters: &self.parameters,
             gains: Some(&self.gains),
             environment: self.environment.as_ref().map(|(e, m)| (e, m)),
+            traced: self.traced.as_ref(),
             targets: &self.data.targets,
             albedo: self.priors.albedo.as_ref(),
             roughness: self.priors.roughness.as_ref(),

@@ -100,6 +100,10 @@ impl IntrinsicNeeds {
             needs.visibility = VisibilityField::bytes(config, true).map_err(|e| TrainError::Setting(e.to_string()))?;
             largest = largest.max(16 * u64::from(config.entries()));
         }
+        if let Some(tree) = &o.traced {
+            needs.visibility = tree.sizes.iter().sum();
+            largest = largest.max(tree.sizes[0]).max(tree.sizes[1]);
+        }
         needs.staging = STAGING_BYTES.min(largest);
         for (kind, due) in StepKind::ALL.into_iter().zip(s.kinds) {
             if !due {

@@ -98,6 +98,13 @@ fn rectangle(corners: [[f32; 3]; 4], radiance: [f32; 3], patches: u32) -> Vec<Li
         .collect()
 }
 
+/// Whether a light that was there is still on, and where it was; also where nothing was changed at all.
+pub(super) fn any_left(before: Option<&LightFile>, after: Option<&LightFile>) -> bool {
+    let (Some(before), Some(after)) = (before, after) else { return true };
+    let own = |l: &LightRow| before.lights.iter().any(|b| b.position == l.position);
+    after.lights.iter().all(|l| l.gain == 0.0) || after.lights.iter().any(|l| l.gain > 0.0 && own(l))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

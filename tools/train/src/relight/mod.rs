@@ -20,7 +20,8 @@ pub use select::Selector;
 pub use truth::evaluate_relit;
 
 use crate::error::{Result, TrainError};
-use crate::shaded::{RunLight, shaded_scene};
+use crate::shaded::{RunLight, Visibility, shaded_scene};
+use crate::shadows::Rays;
 use sgs_engine::Device;
 use sgs_passes::pipeline::ShadedScene;
 use sgs_scene::Splats;
@@ -36,6 +37,7 @@ pub struct Relit {
 
 impl Relit {
     /// Applies an edit: materials first, so that they speak of the run's own Gaussians, then what is put in, then light.
+    /// Where none of the run's lights is left at its place, visibility that was learned is traced instead.
     /// Surroundings that are new have `size` texels along an edge; `load` gives what an insertion names.
     ///
     /// # Errors
@@ -56,7 +58,15 @@ impl Relit {
             insert::join(&mut self.splats, insert::placed(load(one)?, one));
         }
         let RunLight { lights, environment, visibility } = self.light;
+        let own = lights.clone();
         let lights = lights::edit_lights(&edit.lights, lights)?;
+        let visibility = match visibility {
+            // What was learned is of the run's lights where they were.
+            Visibility::Learned(_) if !lights::any_left(own.as_ref(), lights.as_ref()) => {
+                Visibility::Traced(Rays::default())
+            }
+            as_it_is => as_it_is,
+        };
         let size = environment.as_ref().map_or(size, |e| e.size);
         let environment = environment::edit_environment(&edit.environment, environment, size)?;
         self.light = RunLight { lights, environment, visibility };
@@ -69,6 +79,6 @@ impl Relit {
     /// If materials or normals are missing, or memory runs out.
     pub fn upload(&self, device: &Device) -> Result<ShadedScene> {
         let RunLight { lights, environment, visibility } = &self.light;
-        shaded_scene(device, &self.splats, lights.as_ref(), environment.as_ref(), visibility.as_ref())
+        shaded_scene(device, &self.splats, lights.as_ref(), environment.as_ref(), visibility)
     }
 }

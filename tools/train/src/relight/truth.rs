@@ -1,5 +1,6 @@
 //! Relit pictures against ground truth: the true lights in place of the learned ones, no surroundings, and nothing in the way:
-//! a visibility field knows what the learned lights see from their places, and says nothing sensible about others.
+//! a visibility field knows what the learned lights see from their places, and says nothing sensible about others, and where
+//! rays find shadow the truth still has light that bounced, which is not modeled.
 //!
 //! A set that changes the materials of an instance is measured under the true lights of the photographs, and, by its name
 //! and [`LEARNED`], under all that was learned. Sets whose lights are not known, or that show another edit, are left out.
@@ -9,7 +10,7 @@ use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, MaterialValues, NewL
 use crate::error::{Result, TrainError};
 use crate::evaluate::Evaluation;
 use crate::evaluate_shaded::{ShadedMetrics, mean, measure_relit};
-use crate::shaded::{RunLight, Shading};
+use crate::shaded::{RunLight, Shading, Visibility};
 use serde::Deserialize;
 use sgs_engine::Device;
 use sgs_scene::{GroundTruth, Scene, Splats};
@@ -136,7 +137,7 @@ pub fn evaluate_relit(
         };
         for (name, edit, own) in edits_of(&name, &known, painted)? {
             let mut select = Selector { device, head: None, scene: None };
-            let visibility = light.visibility.clone().filter(|_| own);
+            let visibility = if own { light.visibility.clone() } else { Visibility::None };
             let start = Relit { splats: splats.clone(), light: RunLight { visibility, ..light.clone() } };
             let insert = |_: &super::Insert| Err(TrainError::Setting(format!("The set {name} inserts something.")));
             let relit = start.edited(&edit, 16, &mut select, insert)?;

@@ -135,6 +135,10 @@ pub struct VisibilitySettings {
     /// One pair of pixel and light of so many teaches the field in a step, for as many: 1 is all of them. More is quicker and
     /// noisier, and right in the mean.
     pub sample: u32,
+    /// How far above surfaces traced rays begin, in units of the middle one of the Gaussians' largest standard deviations.
+    pub offset: f32,
+    /// How far before a light they end, in the same unit: what it is fixed in does not hide it.
+    pub clearance: f32,
     /// Standard deviation of the jitter that visibility should not notice, as a share of half the scene's box.
     pub jitter: f32,
 }
@@ -148,6 +152,8 @@ impl Default for VisibilitySettings {
             coarsest: 32,
             finest: 4096,
             sample: 1,
+            offset: 2.0,
+            clearance: 4.0,
             jitter: 0.01 / 1.5,
         }
     }
@@ -167,6 +173,8 @@ impl VisibilitySettings {
 pub enum VisibilityKind {
     /// Learned: a hash grid and a small network.
     Field,
+    /// Nothing is learned: rays go through the Gaussians as they are, for each pixel and light.
+    Traced,
     /// Nothing is in the way of any light.
     None,
 }
