@@ -181,6 +181,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::scene::{Layout, Model};
     use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
     use sgs_passes::shade::lights::LightModel;
+    use sgs_passes::shade::traced::TracedShape;
     use sgs_passes::shade::visibility::FieldConfig;
     let gpu = Gpu::new();
     let pixels = 1600 * 1200;
@@ -229,4 +230,13 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     println!("step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
     assert!(all < 2_500_000_000, "step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
     assert!(step > 0 && view > 0, "nothing was counted");
+    // Traced shadows keep what rays found only as far as there is room.
+    let sizes_of = |options: &IntrinsicOptions| {
+        IntrinsicStep::plan(&gpu.tuning(), &sizes, Some(&environment), options).unwrap().arena_bytes
+    };
+    let room = 32 << 20;
+    let tree = TracedShape { sizes: [1 << 26, 1 << 26], offset: 0.0, clearance: 0.0, room };
+    let without = sizes_of(&IntrinsicOptions { visibility: None, ..options });
+    let traced = sizes_of(&IntrinsicOptions { visibility: None, traced: Some(tree), ..options });
+    assert!(traced <= without + room + (8 << 20), "{traced} bytes, {without} without shadows");
 }

@@ -221,12 +221,14 @@ fn stretches_change_nothing() {
     }
 }
 
+type Change<'a> = &'a dyn Fn(&mut Lit, &mut Vec<Splat>);
+
 #[test]
 fn extremes() {
     let gpu = Gpu::new();
     let row = MODEL.row() as usize;
     let all = |c: &mut Lit, at: usize, v: f64| c.raw.lobes.chunks_mut(row).for_each(|r| r[at] = narrow(v));
-    let changes: [(&str, &dyn Fn(&mut Lit, &mut Vec<Splat>)); 8] = [
+    let changes: [(&str, Change); 8] = [
         ("roughness 0.01", &|c, _| c.pixels.iter_mut().for_each(|p| p.material.roughness = narrow(0.01))),
         ("sharp lobes", &|c, _| all(c, 3, 1e4_f64.ln())),
         ("blunt lobes", &|c, _| all(c, 3, 1e-3_f64.ln())),

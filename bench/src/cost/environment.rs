@@ -36,6 +36,11 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let nodes = 8.0 * c.gaussians.max(8.0).log(8.0);
             (32.0 * p, nodes * (8.0 * 24.0 + 60.0) * p)
         }
+        // Half of the pairs face.
+        "lights_trace" => {
+            let nodes = 8.0 * c.gaussians.max(8.0).log(8.0);
+            ((28.0 + c.lights) * p, 0.5 * c.lights * nodes * (8.0 * 24.0 + 60.0) * p)
+        }
         _ => return None,
     };
     Some(Cost { bytes, operations })

@@ -37,11 +37,16 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "lights" => ((PIXEL_BYTES + 12.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
         "lights_split" => ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
+        // A byte a pair beside.
+        "lights_train_traced" => {
+            let left = 36.0 + 28.0 * metallic + c.lights;
+            ((PIXEL_BYTES + left) * p, c.lights * (RAY + facing + 0.5 * BY_ROUGHNESS) * p)
+        }
         "lights_train" => {
             let left = 36.0 + 28.0 * metallic;
             ((PIXEL_BYTES + left) * p, c.lights * (RAY + facing + 0.5 * BY_ROUGHNESS) * p)
         }
-        "lights_bwd" => {
+        "lights_bwd" | "lights_bwd_traced" => {
             let rows = 4.0 * 8.0 * spec("LIGHTS") * (1.0 + lobes) * s.groups;
             let facing = 0.5 * (LOBE_BWD * lobes + SURFACE_BWD);
             ((PIXEL_BYTES + 12.0 + 4.0 * metallic) * p + rows, c.lights * (RAY + facing) * p)

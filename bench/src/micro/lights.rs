@@ -17,7 +17,7 @@ use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 
-const CAMERA: [f32; 3] = [0.2, 0.1, -1.2];
+pub(super) const CAMERA: [f32; 3] = [0.2, 0.1, -1.2];
 
 /// What is shaded: the inside of a box with a bumpy surface, and lights in it.
 pub struct Lit {
@@ -103,14 +103,14 @@ struct Case {
 }
 
 /// Buffers of a room in a graph, and what they hold.
-struct Bound {
-    pixels: Pixels,
-    parameters: LightParameters,
-    gradient: Buffer,
-    inputs: Vec<(Buffer, Vec<u8>)>,
+pub(super) struct Bound {
+    pub pixels: Pixels,
+    pub parameters: LightParameters,
+    pub gradient: Buffer,
+    pub inputs: Vec<(Buffer, Vec<u8>)>,
 }
 
-fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
+pub(super) fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
     let n = lit.points.len() as u64;
     let mut values = Step::default();
     values.camera.size = size;

@@ -1,27 +1,114 @@
 //! `visibility_traced`: how much of four places a surface across the Gaussians sees, and the twin's product over all of
-//! them for some rays.
+//! them for some rays; then `lights_train_traced` and `lights_bwd_traced`: a room under eight lights that Gaussians hide.
 
 use super::Context;
+use super::lights::{CAMERA, Lit, bind};
 use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::reference::lights as lights_twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::traced::{self as twin, Splat};
-use sgs_passes::scene::Group;
+use sgs_passes::scene::{GaussianData, Group};
 use sgs_passes::shade::Surfaces;
-use sgs_passes::shade::traced::{TracedTree, visibility_traced};
+use sgs_passes::shade::lights::{
+    LightModel, LightParameterGradients, Lights, Shape, lights_prepare, lights_prepare_bwd,
+};
+use sgs_passes::shade::traced::{TracedTree, lights_bwd_traced, lights_train_traced, visibility_traced};
 use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 use std::time::Instant;
 
 /// Places that are looked at.
 const PLACES: u32 = 4;
+/// Lights of the room.
+const LIGHTS: u32 = 8;
+/// Gaussians in it.
+const HIDING: usize = 4000;
 /// Rays that the twin follows.
 const CHECKED: usize = 64;
 
-/// A view's worth of rays.
+/// Both.
 pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    rays(c, report)?;
+    lights(c, report)
+}
+
+/// Balls in the room of the lights' stage: what the kernels take, and the twin.
+fn hiding() -> (GaussianData, Vec<Splat>) {
+    let mut rng = Pcg::new(23);
+    let narrow = |x: f64| f64::from(x as f32);
+    let (mut data, mut splats) = (GaussianData::default(), Vec::new());
+    for _ in 0..HIDING {
+        let s = Splat {
+            mean: [0; 3].map(|_| narrow(rng.range(-1.4, 1.4))),
+            log_scale: [narrow(rng.range(-4.5, -3.0)); 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: narrow(rng.range(-2.0, 3.0)),
+        };
+        data.groups[Group::Means as usize].extend(s.mean.map(|x| x as f32));
+        data.groups[Group::LogScales as usize].extend(s.log_scale.map(|x| x as f32));
+        data.groups[Group::Rotations as usize].extend(s.rotation.map(|x| x as f32));
+        data.groups[Group::OpacityLogits as usize].push(s.opacity_logit as f32);
+        splats.push(s);
+    }
+    (data, splats)
+}
+
+/// A room's worth of pairs: traced, shaded in training, and back.
+fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    let (size, model) = (c.workload.largest, LightModel { lights: LIGHTS, ..Default::default() });
+    let (lit, (data, splats)) = (Lit::room(size, model), hiding());
+    let tree = TracedTree::new(&data)?;
+    let mut g = Graph::new("lights_traced");
+    let mut b = bind(&mut g, &lit, size, model);
+    let n = lit.points.len();
+    let traced = tree.declare(&mut g, 0.0);
+    b.inputs.extend(tree.contents(&traced));
+    let step = b.pixels.screen.step;
+    let prepared = lights_prepare(&mut g, c.tuning, "lights_prepare", step, model, &b.parameters, None)?;
+    let shape = Shape::for_device(c.tuning);
+    let what = Lights { pixels: b.pixels, prepared, normalizer: 1.0 / LIGHTS as f32, shape };
+    let direct = g.external("direct", 12 * n as u64);
+    let (_, sight) = lights_train_traced(&mut g, &what, &traced, direct)?;
+    let gradients = lights_bwd_traced(&mut g, c.tuning, &what, &traced, &sight, b.gradient)?;
+    let into = LightParameterGradients {
+        positions: g.external("positions_gradient", model.position_bytes()),
+        lobes: g.external("lobes_gradient", model.lobe_bytes()),
+    };
+    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, None, &into)?;
+    let mut rig = Rig::new(c.device, g, b.inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    let counts =
+        Counts { pixels: n as f64, lights: f64::from(LIGHTS), gaussians: tree.splats() as f64, ..Default::default() };
+    add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
+
+    let found: Vec<f32> = rig.get(direct)?;
+    let ready = lights_twin::lights_prepare(&lit.raw(model));
+    let (mut off, mut checked) = (0, 0);
+    for i in (0..n).step_by((n / CHECKED).max(1)) {
+        let pixel = lit.pixel(i);
+        let mut expected = [0.0; 3];
+        for light in ready.iter().flatten() {
+            let seen = twin::transmittance(&splats, pixel.point, light.place);
+            let [d, s] = lights_twin::shine(&pixel, light, CAMERA.map(f64::from));
+            (0..3).for_each(|k| expected[k] += seen * (d[k] + s[k]) / f64::from(LIGHTS));
+        }
+        let size = expected.iter().fold(0.0, |m: f64, e| m.max(*e));
+        let wrong = |k: usize| (expected[k] - f64::from(found[3 * i + k])).abs() > 5e-3 * size + 1e-9;
+        off += usize::from((0..3).any(wrong));
+        checked += 1;
+    }
+    anyhow::ensure!(off <= checked / 10, "{off} of {checked} pixels have other light than the twin's.");
+    let moved: Vec<f32> = rig.get(into.positions)?;
+    anyhow::ensure!(moved.iter().all(|x| x.is_finite()), "A gradient is not finite.");
+    report.check(format!("traced: {} of {checked} pixels have the light that the twin's have", checked - off));
+    Ok(())
+}
+
+/// A view's worth of rays.
+fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let start = &c.workload.start;
     let begin = Instant::now();
     let tree = TracedTree::new(start)?;

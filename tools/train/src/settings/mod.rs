@@ -341,10 +341,13 @@ impl Settings {
     /// # Errors
     /// A sentence that names the setting that does not exist, or whose value is of another kind.
     pub fn from_table(table: toml::Table) -> crate::Result<Settings> {
-        let wrong = |e: toml::de::Error| TrainError::Setting(format!("A setting is wrong: {}.", one_line(e.message())));
         let known = Settings::default().to_table()?;
         names::compare("", &table, &known, &known)?;
-        toml::Value::Table(table).try_into().map_err(wrong)
+        let wrong = |e: toml::de::Error| match names::word(&table, |t| t.try_into::<Settings>().err()) {
+            Some(sentence) => TrainError::Setting(sentence),
+            None => TrainError::Setting(format!("A setting is wrong: {}.", one_line(e.message()))),
+        };
+        toml::Value::Table(table.clone()).try_into().map_err(wrong)
     }
 
     /// All settings as a table.
@@ -459,6 +462,14 @@ mod tests {
         assert_eq!(
             fail("[geometry]\nstep = 1"),
             "\"geometry.step\" is not a setting; did you mean \"geometry.steps\"?"
+        );
+        assert_eq!(
+            fail("[intrinsic.visibility]\nkind = \"trace\"\nlevels = 3"),
+            "\"intrinsic.visibility.kind\" is \"trace\", but must be one of \"field\", \"traced\", \"none\"; did you mean \"traced\"?"
+        );
+        assert_eq!(
+            fail("[geometry.pseudo]\nneighbors = \"everything\""),
+            "\"geometry.pseudo.neighbors\" is \"everything\", but must be one of \"training\", \"test\"."
         );
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
         assert!(

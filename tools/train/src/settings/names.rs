@@ -67,6 +67,42 @@ fn nearest(name: &str, all: &toml::Table) -> Option<String> {
     (far <= 3).then_some(near)
 }
 
+/// What is wrong with a word that is none of those that a setting may be, if that is the matter: each is tried by itself,
+/// because parsers do not say where they are.
+pub(super) fn word(table: &toml::Table, refuse: impl Fn(toml::Table) -> Option<toml::de::Error>) -> Option<String> {
+    fn words(path: &[String], table: &toml::Table, found: &mut Vec<(Vec<String>, String)>) {
+        for (key, value) in table {
+            let at = [path, std::slice::from_ref(key)].concat();
+            match value {
+                toml::Value::Table(inner) => words(&at, inner, found),
+                toml::Value::String(word) => found.push((at, word.clone())),
+                _ => {}
+            }
+        }
+    }
+    let mut found = Vec::new();
+    words(&[], table, &mut found);
+    found.into_iter().find_map(|(path, word)| {
+        let mut alone = toml::Value::String(word.clone());
+        for key in path.iter().rev() {
+            alone = toml::Value::Table(toml::Table::from_iter([(key.clone(), alone)]));
+        }
+        let toml::Value::Table(alone) = alone else { return None };
+        let error = refuse(alone)?;
+        // "unknown variant `a`, expected `b` or `c`", or "... expected one of `b`, `c`".
+        let known: Vec<&str> = error.message().split('`').skip(1).step_by(2).skip(1).collect();
+        let name = path.join(".");
+        if known.is_empty() {
+            return Some(format!("\"{name}\" is wrong: {}.", one_line(error.message())));
+        }
+        let near = known.iter().map(|k| (distance(&word, k), *k)).min().filter(|(far, _)| *far <= 2);
+        let hint = near.map_or_else(String::new, |(_, k)| format!("; did you mean \"{k}\"?"));
+        let all: Vec<String> = known.iter().map(|k| format!("\"{k}\"")).collect();
+        let end = if hint.is_empty() { "." } else { "" };
+        Some(format!("\"{name}\" is \"{word}\", but must be one of {}{hint}{end}", all.join(", ")))
+    })
+}
+
 /// How many letters must be changed, added or left out (Levenshtein).
 pub(crate) fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
