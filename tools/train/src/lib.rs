@@ -55,8 +55,8 @@ pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
-    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, ProviderSettings, Rates,
-    Settings, VisibilityKind, VisibilitySettings,
+    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, PRESETS, Preset,
+    ProviderSettings, Rates, Settings, VisibilityKind, VisibilitySettings, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

@@ -8,7 +8,7 @@ use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Backward, Geometry, Progress, RunDirectory, Settings, StepLog};
+use sgs_train::{Backward, Geometry, Preset, Progress, RunDirectory, Settings, StepLog, overlay};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,6 +41,10 @@ pub struct Options {
     /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml).
     #[arg(long, value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
     pub memory_budget: Option<u64>,
+    /// Settings to begin with: "draft" (quick, on a processor), "balanced" (the defaults), "paper" (the paper's sizes and
+    /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
+    #[arg(long, value_name = "NAME")]
+    pub preset: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -76,16 +80,39 @@ pub enum Stage {
     All,
 }
 
-/// Settings from file, then from `--set`, then from the options of their own.
+/// Settings from preset, then from file, then from `--set`, then from the options of their own.
 pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
-    let table = match &o.config {
-        None => toml::Table::new(),
-        Some(path) => {
-            let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
-            let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
-            text.parse().map_err(|e| anyhow::anyhow!("\"{}\": {}.", path.display(), wrong(e)))?
-        }
-    };
+    let mut table = preset_of(o)?;
+    overlay(&mut table, file_of(o)?);
+    settings_over(table, scene, o)
+}
+
+/// What `--preset` says.
+fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
+    match &o.preset {
+        None => Ok(toml::Table::new()),
+        Some(name) => Ok(Preset::find(name)?.table()?),
+    }
+}
+
+/// What `--config` says.
+fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
+    let Some(path) = &o.config else { return Ok(toml::Table::new()) };
+    let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
+    let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
+    text.parse().map_err(|e| anyhow::anyhow!("\"{}\": {}.", path.display(), wrong(e)))
+}
+
+/// Settings of the intrinsic stage on the geometry of a run: the run's, whose geometry they made, and over them what preset and
+/// file say about the stage.
+fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
+    let mut table = run.to_table()?;
+    for mut over in [preset_of(o)?, file_of(o)?] {
+        // A misspelled name is still one.
+        Settings::from_table(over.clone())?;
+        over.retain(|key, _| key == "intrinsic");
+        overlay(&mut table, over);
+    }
     settings_over(table, scene, o)
 }
 
@@ -159,9 +186,10 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
 /// give neither the old run nor a new one.
 fn resumed(a: &Args) -> anyhow::Result<Settings> {
     let began = RunDirectory::open(&a.output)?.settings()?;
-    let mut asked = match a.options.config {
-        Some(_) => settings(&a.scene, &a.options)?,
-        None => settings_over(began.to_table()?, &a.scene, &a.options)?,
+    let mut asked = match (&a.options.config, &a.options.preset) {
+        (None, None) => settings_over(began.to_table()?, &a.scene, &a.options)?,
+        _ if a.stage == Stage::Intrinsic => settings_of_stage(&began, &a.scene, &a.options)?,
+        _ => settings(&a.scene, &a.options)?,
     };
     // What was left to measurement has been measured.
     if asked.geometry.backward == Backward::Auto {
@@ -203,7 +231,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         resumed(a)?
     } else if a.stage == Stage::Intrinsic && there && a.start.is_none() {
         // The geometry is the run's, and so are the settings that it came from.
-        settings_over(RunDirectory::open(&a.output)?.settings()?.to_table()?, &a.scene, &a.options)?
+        settings_of_stage(&RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?
     } else {
         settings(&a.scene, &a.options)?
     };

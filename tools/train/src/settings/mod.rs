@@ -2,12 +2,14 @@
 
 mod intrinsic;
 mod names;
+mod presets;
 
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, Metallic,
     VisibilityKind, VisibilitySettings,
 };
 pub(crate) use names::{distance, one_line};
+pub use presets::{PRESETS, Preset, overlay};
 
 use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;

@@ -1,0 +1,50 @@
+//! `--preset`: what runs record of it, what goes over it, what is refused; help and documents know all of them.
+
+use sgs_tests::Place;
+use sgs_tests::cli::sgs;
+use sgs_tests::rooms::Room;
+use sgs_train::{LobeLayout, PRESETS, RunDirectory, Settings};
+
+#[test]
+fn presets_lie_beneath_everything_else() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    std::fs::write(place.path("over.toml"), "seed = 5\n[intrinsic.visibility]\ncoarsest = 8\nfinest = 32\n").unwrap();
+    let (scene, file) = (place.text("scene"), place.text("over.toml"));
+    let train = |run: &str, more: &[&str]| {
+        let to = place.text(run);
+        let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
+        sgs(&[&a[..], more].concat())
+    };
+    let of = |run: &str| -> Settings { RunDirectory::open(&place.path(run)).unwrap().settings().unwrap() };
+    train("no", &["--preset", "drafts"]).refused(&["\"drafts\" is not a preset", "did you mean \"draft\"?", "parity"]);
+    assert!(!place.path("no").exists());
+    train("a", &["--preset", "parity", "--config", &file, "--set", "intrinsic.visibility.coarsest=4"]).ok();
+    let s = of("a");
+    assert_eq!(
+        (s.seed, s.geometry.steps, s.geometry.dense_adam, s.intrinsic.lights.layout),
+        (5, 3, true, LobeLayout::Grid)
+    );
+    let v = s.intrinsic.visibility;
+    assert_eq!((v.coarsest, v.finest, v.log2_table), (4, 32, 18));
+    // Another stage on that geometry: of the preset what is about the stage.
+    let small = ["--set", "intrinsic.lights.grid=2", "--set", "intrinsic.environment.resolution=16"];
+    train("a", &[&["--stage", "intrinsic", "--preset", "draft"][..], &small].concat()).ok();
+    let s = of("a");
+    assert_eq!((s.seed, s.geometry.dense_adam, s.geometry.sh_degree), (5, true, 3));
+    assert_eq!((s.intrinsic.visibility.levels, s.intrinsic.lights.grid), (8, 2));
+    // Resumed as it was begun, or not at all.
+    train("b", &["--preset", "draft"]).ok();
+    train("b", &["--preset", "draft", "--resume"]).ok();
+    train("b", &["--resume"]).ok();
+    train("b", &["--preset", "paper", "--resume"]).refused(&["was begun with", "resume it as it was begun"]);
+}
+
+#[test]
+fn help_and_documents_name_every_preset() {
+    let help = sgs(&["train", "--help"]).ok().stdout;
+    let document = include_str!("../../docs/PRESETS.md");
+    for preset in PRESETS {
+        assert!(help.contains(&format!("\"{}\"", preset.name)), "{}", preset.name);
+        assert!(document.contains(&format!("| `{}` |", preset.name)), "{}", preset.name);
+    }
+}
