@@ -118,7 +118,6 @@ fn a_run_with_traced_shadows_is_measured_rendered_and_relit() {
     for (edit, name, same) in [
         (json!({"lights": {"off": true, "add": [bulb]}}), "new", "traced"),
         (json!({"lights": {"add": [bulb]}}), "more", "learned"),
-        (json!({"lights": {"change": [{"light": 1, "on": false}]}}), "fewer", "learned"),
     ] {
         for (more, into) in [("traced", "traced"), ("learned", "learned")] {
             relit("learned", edit.clone(), into, &["--visibility", more]).ok();
