@@ -4,7 +4,7 @@ CARGO ?= cargo
 # Where the demo leaves its pictures, and how long it trains.
 OUT ?= out/demo
 DEMO_STEPS ?= 1200
-# Where the library for C goes.
+# Where the program and the library for C go.
 PREFIX ?= /usr/local
 
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
@@ -20,7 +20,7 @@ help:
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
 	@echo "make docs    the API documentation, in target/doc"
-	@echo "make install put libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
+	@echo "make install put sgs with its manual and completions, libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
 	@echo "make setup   install or name missing system packages"
 
 setup:
@@ -55,5 +55,6 @@ bench: setup
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- step
 
 install: setup
-	$(CARGO) build --release --locked -p sgs-capi
+	$(CARGO) build --release --locked -p sgs -p sgs-capi
+	tools/sgs/install "$(PREFIX)" "$${CARGO_TARGET_DIR:-target}/release/sgs"
 	tools/capi/install "$(PREFIX)" "$${CARGO_TARGET_DIR:-target}/release"

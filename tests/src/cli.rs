@@ -141,7 +141,8 @@ fn finished<S: AsRef<str>>(arguments: &[S], output: Output) -> Finished {
     }
 }
 
-fn program() -> &'static Path {
+/// Where the program is, built if need be.
+pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
         let test = std::env::current_exe().unwrap_or_else(|e| panic!("where the tests are is unknown: {e}"));

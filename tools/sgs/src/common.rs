@@ -7,6 +7,7 @@ use std::time::Duration;
 
 /// Options of every command.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Options of every command")]
 pub struct Common {
     /// Device by index or part of its name (see `sgs devices`); the best by default.
     #[arg(long, global = true, value_name = "INDEX|NAME")]

@@ -10,13 +10,13 @@ mod palette;
 mod pictures;
 mod ui;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Turn a dozen photographs of a room into Gaussians that can be rendered, on any Vulkan device.
+/// Turn a dozen photographs of a room into Gaussians that can be rendered and relit, on any Vulkan device.
 #[derive(Parser)]
-#[command(name = "sgs", version, about, max_term_width = 100)]
+#[command(name = "sgs", version, max_term_width = 80)]
 struct Cli {
     #[command(flatten)]
     common: common::Common,
@@ -48,6 +48,10 @@ enum Command {
     Export(commands::export::Args),
     /// List what can run here, and what each device lacks.
     Devices,
+    /// Print what completes this command line in a shell.
+    Completions(commands::shell::Completions),
+    /// Write the manual pages.
+    Man(commands::shell::Pages),
 }
 
 /// The arguments, with `--json FILE.json` made one: the file is optional, and without the equals sign `--json` would
@@ -82,6 +86,8 @@ fn main() {
         Command::Ablate(a) => commands::ablate::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
         Command::Devices => commands::devices::run(&cli.common),
+        Command::Completions(a) => commands::shell::completions(a, Cli::command()),
+        Command::Man(a) => commands::shell::man(&cli.common, a, Cli::command()),
     };
     if let Err(error) = result {
         eprintln!("sgs: {error:#}");

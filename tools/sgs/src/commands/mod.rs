@@ -11,5 +11,6 @@ pub mod priors;
 pub mod pseudo;
 pub mod relight;
 pub mod render;
+pub mod shell;
 pub mod synth;
 pub mod train;
