@@ -40,9 +40,8 @@ pub fn log(text: &str) -> String {
 
 /// One curve: what was measured, and a running mean over it.
 fn curve(name: &str, points: &[[f64; 2]]) -> String {
-    let bounds = |k: usize| {
-        points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |b, p| [b[0].min(p[k]), b[1].max(p[k])])
-    };
+    let bounds =
+        |k: usize| points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |b, p| [b[0].min(p[k]), b[1].max(p[k])]);
     let ([x0, x1], [y0, y1]) = (bounds(0), bounds(1));
     let [w, h] = SIZE;
     let at = |p: &[f64; 2]| {
@@ -104,14 +103,19 @@ pub fn bars(values: &[(String, f64)], most: usize, unit: &str) -> String {
             100.0 * v / total.max(1e-30)
         )
     };
-    if rows.is_empty() { String::new() } else { format!("<div class=\"bars\">\n{}</div>\n", rows.iter().map(row).collect::<String>()) }
+    if rows.is_empty() {
+        String::new()
+    } else {
+        format!("<div class=\"bars\">\n{}</div>\n", rows.iter().map(row).collect::<String>())
+    }
 }
 
 /// Times by name from a Chrome trace (`profile.json`), in milliseconds, and their sum; passes of one name together.
 pub fn times(trace: &Value) -> (Vec<(String, f64)>, f64) {
     let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
     for event in trace["traceEvents"].as_array().into_iter().flatten() {
-        if let (Some("X"), Some(name), Some(us)) = (event["ph"].as_str(), event["name"].as_str(), event["dur"].as_f64()) {
+        if let (Some("X"), Some(name), Some(us)) = (event["ph"].as_str(), event["name"].as_str(), event["dur"].as_f64())
+        {
             *sums.entry(name).or_default() += us / 1e3;
         }
     }
@@ -130,7 +134,11 @@ mod tests {
                     {\"stage\":\"intrinsic\",\"step\":1,\"<albedo>\":3}\n{\"stage\":\"intrinsic\",\"step\":9,\"<albedo>\":4,\"x\":null}\n{\"st";
         let html = log(text);
         assert_eq!(html.matches("<svg").count(), 2, "{html}");
-        assert!(html.contains("<h3>geometry</h3>") && html.contains("<h3>intrinsic</h3>") && html.contains("0.25 at the end"));
+        assert!(
+            html.contains("<h3>geometry</h3>")
+                && html.contains("<h3>intrinsic</h3>")
+                && html.contains("0.25 at the end")
+        );
         assert!(html.contains("&lt;albedo&gt;") && !html.contains("skipped") && !html.contains("NaN"));
         // From the upper left to the lower right.
         assert!(html.contains("points=\"44.0,6.0 294.0,108.0 \""), "{html}");

@@ -40,7 +40,8 @@ pub fn drawing(points: &[[f32; 3]], eyes: &[Eye], lamps: &[Lamp]) -> String {
     }
     let [right, front, up] = axes(eyes);
     let every = points.len().div_ceil(POINTS).max(1);
-    let shown: Vec<DVec3> = points.iter().step_by(every).map(|p| DVec3::from(p.map(f64::from))).filter(|p| p.is_finite()).collect();
+    let shown: Vec<DVec3> =
+        points.iter().step_by(every).map(|p| DVec3::from(p.map(f64::from))).filter(|p| p.is_finite()).collect();
     let views = [("from above", right, front), ("from the side", right, up)];
     let figures = views.map(|(name, x, y)| {
         format!("<figure>{}<figcaption>{name}</figcaption></figure>\n", svg(name, &shown, eyes, lamps, x, y))
@@ -76,7 +77,9 @@ fn svg(name: &str, points: &[DVec3], eyes: &[Eye], lamps: &[Lamp], x: DVec3, y: 
     for k in 0..2 {
         let mut along: Vec<f64> = points.iter().map(|p| flat(*p)[k]).collect();
         along.sort_by(f64::total_cmp);
-        if let (Some(low), Some(high)) = (along.get(along.len() / 50), along.get((along.len() * 49 / 50).min(along.len().saturating_sub(1)))) {
+        if let (Some(low), Some(high)) =
+            (along.get(along.len() / 50), along.get((along.len() * 49 / 50).min(along.len().saturating_sub(1))))
+        {
             bounds[0][k] = bounds[0][k].min(*low);
             bounds[1][k] = bounds[1][k].max(*high);
         }
@@ -140,8 +143,17 @@ mod tests {
 
     #[test]
     fn lamps_stand_where_they_are() {
-        let lamp = |name: &str, p: [f64; 3], share| Lamp { name: name.into(), position: p.into(), share, color: "#fff".into() };
-        let html = drawing(&[[f32::NAN, 0.0, 0.0]], &[], &[lamp("<0>", [0.0, 0.0, 0.0], 0.5), lamp("1", [2.0, 1.0, 4.0], 0.01)]);
+        let lamp = |name: &str, p: [f64; 3], share| Lamp {
+            name: name.into(),
+            position: p.into(),
+            share,
+            color: "#fff".into(),
+        };
+        let html = drawing(
+            &[[f32::NAN, 0.0, 0.0]],
+            &[],
+            &[lamp("<0>", [0.0, 0.0, 0.0], 0.5), lamp("1", [2.0, 1.0, 4.0], 0.01)],
+        );
         // Twice as wide as deep from above, twice as high as wide from the side.
         assert!(html.contains("viewBox=\"0 0 448 238\"") && html.contains("viewBox=\"0 0 238 448\""), "{html}");
         assert!(html.contains("cx=\"14.0\" cy=\"224.0\"") && html.contains("cx=\"434.0\" cy=\"14.0\""), "{html}");

@@ -27,7 +27,8 @@ pub fn relit(split: &Value) -> String {
 
 /// Names and what they say, one a row.
 pub fn facts(rows: &[(String, String)]) -> String {
-    let row = |(name, value): &(String, String)| format!("<tr><th>{}</th><td>{}</td></tr>\n", escape(name), escape(value));
+    let row =
+        |(name, value): &(String, String)| format!("<tr><th>{}</th><td>{}</td></tr>\n", escape(name), escape(value));
     format!("<div class=\"wide\"><table class=\"facts\">\n{}</table></div>\n", rows.iter().map(row).collect::<String>())
 }
 
@@ -90,8 +91,12 @@ mod tests {
         });
         let html = views(&split);
         let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
-        assert!(at("<th>nvs psnr</th>") < at("<th>nvs ssim</th>") && at("<th>nvs ssim</th>") < at("<th>albedo psnr</th>"));
-        assert!(at("&lt;a&gt;") < at("class=\"mean\"") && html.contains("<td>30.12</td>") && html.contains("<td>–</td>"));
+        assert!(
+            at("<th>nvs psnr</th>") < at("<th>nvs ssim</th>") && at("<th>nvs ssim</th>") < at("<th>albedo psnr</th>")
+        );
+        assert!(
+            at("&lt;a&gt;") < at("class=\"mean\"") && html.contains("<td>30.12</td>") && html.contains("<td>–</td>")
+        );
         assert!(!html.contains("night") && relit(&split).contains("<th>night</th><td>11.5</td>"));
         assert_eq!((views(&json!({})), relit(&json!(3))), (String::new(), String::new()));
     }

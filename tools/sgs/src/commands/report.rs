@@ -70,7 +70,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     page.section("metrics", "Metrics", format!("<p>At {what}.</p>\n{table}{relit}"));
     let left_out = split.len() - chosen.len();
     let note = if left_out == 0 { String::new() } else { format!(" {left_out} more are left out.") };
-    page.section("views", "Views", format!("<p>Move the sliders: truth is left, the render right.{note}</p>\n{pictures}"));
+    page.section(
+        "views",
+        "Views",
+        format!("<p>Move the sliders: truth is left, the render right.{note}</p>\n{pictures}"),
+    );
     page.section("lights", "Lights", lights(&run, &splats, &scene, &lamps, a.width)?);
     page.section("curves", "Curves", chart::log(&files.log));
     page.section("profile", "Profile", profile(&files));
@@ -78,7 +82,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     page.section("settings", "Settings", config);
     let html = page.html();
     sgs_scene::atomic_write(&a.output, |f| std::io::Write::write_all(f, html.as_bytes()))?;
-    let answer = serde_json::json!({"file": a.output, "bytes": html.len(), "views": chosen.len(), "metrics": metrics["mean"]});
+    let answer =
+        serde_json::json!({"file": a.output, "bytes": html.len(), "views": chosen.len(), "metrics": metrics["mean"]});
     if !common.answer(&answer)? && !common.quiet {
         eprintln!("wrote {} ({:.1} MB)", a.output.display(), html.len() as f64 / 1e6);
     }
@@ -167,7 +172,8 @@ fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, d
         let value = |key: &str| said[key].as_f64();
         if let (Some(steps), Some(seconds)) = (value("steps"), value("seconds")) {
             let rate = value("steps_per_second").map_or(String::new(), |r| format!(", {} a second", number(r)));
-            let peak = value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {} MB", number(b / 1e6)));
+            let peak =
+                value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {} MB", number(b / 1e6)));
             let on = said["device"].as_str().map_or(String::new(), |d| format!(", on {d}"));
             add(stage, format!("{} steps in {} s{rate}{peak}{on}", number(steps), number(seconds)));
         }
@@ -203,7 +209,11 @@ fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, wid
     if environment.is_file() {
         let image = displayed(&read_environment(&environment)?);
         out.push_str("<h3>Surroundings</h3>\n<div class=\"grid large\">\n");
-        out.push_str(&figure::picture("environment.exr", &figure::data_uri(&image, width)?, [image.width, image.height]));
+        out.push_str(&figure::picture(
+            "environment.exr",
+            &figure::data_uri(&image, width)?,
+            [image.width, image.height],
+        ));
         out.push_str("</div>\n");
     }
     Ok(out)

@@ -66,7 +66,8 @@ impl Lamps {
     /// The brightest, each with what it is called, and its gains alone; then, if there are more, all others together.
     pub fn brightest(&self, most: usize) -> Vec<(String, Vec<f32>)> {
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        let one = |(i, s): &(usize, [f64; 3])| (format!("light {i} ({})", percent(self.share(*s))), alone(&self.file, &[*i]));
+        let one =
+            |(i, s): &(usize, [f64; 3])| (format!("light {i} ({})", percent(self.share(*s))), alone(&self.file, &[*i]));
         let mut out: Vec<_> = self.sums.iter().take(most).map(one).collect();
         if self.sums.len() > most && most > 0 {
             let rest = &self.sums[most..];

@@ -77,7 +77,8 @@ pub fn html(
         evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, s| {
             let Some(&view) = next.next() else { return Ok(()) };
             let figures = all.entry(name.to_owned()).or_default();
-            let has = Has { metallic: splats.metallic.is_some(), lit, lamps: lights.is_some(), sky: environment.is_some() };
+            let has =
+                Has { metallic: splats.metallic.is_some(), lit, lamps: lights.is_some(), sky: environment.is_some() };
             if lit {
                 let photo = scene.load_image(view)?;
                 let note = noted(metrics, name, "pbr");
@@ -164,7 +165,9 @@ fn geometry(
     let scaled = |d: &Image| Image { data: d.data.iter().map(|v| v / far).collect(), ..d.clone() };
     out.push_str(&maybe("depth", theirs.as_ref().map(scaled), &scaled(&r.depth), "", shown)?);
     if let Some(labels) = &r.labels {
-        let color = |l: &Option<u32>| l.and_then(|l| palette.get(l as usize)).map_or([0.0; 3], |c| c.map(|v| f32::from(v) / 255.0));
+        let color = |l: &Option<u32>| {
+            l.and_then(|l| palette.get(l as usize)).map_or([0.0; 3], |c| c.map(|v| f32::from(v) / 255.0))
+        };
         let data = labels.iter().flat_map(color).collect();
         out.push_str(&one("classes", &Image { channels: 3, data, ..r.rgb.clone() }, shown)?);
     }
