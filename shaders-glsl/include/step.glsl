@@ -27,6 +27,7 @@ struct Step {
     float lr_normals;
     float lr_decoder;        // of the semantic decoder
     float lr_semantics;
+    float lr_share;          // of rates that are given apart from these
     float correction1;
     float correction2;
     // loss weights

@@ -15,7 +15,7 @@ layout(constant_id = 4) const uint FLAGS = 1;          // words of `flags`
 layout(constant_id = 5) const float EPSILON = 1e-15;   // added to the root of the second moment
 
 layout(push_constant, scalar) uniform Push {
-    float rate; // for RATE 7
+    float rate; // for RATE 7 and 10
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -38,6 +38,7 @@ float learning_rate() {
     case 6: return params.step.lr_normals;
     case 8: return params.step.lr_decoder;
     case 9: return params.step.lr_semantics;
+    case 10: return push.rate * params.step.lr_share;
     default: return push.rate;
     }
 }

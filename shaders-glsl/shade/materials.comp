@@ -22,7 +22,8 @@ void main() {
     if (p >= size.x * size.y) return;
     vec4 sum = vec4(0.0);
     float metal = 0.0;
-    uint end = row_starts[p + 1u];
+    // Rows that did not fit were not written.
+    uint end = min(row_starts[p + 1u], columns.length());
     for (uint e = row_starts[p]; e < end; ++e) {
         float w = weights[e];
         uint g = columns[e];

@@ -28,6 +28,7 @@ OUT(float, feature_image); // [pixels * FEATURES], where wanted
 
 #include "lane_features.glsl"
 #include "wanted.glsl"
+#include "lane_hits.glsl"
 
 void main() {
     Camera camera = params.step.camera;
@@ -58,8 +59,9 @@ void main() {
             uint v = entry_splats[sorted_entries[mine]];
             Splat s = splats[v];
             uint gaussian = splat_ids[v];
-            uint count = min(SUBGROUP, end - batch);
-            for (uint i = 0u; i < count; ++i) {
+            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, from, pixels);
+            while ((hits.x | hits.y) != 0u) {
+                uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
                 float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
                 float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);

@@ -1,7 +1,7 @@
 // Packs one layer of a blended view into texels of an image format, and counts for the host what did not fit.
 //
 // Colors are display-referred (sRGB-encoded) and stay so unless LINEAR asks for linear light; an image whose format
-// decodes sRGB gets the encoded values as they are. Depth and normals are the blended values, not divided by alpha.
+// decodes sRGB gets the encoded values as they are. Shaded pictures are linear, and are encoded here. Depth and normals are the blended values, not divided by alpha.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -11,7 +11,7 @@ layout(constant_id = 1) const uint CHANNELS = 3;
 layout(constant_id = 2) const uint LAYER = 0;  // 0 color, 1 depth, 2 normal, 3 alpha
 layout(constant_id = 3) const uint FIRST = 0;  // channel where the layer begins
 layout(constant_id = 4) const uint TEXEL = 0;  // 0 RGBA8, 1 BGRA8, 2 RGBA16 float, 3 RGBA32 float
-layout(constant_id = 5) const uint LINEAR = 0; // colors are decoded to linear light
+layout(constant_id = 5) const uint LINEAR = 0; // 1: colors are decoded to linear light; 2: they are, and get encoded
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push { float depth_scale; } push;
@@ -25,6 +25,8 @@ OUT(uint, texels);        // [pixels * words of a texel]
 INOUT(uint, report);      // [3] frames; frames that did not fit; most entries wanted
 
 float linear(float v) { return v <= 0.04045 ? v / 12.92 : pow((v + 0.055) / 1.055, 2.4); }
+
+float encoded(float v) { return v <= 0.0031308 ? 12.92 * v : 1.055 * pow(v, 1.0 / 2.4) - 0.055; }
 
 // NaN becomes 0.
 uint byte(float v) { return v > 0.0 ? uint(min(v, 1.0) * 255.0 + 0.5) : 0u; }
@@ -44,7 +46,8 @@ void main() {
     vec3 v = vec3(alpha);
     if (LAYER == 0u || LAYER == 2u) {
         v = vec3(image[i * CHANNELS + FIRST], image[i * CHANNELS + FIRST + 1u], image[i * CHANNELS + FIRST + 2u]);
-        if (LINEAR != 0u) v = vec3(linear(v.x), linear(v.y), linear(v.z));
+        if (LINEAR == 1u) v = vec3(linear(v.x), linear(v.y), linear(v.z));
+        if (LINEAR == 2u) v = vec3(encoded(v.x), encoded(v.y), encoded(v.z));
         if (LAYER == 2u && TEXEL < 2u) v = v * 0.5 + 0.5;
     } else if (LAYER == 1u) {
         v = vec3(image[i * CHANNELS + FIRST] * push.depth_scale);

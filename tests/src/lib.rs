@@ -1,7 +1,6 @@
 //! The harness: a device with validation on, graphs run once with poisoned outputs, tolerances, finite differences; the
 //! `sgs` program as a user runs it, and tiny rooms for it.
 
-pub mod browser;
 pub mod busy;
 pub mod cli;
 pub mod compare;
@@ -17,6 +16,7 @@ pub mod place;
 pub mod priors;
 pub mod random;
 pub mod rooms;
+pub mod runs;
 pub mod scenes;
 pub mod splats;
 

@@ -34,6 +34,8 @@ pub enum Rate {
     Semantics,
     /// One that never changes.
     Constant(f32),
+    /// This one times `lr_share` of the step.
+    Share(f32),
 }
 
 impl Rate {
@@ -49,6 +51,7 @@ impl Rate {
             Rate::Constant(_) => 7,
             Rate::Decoder => 8,
             Rate::Semantics => 9,
+            Rate::Share(_) => 10,
         }
     }
 }
@@ -109,7 +112,7 @@ pub fn adam(g: &mut Graph, tuning: Tuning, name: &str, a: &Adam) -> Result<(), G
         flags: a.flag_words,
         epsilon: a.epsilon,
     };
-    let rate = if let Rate::Constant(rate) = a.rate { rate } else { 0.0 };
+    let rate = if let Rate::Constant(rate) | Rate::Share(rate) = a.rate { rate } else { 0.0 };
     // Every invocation has one element's worth of scalars when all of the capacity is alive.
     stage(g, name, &adam::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&adam::Push { rate }))
         .dispatch(kernel::groups(a.capacity, tuning.workgroup))

@@ -7,6 +7,7 @@ mod densify;
 mod geometry;
 mod intrinsic;
 mod labeler;
+mod lit;
 mod render;
 mod shading;
 mod status;
@@ -22,6 +23,7 @@ pub use intrinsic::{
     IntrinsicStatus, IntrinsicStep, IntrinsicStepValues,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
+pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};
 pub use render::{Picture, Renderer};
 pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
 pub use status::{RING, Status};
@@ -29,6 +31,6 @@ pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightC
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{
-    Camera, Densify as DensifySettings, DensifyStats, FieldStep, IntrinsicReport, LossStats, MaterialStats,
+    Camera, Densify as DensifySettings, DensifyStats, FieldStep, IntrinsicReport, LitStep, LossStats, MaterialStats,
     MaterialWeights, SemanticTarget, Step, StepReport,
 };

@@ -33,6 +33,17 @@ pub enum ViewError {
         /// In which format.
         format: ImageFormat,
     },
+    /// Materials would go through a decoding that is made for colors.
+    #[error("{what} cannot be shown in {format}: reading it decodes colors. Use a format without sRGB.")]
+    SrgbValues {
+        /// What is to be shown.
+        what: &'static str,
+        /// In which format.
+        format: ImageFormat,
+    },
+    /// A part is to be shown that the scene does not have.
+    #[error("The scene has no {0}, so that it cannot be shown.")]
+    Without(&'static str),
     /// A format that no kernel packs.
     #[error("A view cannot be shown in {0}.")]
     Format(ImageFormat),

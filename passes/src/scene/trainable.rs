@@ -172,7 +172,7 @@ impl TrainableHandles {
         t: &Tuning,
         words: &StepWords,
         gradient: Buffer,
-        rate: f32,
+        rate: Rate,
         epsilon: f32,
         skip_zero: bool,
     ) -> std::result::Result<(), GraphError> {
@@ -184,7 +184,7 @@ impl TrainableHandles {
             flag_words: 1,
             width: 1,
             capacity: u64::from(self.floats),
-            rate: Rate::Constant(rate),
+            rate,
             skip_zero,
             epsilon,
             gradients: gradient,

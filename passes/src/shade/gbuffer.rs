@@ -53,6 +53,23 @@ pub struct Weights {
     pub row_weights: Buffer,
 }
 
+/// The rows alone, which is what blending takes.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows {
+    /// `[pixels + 1]`: where each pixel's row begins.
+    pub row_starts: Buffer,
+    /// `[capacity]`: the Gaussian of each entry, by rows.
+    pub columns: Buffer,
+    /// `[capacity]` floats: its weight.
+    pub weights: Buffer,
+}
+
+impl From<&Weights> for Rows {
+    fn from(w: &Weights) -> Rows {
+        Rows { row_starts: w.row_starts, columns: w.columns, weights: w.weights }
+    }
+}
+
 /// Turns what was blended of [`GBUFFER_CHANNELS`] into surfaces.
 ///
 /// # Errors
@@ -130,6 +147,58 @@ pub fn weights(
     room: &Room,
     into: &Weights,
 ) -> Result<(), GraphError> {
+    let (found, entry_pixels) = rows(g, t, screen, visible, entries, coverage, room, &into.into())?;
+    let bits = 32 - room.gaussians.saturating_sub(1).leading_zeros();
+    let sorted = radix_sort(g, *t, "weights_sort", into.columns, None, 0..bits.max(1), true, Count::Gpu(found))?;
+    let bindings = weights_transpose::Bindings {
+        entries: found.slice,
+        order: sorted.values,
+        pixels: entry_pixels.into(),
+        weights: into.weights.into(),
+        rows: into.rows.into(),
+        row_weights: into.row_weights.into(),
+    };
+    let specs = weights_transpose::Specs { workgroup: t.workgroup };
+    stage(g, "weights_transpose", &weights_transpose::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
+    let bindings = column_starts::Bindings {
+        entries: found.slice,
+        sorted_columns: sorted.keys.unwrap_or_else(|| into.columns.into()),
+        column_starts: into.column_starts.into(),
+    };
+    let specs = column_starts::Specs { workgroup: t.workgroup };
+    stage(g, "column_starts", &column_starts::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(u64::from(room.gaussians) + 1, t.workgroup))
+}
+
+/// As [`weights`] without the columns, for views that only go forward. Where there is no room the last rows are cut off.
+///
+/// # Errors
+/// If the graph refuses a pass.
+pub fn weight_rows(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    visible: &Visible,
+    entries: &Entries,
+    coverage: Buffer,
+    room: &Room,
+    into: &Rows,
+) -> Result<(), GraphError> {
+    rows(g, t, screen, visible, entries, coverage, room, into).map(|_| ())
+}
+
+/// The rows; how many entries there are, and the pixel of each.
+fn rows(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    visible: &Visible,
+    entries: &Entries,
+    coverage: Buffer,
+    room: &Room,
+    into: &Rows,
+) -> Result<(Records, Buffer), GraphError> {
     let pixels = screen.pixels();
     let counts = g.transient("weight_counts", 4 * (pixels + 1));
     g.fill("clear_weight_counts", counts, 0)?;
@@ -172,25 +241,5 @@ pub fn weights(
     stage(g, "weights", &fill::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(tiles)?;
-    let bits = 32 - room.gaussians.saturating_sub(1).leading_zeros();
-    let sorted = radix_sort(g, *t, "weights_sort", into.columns, None, 0..bits.max(1), true, Count::Gpu(found))?;
-    let bindings = weights_transpose::Bindings {
-        entries: found.slice,
-        order: sorted.values,
-        pixels: entry_pixels.into(),
-        weights: into.weights.into(),
-        rows: into.rows.into(),
-        row_weights: into.row_weights.into(),
-    };
-    let specs = weights_transpose::Specs { workgroup: t.workgroup };
-    stage(g, "weights_transpose", &weights_transpose::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
-    let bindings = column_starts::Bindings {
-        entries: found.slice,
-        sorted_columns: sorted.keys.unwrap_or_else(|| into.columns.into()),
-        column_starts: into.column_starts.into(),
-    };
-    let specs = column_starts::Specs { workgroup: t.workgroup };
-    stage(g, "column_starts", &column_starts::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(u64::from(room.gaussians) + 1, t.workgroup))
+    Ok((found, entry_pixels))
 }

@@ -8,7 +8,7 @@
 //! Cost: 16 bytes read and written a Gaussian and about 60 operations (four exponentials); an entry of the matrix 24 bytes
 //! and 8 operations forward, as much backward. Metallic adds a quarter.
 
-use super::Weights;
+use super::{Rows, Weights};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::splat::Screen;
@@ -44,9 +44,10 @@ pub fn materials(
     t: &Tuning,
     screen: &Screen,
     values: &PixelMaterials,
-    weights: &Weights,
+    weights: impl Into<Rows>,
     into: &PixelMaterials,
 ) -> Result<(), GraphError> {
+    let weights = weights.into();
     let bindings = kernel::Bindings {
         params: screen.step.into(),
         row_starts: weights.row_starts.into(),

@@ -13,7 +13,8 @@ pub mod traced;
 pub mod visibility;
 
 pub use gbuffer::{
-    GBUFFER_CHANNELS, LEAST_COVERAGE, Room, SURFACE_DEPTH, Surfaces, Weights, gbuffer, surface_depth, weights,
+    GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Rows, SURFACE_DEPTH, Surfaces, Weights, gbuffer, surface_depth,
+    weight_rows, weights,
 };
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
 pub use pixels::Pixels;

@@ -18,7 +18,7 @@ pub use features::{
     EntryFeatures, FeatureAdam, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, wanted_words,
 };
 pub use intersect::{Entries, intersect};
-pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present};
+pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};
 pub(crate) use project::group_sizes;
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
 

@@ -117,6 +117,42 @@ pub struct Present {
 /// # Errors
 /// If the graph refuses the pass.
 pub fn present(g: &mut Graph, t: &Tuning, screen: &Screen, what: &Present, as_: &Presented) -> Result<(), GraphError> {
+    let (layer, first) = match as_.layer {
+        Layer::Color => (0, 0),
+        Layer::Depth => (1, if what.channels.normals { 6 } else { 3 }),
+        Layer::Normal => (2, 3),
+        Layer::Alpha => (3, 0),
+    };
+    let linear = as_.layer == Layer::Color && as_.encoding == Encoding::Linear && !as_.format.srgb();
+    pack(g, t, screen, what, [layer, first], as_.format, u32::from(linear), as_.depth_scale)
+}
+
+/// Packs a view of three channels whose colors are linear light, or, if there is no encoding, are no colors.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn present_light(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    what: &Present,
+    format: TexelFormat,
+    encoding: Option<Encoding>,
+) -> Result<(), GraphError> {
+    let encoded = encoding.is_some_and(|e| e == Encoding::Display || format.srgb());
+    pack(g, t, screen, what, [0, 0], format, if encoded { 2 } else { 0 }, 1.0)
+}
+
+fn pack(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    what: &Present,
+    [layer, first]: [u32; 2],
+    format: TexelFormat,
+    linear: u32,
+    depth_scale: f32,
+) -> Result<(), GraphError> {
     let bindings = kernel::Bindings {
         params: screen.step.into(),
         image: what.blended.image.into(),
@@ -126,22 +162,15 @@ pub fn present(g: &mut Graph, t: &Tuning, screen: &Screen, what: &Present, as_: 
         texels: what.texels.into(),
         report: what.report.into(),
     };
-    let (layer, first) = match as_.layer {
-        Layer::Color => (0, 0),
-        Layer::Depth => (1, if what.channels.normals { 6 } else { 3 }),
-        Layer::Normal => (2, 3),
-        Layer::Alpha => (3, 0),
-    };
-    let linear = as_.layer == Layer::Color && as_.encoding == Encoding::Linear && !as_.format.srgb();
     let specs = kernel::Specs {
         workgroup: t.workgroup,
         channels: what.channels.count(),
         layer,
         first,
-        texel: as_.format.texel(),
-        linear: u32::from(linear),
+        texel: format.texel(),
+        linear,
     };
-    let push = as_.depth_scale.to_ne_bytes();
+    let push = depth_scale.to_ne_bytes();
     stage(g, "present", &kernel::KERNEL, bindings.entries(), specs.entries(), &push)
         .dispatch(groups(screen.pixels(), t.workgroup))
 }

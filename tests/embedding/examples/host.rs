@@ -1,6 +1,8 @@
 //! An application with a Vulkan device of its own that shows splats in its own image, frame by frame.
 //!
-//!     cargo run -p sgs-embedding --example host
+//!     cargo run -p sgs-embedding --example host [RUN]
+//!
+//! `run` shows splats, `relight` a run whose materials were trained, under light that changes.
 //!
 //! `Host` is the application: its instance and device made with `ash`, its queue behind its own lock, its image, its
 //! commands. What it says to the engine is in this file: adopt, wrap, record, and when a recording is done.
@@ -11,10 +13,12 @@ use sgs_engine::ImageFormat;
 use sgs_engine::graph::ImageState;
 use sgs_engine::graph::exec::Until;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Frame, Renderer, View, ViewOptions};
+use sgs_passes::pipeline::{Frame, LitFrame, LitLayer, LitOptions, LitView, Renderer, View, ViewOptions};
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{Channels, Encoding, Layer, Presented, TexelFormat};
 use sgs_tests::scenes;
+use sgs_train::{Edit, Relighter, Shading};
+use std::path::Path;
 use vk::ImageLayout as L;
 
 const SIZE: [u32; 2] = [80, 60];
@@ -96,9 +100,95 @@ pub fn run(frames: u64) -> usize {
     differ
 }
 
-#[allow(dead_code)] // The tests call `run`.
+/// Shows a run whose materials were trained under all light, without one light, under that light alone, and with it
+/// elsewhere. Returns how far the first two pictures are from what `sgs relight` gives, how far switched off and alone are
+/// from all light, and what the move changes, each over the largest value.
+pub fn relight(directory: &Path) -> [f32; 3] {
+    let host = Host::new();
+    let format = vk::Format::R32G32B32A32_SFLOAT;
+    let (image, bytes) = (host.image(SIZE, format), u64::from(SIZE[0] * SIZE[1] * 16));
+    let back = host.buffer(bytes);
+    // SAFETY: as above.
+    let device = unsafe { sgs_engine::Device::adopt(host.offer(true)) }.expect("the device fits");
+    // SAFETY: as above.
+    let target = unsafe { device.wrap_image("window", image.raw, SIZE, ImageFormat::Rgba32Float, false) };
+    let target = target.expect("it fits");
+    let mut run = Relighter::open(&device, directory, 0).expect("a run with materials");
+    let options = LitOptions {
+        size: SIZE,
+        layer: LitLayer::Shaded,
+        format: TexelFormat::Rgba32Float,
+        encoding: Encoding::Linear,
+        entry: ImageState::Undefined,
+        exit: ImageState::TransferSource,
+        frames_in_flight: 2,
+        capacity: [0, 0],
+    };
+    let tuning = Tuning::for_device(device.info());
+    let mut view = LitView::new(&device, tuning, run.scene(), run.lighting(), options).expect("a view");
+    let camera = scenes::gpu_camera(&scenes::camera(SIZE));
+    let mut show = |run: &Relighter| loop {
+        let before = view.report().expect("visible").incomplete;
+        let frame = LitFrame { camera, background: [0.0; 3], exposure: 1.0 };
+        let commands = host.begin();
+        let recorded = view.frame(run.scene(), run.lighting(), &target, &frame, |exec, uniforms| {
+            // SAFETY: the commands are being recorded here and submitted once.
+            unsafe { exec.record_into(commands, uniforms) }
+        });
+        host.read_image(commands, image.raw, SIZE, back.raw);
+        let fence = host.fence();
+        host.submit(commands, &[], &[], fence);
+        // SAFETY: the fence covers the submission, and is waited for before the recording is given up.
+        unsafe {
+            host.device.wait_for_fences(&[fence], true, u64::MAX).expect("done");
+            recorded.expect("a slot is free").release();
+            host.device.destroy_fence(fence, None);
+        }
+        // A frame that lacked room is shown again; the next one has it.
+        if view.report().expect("visible").incomplete == before {
+            let texels = host.read(&back, bytes);
+            let light = bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&texels);
+            break light.into_iter().flat_map(|t| [t[0], t[1], t[2]]).collect::<Vec<f32>>();
+        }
+    };
+    let relit = |run: &Relighter| {
+        let scene = run.relit().upload(&device).expect("memory");
+        let view = Shading::new(&device, scene).expect("memory").shade_from(&camera).expect("a picture");
+        view.radiance([0.0; 3]).data
+    };
+    let (all, all_relit) = (show(&run), relit(&run));
+    let mut lamp = run.light(0).expect("a light");
+    lamp.on = false;
+    run.set_light(0, lamp).expect("a light");
+    let (without, without_relit) = (show(&run), relit(&run));
+    run.edit(&Edit::parse(r#"{"lights": {"only": [0]}}"#, Path::new("")).expect("an edit")).expect("a light");
+    run.set_environment_gain([0.0; 3]).expect("factors");
+    let alone = show(&run);
+    lamp.on = true;
+    lamp.position[0] += 0.5;
+    run.set_light(0, lamp).expect("a light");
+    let moved = show(&run);
+    let largest = all_relit.iter().fold(0.0f32, |m, v| m.max(*v));
+    let most = |off: &dyn Fn(usize) -> f32| (0..all.len()).fold(0.0f32, |m, i| m.max(off(i).abs())) / largest;
+    let found = [
+        most(&|i| all[i] - all_relit[i]).max(most(&|i| without[i] - without_relit[i])),
+        most(&|i| all[i] - without[i] - alone[i]),
+        most(&|i| moved[i] - alone[i]),
+    ];
+    drop((view, run, target, device));
+    host.destroy_buffer(back);
+    host.destroy_image(image);
+    found
+}
+
+#[allow(dead_code)] // The tests call `run` and `relight`.
 fn main() {
     let differ = run(5);
     println!("5 frames, {differ} texels differ");
     assert_eq!(differ, 0);
+    if let Some(run) = std::env::args().nth(1) {
+        let [relit, sum, moved] = relight(Path::new(&run));
+        println!("lit: {relit:.1e} from sgs relight, {sum:.1e} from the sum of its lights; a move changes {moved:.2}");
+        assert!(relit < 1e-5 && sum < 1e-5);
+    }
 }

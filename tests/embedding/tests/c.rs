@@ -63,9 +63,14 @@ fn works(compiler: &[&str], link: &[String], prefix: &Path) {
     ok(run(command.args(link).arg("-lm")));
     let picture = prefix.join("out.ppm");
     let mut host = Command::new(&program);
-    host.arg(scene(prefix)).arg(&picture).env("LD_LIBRARY_PATH", prefix.join("lib"));
+    let lit = prefix.join("run");
+    sgs_tests::runs::fabricate(&lit, sgs_tests::runs::Parts::ALL);
+    host.arg(scene(prefix)).arg(&picture).arg(&lit).env("LD_LIBRARY_PATH", prefix.join("lib"));
     let said = ok(run(&mut host));
-    assert!(said.starts_with("200 Gaussians, ") && said.contains("2 frames, 0 incomplete"), "{said}");
+    assert!(
+        said.starts_with("4 lights, ") && said.contains("200 Gaussians, ") && said.contains("2 frames, 0 incomplete"),
+        "{said}"
+    );
     let picture = std::fs::read(picture).unwrap();
     let pixels = picture.strip_prefix(b"P6\n96 64\n255\n").expect("a PPM");
     assert_eq!(pixels.len(), 96 * 64 * 3);

@@ -7,3 +7,11 @@ mod host;
 fn the_example_shows_what_the_renderer_gives() {
     assert_eq!(host::run(3), 0);
 }
+
+#[test]
+fn the_example_shows_a_run_under_changing_light() {
+    let folder = tempfile::tempdir().unwrap();
+    sgs_tests::runs::fabricate(folder.path(), sgs_tests::runs::Parts::ALL);
+    let [relit, sum, moved] = host::relight(folder.path());
+    assert!(relit < 1e-5 && sum < 1e-5 && moved > 0.01, "{relit} {sum} {moved}");
+}

@@ -1,117 +1,24 @@
 //! The C interface, called as a C program calls it: what it gives, and what it answers to nonsense.
 
+#[macro_use]
+mod support;
+
 use sgs::*;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::scene::Model;
 use sgs_passes::splat::Channels;
 use sgs_tests::rooms::Room;
 use sgs_tests::scenes::{self, Rng};
-use std::ffi::{CStr, CString, c_char};
-use std::path::Path;
+use std::ffi::{CStr, c_char};
 use std::ptr::{null, null_mut};
+use support::{Context, camera, text, zeroed};
 use tempfile::TempDir;
-
-fn zeroed<T: Copy>() -> T {
-    // SAFETY: every struct of the header is valid with all bits zero, and says so.
-    unsafe { std::mem::zeroed() }
-}
-
-macro_rules! sized {
-    ($name:ident { $($field:ident: $value:expr),* $(,)? }) => {{
-        let mut value: $name = zeroed();
-        value.struct_size = size_of::<$name>() as u32;
-        $(value.$field = $value;)*
-        value
-    }};
-}
-
-struct Context(*mut SgsContext);
-
-impl Context {
-    fn new() -> Context {
-        let device = std::env::var("SGS_TEST_DEVICE").ok().map(|d| CString::new(d).unwrap());
-        let info = sized!(SgsDeviceInfo { validation: 1, device: device.as_ref().map_or(null(), |d| d.as_ptr()) });
-        let (mut context, mut why) = (null_mut(), [0; 500]);
-        // SAFETY: all pointers are real.
-        let result = unsafe { sgs_context_open(&info, &mut context, why.as_mut_ptr(), why.len()) };
-        // SAFETY: the text ends with a zero.
-        assert_eq!(result, SgsResult::SGS_OK, "{:?}", unsafe { CStr::from_ptr(why.as_ptr()) });
-        Context(context)
-    }
-
-    fn error(&self) -> String {
-        let mut text = [0 as c_char; 2000];
-        // SAFETY: all pointers are real.
-        unsafe {
-            assert_eq!(sgs_last_error(self.0, text.as_mut_ptr(), text.len(), null_mut()), SgsResult::SGS_OK);
-            CStr::from_ptr(text.as_ptr()).to_str().unwrap().to_owned()
-        }
-    }
-
-    #[track_caller]
-    fn ok(&self, result: SgsResult) {
-        assert_eq!(result, SgsResult::SGS_OK, "{}", self.error());
-    }
-
-    /// The call failed as it should, and said why.
-    #[track_caller]
-    fn refused(&self, result: SgsResult, code: SgsResult, words: &str) {
-        assert_eq!(result, code, "{}", self.error());
-        assert!(self.error().contains(words), "\"{words}\" is missing: {}", self.error());
-    }
-
-    fn info(&self) -> SgsContextInfo {
-        let mut info = sized!(SgsContextInfo {});
-        // SAFETY: all pointers are real.
-        self.ok(unsafe { sgs_context_get(self.0, &mut info) });
-        info
-    }
-
-    fn load(&self, path: &Path) -> SgsScene {
-        let (path, mut scene) = (text(path), 0);
-        // SAFETY: all pointers are real.
-        self.ok(unsafe { sgs_scene_load(self.0, path.as_ptr(), &mut scene) });
-        assert_ne!(scene, 0);
-        scene
-    }
-}
-
-impl Drop for Context {
-    fn drop(&mut self) {
-        if !std::thread::panicking() {
-            assert_eq!(self.info().validation_messages, 0);
-        }
-        // SAFETY: the context is ours; a second time it is null.
-        unsafe {
-            assert_eq!(sgs_context_destroy(&mut self.0), SgsResult::SGS_OK);
-            assert!(self.0.is_null());
-            assert_eq!(sgs_context_destroy(&mut self.0), SgsResult::SGS_ERROR_NULL);
-        }
-    }
-}
-
-fn text(path: &Path) -> CString {
-    CString::new(path.to_str().unwrap()).unwrap()
-}
 
 fn scene(folder: &TempDir) -> std::path::PathBuf {
     let data = scenes::data(&scenes::ordinary(150, 1, true, 8));
     let path = folder.path().join("scene.ply");
     sgs_train::splats(&data, Model { sh_degree: 1, normals: true, ..Default::default() }).write_ply(&path).unwrap();
     path
-}
-
-fn camera(size: [u32; 2]) -> SgsCamera {
-    let c = scenes::gpu_camera(&scenes::camera(size));
-    let mut world_to_camera = [0.0; 12];
-    world_to_camera.copy_from_slice(c.world_to_camera.as_flattened());
-    sized!(SgsCamera {
-        width: size[0],
-        height: size[1],
-        focal: c.focal,
-        center: c.center,
-        world_to_camera: world_to_camera,
-    })
 }
 
 #[test]
@@ -418,16 +325,22 @@ fn random_calls_are_answered_with_codes() {
     let good = text(&path);
     let mut r = Rng::new(77);
     let mut handles: Vec<u64> = vec![0, u64::MAX, 1, 1 << 24, context.load(&path)];
+    let lit = folder.path().join("run");
+    sgs_tests::runs::fabricate(&lit, sgs_tests::runs::Parts::NONE);
+    let (mut relight, lit) = (0, text(&lit));
+    // SAFETY: all pointers are real.
+    context.ok(unsafe { sgs_relight_open(context.0, lit.as_ptr(), null(), &mut relight) });
+    handles.push(relight);
     let mut codes = std::collections::BTreeMap::<i32, u32>::new();
     let mut pixels = vec![0.0f32; 8 * 6 * 3];
     for _ in 0..1500 {
         let mut pick = |n: usize| (r.unit() * n as f64) as usize;
-        let which = pick(18);
+        let which = pick(24);
         let mut handle = handles[pick(handles.len())];
         if pick(8) == 0 {
             handle ^= 1 << pick(64);
         }
-        let layer = pick(5) as u32;
+        let layer = [0, 1, 2, 3, 4, SGS_LAYER_SHADED, SGS_LAYER_METALLIC][pick(7)];
         let mut camera = camera([8, 6]);
         let mut render = sized!(SgsRenderInfo { layer: layer, sh_bands: pick(6) as u32 });
         let format = [37, 44, 97, 109, 43, 0][pick(6)];
@@ -442,10 +355,11 @@ fn random_calls_are_answered_with_codes() {
             5 => camera.width = 9,
             _ => {}
         }
-        let path = [good.as_ptr(), c"/nowhere".as_ptr(), null(), c"".as_ptr()][pick(4)];
+        let path = [good.as_ptr(), lit.as_ptr(), c"/nowhere".as_ptr(), null(), c"".as_ptr()][pick(5)];
         let mut made = 0;
         let (mut count, mut status, mut report) = (0, sized!(SgsTrainStatus {}), sized!(SgsViewReport {}));
         let frame = sized!(SgsFrame { camera: if pick(3) == 0 { null() } else { &camera } });
+        let mut light = sized!(SgsLight { on: 1, gain: pick(3) as f32 - 1.0 });
         let room = pick(2 * pixels.len());
         let c = context.0;
         // SAFETY: pointers are null or real; what is no handle is a number. Frames have no image, so that nothing of a
@@ -468,6 +382,12 @@ fn random_calls_are_answered_with_codes() {
                 14 => sgs_trainer_save(c, handle, path),
                 15 => sgs_trainer_scene(c, handle, &mut made),
                 16 => sgs_scene_export(c, handle, c"/nowhere/out.ply".as_ptr()),
+                17 => sgs_relight_open(c, path, null(), &mut made),
+                18 => sgs_relight_view_create(c, handle, &view, &mut made),
+                19 => sgs_relight_light_get(c, handle, layer, &mut light),
+                20 => sgs_relight_light_set(c, handle, layer, &light),
+                21 => sgs_relight_light_remove(c, handle, layer),
+                22 => sgs_relight_edit(c, handle, c"{}".as_ptr(), path),
                 _ => sgs_destroy(c, handle),
             }
         };

@@ -1,10 +1,11 @@
 /* A C program with a Vulkan device of its own that shows Gaussian splats in its own image.
  *
- *     host SCENE.ply OUT.ppm
+ *     host SCENE.ply OUT.ppm [RUN]
  *
  * It asks the library what a device needs, makes its instance and device, draws (clears) its image, has a view of the
  * splats recorded into the same command buffer, submits that, reads the image back and writes it as a PPM file. Then it
- * does the same by letting the library submit between its semaphores, and compares. Validation is on and must be silent.
+ * does the same by letting the library submit between its semaphores, and compares. With a run whose materials were
+ * trained it then shows that under changing light, see relight(). Validation is on and must be silent.
  */
 #include <math.h>
 #include <stdio.h>
@@ -32,6 +33,11 @@ static void vk(VkResult result, const char *what) {
         fprintf(stderr, "%s: VkResult %d\n", what, (int)result);
         exit(1);
     }
+}
+
+static void stop(const char *what, const char *why) {
+    fprintf(stderr, "%s: %s\n", what, why);
+    exit(1);
 }
 
 static SgsContext *context;
@@ -68,8 +74,8 @@ static uint32_t memory_type(uint32_t bits, VkMemoryPropertyFlags flags) {
     vkGetPhysicalDeviceMemoryProperties(physical, &all);
     for (uint32_t i = 0; i < all.memoryTypeCount; ++i)
         if ((bits & (1u << i)) && (all.memoryTypes[i].propertyFlags & flags) == flags) return i;
-    fprintf(stderr, "no memory of the kind\n");
-    exit(1);
+    stop("memory", "there is none of the kind");
+    return 0;
 }
 
 static VkDeviceMemory allocate(VkMemoryRequirements needs, VkMemoryPropertyFlags flags) {
@@ -156,24 +162,144 @@ static void wait_for(VkSemaphore timeline, uint64_t value) {
     vk(vkWaitSemaphores(device, &info, UINT64_MAX), "vkWaitSemaphores");
 }
 
+static VkImage make_image(VkFormat format, VkDeviceMemory *memory) {
+    VkImageCreateInfo info = {VK_STRUCTURE_TYPE_IMAGE_CREATE_INFO};
+    VkImage image;
+    VkMemoryRequirements room;
+    info.imageType = VK_IMAGE_TYPE_2D;
+    info.format = format;
+    info.extent = (VkExtent3D){WIDTH, HEIGHT, 1};
+    info.mipLevels = info.arrayLayers = 1;
+    info.samples = VK_SAMPLE_COUNT_1_BIT;
+    info.usage = VK_IMAGE_USAGE_TRANSFER_SRC_BIT | VK_IMAGE_USAGE_TRANSFER_DST_BIT;
+    vk(vkCreateImage(device, &info, NULL, &image), "vkCreateImage");
+    vkGetImageMemoryRequirements(device, image, &room);
+    *memory = allocate(room, 0);
+    vk(vkBindImageMemory(device, image, *memory, 0), "vkBindImageMemory");
+    return image;
+}
+
+static VkBuffer make_buffer(VkDeviceSize bytes, VkDeviceMemory *memory, void *mapped) {
+    VkBufferCreateInfo info = {VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
+    VkBuffer buffer;
+    VkMemoryRequirements room;
+    info.size = bytes;
+    info.usage = VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    vk(vkCreateBuffer(device, &info, NULL, &buffer), "vkCreateBuffer");
+    vkGetBufferMemoryRequirements(device, buffer, &room);
+    *memory = allocate(room, VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
+    vk(vkBindBufferMemory(device, buffer, *memory, 0), "vkBindBufferMemory");
+    vk(vkMapMemory(device, *memory, 0, VK_WHOLE_SIZE, 0, (void **)mapped), "vkMapMemory");
+    return buffer;
+}
+
+/* What a run is shown with: a view into an image of floats, and the values of a timeline semaphore. */
+typedef struct {
+    SgsRelight relight;
+    SgsView view;
+    SgsFrame frame;
+    VkBuffer buffer;
+    const float *texels;
+    VkSemaphore timeline;
+    uint64_t value;
+} Stage;
+
+enum { PIXELS = WIDTH * HEIGHT };
+typedef float Picture[3 * PIXELS];
+
+/* A frame in the host's commands, again if the library found too little room; and whether it is that of `sgs relight`. */
+static int show(Stage *s, Picture into) {
+    static Picture wanted;
+    SgsViewReport before = {sizeof before}, after = {sizeof after};
+    SgsRelitInfo render = {sizeof render};
+    float largest = 0.0f, apart = 0.0f;
+    do {
+        SgsRecording recording;
+        VkCommandBuffer commands = begin();
+        sgs(sgs_view_report(context, s->view, &before), "report");
+        sgs(sgs_view_record(context, s->view, &s->frame, commands, &recording), "record lit");
+        read_back(commands, s->frame.image, s->buffer);
+        submit(commands, s->timeline, 0, ++s->value);
+        sgs(sgs_recording_timeline(context, recording, s->timeline, s->value), "until");
+        wait_for(s->timeline, s->value);
+        sgs(sgs_view_report(context, s->view, &after), "report");
+    } while (after.incomplete > before.incomplete);
+    render.layer = SGS_LAYER_SHADED;
+    sgs(sgs_relight_render(context, s->relight, s->frame.camera, &render, wanted, 3 * PIXELS), "render lit");
+    for (int i = 0; i < 3 * PIXELS; ++i) {
+        into[i] = s->texels[4 * (i / 3) + i % 3];
+        largest = fmaxf(largest, wanted[i]);
+        apart = fmaxf(apart, fabsf(into[i] - wanted[i]));
+    }
+    return largest > 0.0f && apart <= 1e-5f * largest;
+}
+
+/* Shows a run under all light, without one light, under that light alone, and with it elsewhere. Returns what is wrong. */
+static const char *relight(const char *run, const SgsCamera *camera, VkSemaphore timeline, uint64_t value) {
+    static Picture all, without, alone, moved;
+    const float dark[3] = {0.0f, 0.0f, 0.0f};
+    float largest = 0.0f, apart = 0.0f, change = 0.0f;
+    int same = 1;
+    uint32_t count;
+    VkDeviceMemory memories[2];
+    Stage s = {0};
+    SgsViewInfo info = {sizeof info};
+    SgsLight light = {sizeof light}, other = {sizeof other};
+    s.timeline = timeline, s.value = value;
+    s.frame.struct_size = sizeof s.frame;
+    s.frame.camera = camera;
+    s.frame.image = make_image(VK_FORMAT_R32G32B32A32_SFLOAT, &memories[0]);
+    s.buffer = make_buffer(16 * PIXELS, &memories[1], &s.texels);
+    sgs(sgs_relight_open(context, run, NULL, &s.relight), "relight");
+    info.width = WIDTH, info.height = HEIGHT;
+    info.format = VK_FORMAT_R32G32B32A32_SFLOAT;
+    info.layer = SGS_LAYER_SHADED;
+    info.encoding = SGS_ENCODING_LINEAR;
+    info.final_layout = VK_IMAGE_LAYOUT_TRANSFER_SRC_OPTIMAL;
+    sgs(sgs_relight_view_create(context, s.relight, &info, &s.view), "lit view");
+    same &= show(&s, all);
+    sgs(sgs_relight_light_get(context, s.relight, 0, &light), "light");
+    light.on = 0;
+    sgs(sgs_relight_light_set(context, s.relight, 0, &light), "off");
+    same &= show(&s, without);
+    sgs(sgs_relight_edit(context, s.relight, "{\"lights\": {\"only\": [0]}}", NULL), "edit");
+    sgs(sgs_relight_environment_gain(context, s.relight, dark), "surroundings");
+    same &= show(&s, alone);
+    light.on = 1;
+    light.position[0] += 0.5f;
+    sgs(sgs_relight_light_set(context, s.relight, 0, &light), "move");
+    same &= show(&s, moved);
+    sgs(sgs_relight_light_count(context, s.relight, &count), "count");
+    sgs(sgs_relight_light_get(context, s.relight, count - 1, &other), "another light");
+    for (int i = 0; i < 3 * PIXELS; ++i) {
+        largest = fmaxf(largest, all[i]);
+        apart = fmaxf(apart, fabsf(all[i] - without[i] - alone[i]));
+        change = fmaxf(change, fabsf(moved[i] - alone[i]));
+    }
+    sgs(sgs_destroy(context, s.view), "destroy lit view");
+    sgs(sgs_destroy(context, s.relight), "destroy relighting");
+    vkDestroyImage(device, s.frame.image, NULL);
+    vkDestroyBuffer(device, s.buffer, NULL);
+    for (int i = 0; i < 2; ++i) vkFreeMemory(device, memories[i], NULL);
+    printf("%u lights, one of them sends up to %.2g of %.2g; ", count, change, largest);
+    if (!same) return "a lit frame differs from sgs_relight_render";
+    if (apart > 1e-5f * largest) return "a light switched off and that light alone are not all light";
+    if (change < 0.01f * largest) return "a moved light changes nothing";
+    return other.on ? "an edit has left other lights on" : NULL;
+}
+
 static void write_ppm(const char *path, const unsigned char *texels) {
     FILE *file = fopen(path, "wb");
-    if (!file) {
-        perror(path);
-        exit(1);
-    }
+    if (!file) stop(path, "cannot be written");
     fprintf(file, "P6\n%d %d\n255\n", WIDTH, HEIGHT);
     for (int i = 0; i < WIDTH * HEIGHT; ++i) fwrite(texels + 4 * i, 1, 3, file);
-    if (fclose(file)) {
-        perror(path);
-        exit(1);
-    }
+    if (fclose(file)) stop(path, "cannot be written");
 }
 
 int main(int argc, char **argv) {
     char why[1024];
-    if (argc != 3) {
-        fprintf(stderr, "usage: host SCENE.ply OUT.ppm\n");
+    if (argc != 3 && argc != 4) {
+        fprintf(stderr, "usage: host SCENE.ply OUT.ppm [RUN]\n");
         return 2;
     }
 
@@ -219,16 +345,11 @@ int main(int argc, char **argv) {
     for (uint32_t i = 0; i < count && !requirements; ++i) {
         at.physical_device = all[i];
         if (sgs_requirements_create(&at, &requirements, why, sizeof why) != SGS_OK ||
-            sgs_requirements_get(requirements, &needs) != SGS_OK) {
-            fprintf(stderr, "requirements: %s\n", why);
-            return 1;
-        }
+            sgs_requirements_get(requirements, &needs) != SGS_OK)
+            stop("requirements", why);
         if (needs.missing_count > 0) sgs_requirements_destroy(&requirements);
     }
-    if (!requirements) {
-        fprintf(stderr, "no device fits\n");
-        return 1;
-    }
+    if (!requirements) stop("devices", "none fits");
     physical = at.physical_device;
     family = needs.queue_family;
 
@@ -260,10 +381,7 @@ int main(int argc, char **argv) {
     host.feature_count = needs.feature_count;
     host.extensions = needs.extensions;
     host.extension_count = needs.extension_count;
-    if (sgs_context_adopt(&host, &context, why, sizeof why) != SGS_OK) {
-        fprintf(stderr, "adopt: %s\n", why);
-        return 1;
-    }
+    if (sgs_context_adopt(&host, &context, why, sizeof why) != SGS_OK) stop("adopt", why);
     sgs_requirements_destroy(&requirements);
 
     SgsScene scene;
@@ -272,34 +390,12 @@ int main(int argc, char **argv) {
     sgs(sgs_scene_get(context, scene, &scene_info), "scene info");
 
     /* The host's image and what it reads it back with. */
-    VkImageCreateInfo image_info = {VK_STRUCTURE_TYPE_IMAGE_CREATE_INFO};
-    image_info.imageType = VK_IMAGE_TYPE_2D;
-    image_info.format = VK_FORMAT_R8G8B8A8_UNORM;
-    image_info.extent = (VkExtent3D){WIDTH, HEIGHT, 1};
-    image_info.mipLevels = image_info.arrayLayers = 1;
-    image_info.samples = VK_SAMPLE_COUNT_1_BIT;
-    image_info.usage = VK_IMAGE_USAGE_TRANSFER_SRC_BIT | VK_IMAGE_USAGE_TRANSFER_DST_BIT;
-    VkImage image;
-    VkMemoryRequirements room;
-    vk(vkCreateImage(device, &image_info, NULL, &image), "vkCreateImage");
-    vkGetImageMemoryRequirements(device, image, &room);
-    VkDeviceMemory image_memory = allocate(room, 0);
-    vk(vkBindImageMemory(device, image, image_memory, 0), "vkBindImageMemory");
+    VkDeviceMemory image_memory, memories[2];
+    VkImage image = make_image(VK_FORMAT_R8G8B8A8_UNORM, &image_memory);
     enum { BYTES = WIDTH * HEIGHT * 4 };
-    VkBufferCreateInfo buffer_info = {VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
-    buffer_info.size = 2 * BYTES;
-    buffer_info.usage = VK_BUFFER_USAGE_TRANSFER_DST_BIT;
     VkBuffer buffers[2];
-    VkDeviceMemory memories[2];
     unsigned char *texels[2];
-    for (int i = 0; i < 2; ++i) {
-        vk(vkCreateBuffer(device, &buffer_info, NULL, &buffers[i]), "vkCreateBuffer");
-        vkGetBufferMemoryRequirements(device, buffers[i], &room);
-        memories[i] =
-            allocate(room, VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
-        vk(vkBindBufferMemory(device, buffers[i], memories[i], 0), "vkBindBufferMemory");
-        vk(vkMapMemory(device, memories[i], 0, VK_WHOLE_SIZE, 0, (void **)&texels[i]), "vkMapMemory");
-    }
+    for (int i = 0; i < 2; ++i) buffers[i] = make_buffer(BYTES, &memories[i], &texels[i]);
     VkCommandPoolCreateInfo pool_info = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool_info.queueFamilyIndex = family;
     vk(vkCreateCommandPool(device, &pool_info, NULL, &pool), "vkCreateCommandPool");
@@ -353,10 +449,7 @@ int main(int argc, char **argv) {
     submit(commands, timeline, 0, 2);
     int submissions = used;
     sgs(sgs_view_submit(context, view, &frame, &before, 1, &after, 1), "submit");
-    if (used != submissions + 1) {
-        fprintf(stderr, "the library submitted %d times\n", used - submissions);
-        return 1;
-    }
+    if (used != submissions + 1) stop("submit", "the library submitted otherwise than once");
     commands = begin();
     read_back(commands, image, buffers[1]);
     submit(commands, timeline, 3, 4);
@@ -380,6 +473,7 @@ int main(int argc, char **argv) {
 
     SgsViewReport report = {sizeof report};
     sgs(sgs_view_report(context, view, &report), "report");
+    const char *lit = argc == 4 ? relight(argv[3], &camera, timeline, 4) : NULL;
     sgs(sgs_destroy(context, view), "destroy view");
     sgs(sgs_destroy(context, scene), "destroy scene");
     sgs(sgs_context_destroy(&context), "destroy context");
@@ -387,10 +481,7 @@ int main(int argc, char **argv) {
     vkQueueWaitIdle(queue);
     vkDestroySemaphore(device, timeline, NULL);
     vkDestroyCommandPool(device, pool, NULL);
-    for (int i = 0; i < 2; ++i) {
-        vkDestroyBuffer(device, buffers[i], NULL);
-        vkFreeMemory(device, memories[i], NULL);
-    }
+    for (int i = 0; i < 2; ++i) vkDestroyBuffer(device, buffers[i], NULL), vkFreeMemory(device, memories[i], NULL);
     vkDestroyImage(device, image, NULL);
     vkFreeMemory(device, image_memory, NULL);
     vkDestroyDevice(device, NULL);
@@ -401,6 +492,7 @@ int main(int argc, char **argv) {
            report.frames, report.incomplete, sgs_version_text());
     if (differ) fprintf(stderr, "the recorded and the submitted frame differ\n");
     if (wrong) fprintf(stderr, "%d components differ from what is rendered into memory\n", wrong);
+    if (lit) fprintf(stderr, "%s\n", lit);
     if (complaints) fprintf(stderr, "validation reported %u messages\n", complaints);
-    return differ || wrong || complaints || shown == 0 || report.frames != 2 || report.incomplete != 0;
+    return differ || wrong || lit || complaints || shown == 0 || report.frames != 2 || report.incomplete != 0;
 }

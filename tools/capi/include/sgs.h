@@ -56,6 +56,33 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // One minus the transmittance.
 #define SGS_LAYER_ALPHA 3
 
+// Of relightings: all light, over the background.
+#define SGS_LAYER_SHADED 16
+
+// Of relightings: linear albedo.
+#define SGS_LAYER_ALBEDO 17
+
+// Of relightings: roughness.
+#define SGS_LAYER_ROUGHNESS 18
+
+// Of relightings: metallic.
+#define SGS_LAYER_METALLIC 19
+
+// Of relightings: diffuse light, over black.
+#define SGS_LAYER_DIFFUSE 20
+
+// Of relightings: specular light, over black.
+#define SGS_LAYER_SPECULAR 21
+
+// Of relightings: how much of the lights is seen, mean over all of them.
+#define SGS_LAYER_VISIBILITY 22
+
+// Of relightings: light of the surroundings, over the surroundings themselves.
+#define SGS_LAYER_ENVIRONMENT 23
+
+// Of relightings: light of lamps, over black.
+#define SGS_LAYER_DIRECT 24
+
 // Colors as blended, that is sRGB-encoded.
 #define SGS_ENCODING_DISPLAY 0
 
@@ -335,6 +362,77 @@ typedef struct {
   uint32_t recordings;
 } SgsViewReport;
 
+// How a run is opened to be relit.
+typedef struct {
+  // sizeof(SgsRelightInfo)
+  uint32_t struct_size;
+  // Lights that there is room for before views make their plans anew; 0 for 16 more than the run has.
+  uint32_t light_capacity;
+} SgsRelightInfo;
+
+// A run whose light changes.
+typedef uint64_t SgsRelight;
+
+// What is known of a relighting.
+typedef struct {
+  // sizeof(SgsRelightState)
+  uint32_t struct_size;
+  // How many Gaussians, with those put in.
+  uint32_t gaussians;
+  // How many lights.
+  uint32_t lights;
+  // How many there is room for.
+  uint32_t light_capacity;
+  // Not 0 if there is metallic.
+  uint32_t metallic;
+  // Not 0 if something is in the way of lights.
+  uint32_t visibility;
+  // Not 0 if there are surroundings.
+  uint32_t environment;
+  // Texels along an edge of the cube that surroundings become.
+  uint32_t environment_size;
+} SgsRelightState;
+
+// A light. sgs_relight_light_set takes every field as it is: get it, change it, set it.
+typedef struct {
+  // sizeof(SgsLight)
+  uint32_t struct_size;
+  // Not 0 if it shines.
+  uint32_t on;
+  // Where it is.
+  float position[3];
+  // Factor of its light.
+  float gain;
+  // Factors of red, green and blue; 1 for as it was loaded.
+  float color[3];
+} SgsLight;
+
+// A new light.
+typedef struct {
+  // sizeof(SgsNewLight)
+  uint32_t struct_size;
+  // How narrow it shines around the axis; 0 for the same in all directions.
+  float sharpness;
+  // Where it is.
+  float position[3];
+  // Radiant intensity along the axis, in the units of the pictures.
+  float intensity[3];
+  // From what is lit to the light; of no meaning without sharpness.
+  float axis[3];
+} SgsNewLight;
+
+// What of a relighting is rendered to memory.
+typedef struct {
+  // sizeof(SgsRelitInfo)
+  uint32_t struct_size;
+  // SGS_LAYER_SHADED and its like; one float a pixel for roughness, metallic and visibility, else three, linear.
+  uint32_t layer;
+  // What lies behind SGS_LAYER_SHADED, display-referred.
+  float background[3];
+  // Light is multiplied by two to the power of this.
+  float exposure;
+} SgsRelitInfo;
+
 // What is trained on.
 typedef struct {
   // sizeof(SgsTrainerInfo)
@@ -494,6 +592,84 @@ SgsResult sgs_view_wait(const SgsContext *context, SgsView view);
 
 // What is known of the frames that are done. Waits for nothing.
 SgsResult sgs_view_report(const SgsContext *context, SgsView view, SgsViewReport *report);
+
+// Opens a run directory whose materials were trained (scene.ply, lights.json, environment.exr, visibility.safetensors), or
+// a PLY file with materials, which has no light of its own. `info` may be null.
+SgsResult sgs_relight_open(const SgsContext *context,
+                           const char *run,
+                           const SgsRelightInfo *info,
+                           SgsRelight *relight);
+
+// What is known of a relighting.
+SgsResult sgs_relight_get(const SgsContext *context, SgsRelight relight, SgsRelightState *state);
+
+// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/RELIGHT.md), to the run as it is on disk: whatever was
+// changed before is gone. Paths in it are meant beside `folder`, or, if that is null, where the program runs. After an
+// error everything is as it was.
+SgsResult sgs_relight_edit(const SgsContext *context,
+                           SgsRelight relight,
+                           const char *json,
+                           const char *folder);
+
+// Back to the run as it is on disk.
+SgsResult sgs_relight_reset(const SgsContext *context, SgsRelight relight);
+
+// How many lights there are.
+SgsResult sgs_relight_light_count(const SgsContext *context, SgsRelight relight, uint32_t *count);
+
+// One of the lights, numbered from 0 as in lights.json.
+SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
+
+// Changes a light. Frames that are recorded or submitted from now on have it; nothing is made or waited for.
+SgsResult sgs_relight_light_set(const SgsContext *context,
+                                SgsRelight relight,
+                                uint32_t index,
+                                const SgsLight *light);
+
+// Adds a light behind the others. `index`, if not null, gets its number. Past the capacity there will be twice as much, and
+// views make their plans anew at their next frames.
+SgsResult sgs_relight_light_add(const SgsContext *context,
+                                SgsRelight relight,
+                                const SgsNewLight *light,
+                                uint32_t *index);
+
+// Removes a light; the numbers of those behind it become one less.
+SgsResult sgs_relight_light_remove(const SgsContext *context, SgsRelight relight, uint32_t index);
+
+// Puts other surroundings there: a latitude-longitude map, twice as wide as high, rows from the top, three floats a pixel,
+// linear. Takes memory and waits for the device, unlike sgs_relight_environment_gain.
+SgsResult sgs_relight_environment_set(const SgsContext *context,
+                                      SgsRelight relight,
+                                      const float *rgb,
+                                      uint32_t width,
+                                      uint32_t height);
+
+// Sets the factors of red, green and blue of the surroundings' light; 1 after loading, an edit and a reset. Nothing is made
+// or waited for.
+SgsResult sgs_relight_environment_gain(const SgsContext *context,
+                                       SgsRelight relight,
+                                       const float *rgb);
+
+// Prepares rendering of a relighting into images of one size and format: SGS_LAYER_SHADED and its like. Frames are then
+// recorded and submitted as those of other views. The relighting may be destroyed before the view.
+SgsResult sgs_relight_view_create(const SgsContext *context,
+                                  SgsRelight relight,
+                                  const SgsViewInfo *info,
+                                  SgsView *view);
+
+// Sets the exposure of a relighting's view: light is multiplied by two to the power of `stops` from the next frame on.
+SgsResult sgs_view_exposure(const SgsContext *context,
+                            SgsView view,
+                            float stops);
+
+// Renders one layer into the caller's memory and waits: rows from the top, linear. Does what `sgs relight` does, by a way of
+// its own, and takes memory for it: for pictures and comparisons, not for frames.
+SgsResult sgs_relight_render(const SgsContext *context,
+                             SgsRelight relight,
+                             const SgsCamera *camera,
+                             const SgsRelitInfo *info,
+                             float *pixels,
+                             size_t count);
 
 // Opens a dataset for training.
 SgsResult sgs_trainer_open(const SgsContext *context, const SgsTrainerInfo *info, SgsTrainer *trainer);

@@ -111,6 +111,11 @@ structs!(
     SgsViewInfo,
     SgsFrame,
     SgsViewReport,
+    SgsRelightInfo,
+    SgsRelightState,
+    SgsLight,
+    SgsNewLight,
+    SgsRelitInfo,
     SgsTrainerInfo,
     SgsTrainStatus
 );

@@ -1,6 +1,7 @@
 //! Contexts: a device with the objects made on it, and the last error.
 
 use crate::border::{Failure, Outcome, fail, guarded, optional_string, put_text, read, write};
+use crate::relight::RelightObject;
 use crate::scene::SceneObject;
 use crate::table::{Object, Table};
 use crate::trainer::TrainerObject;
@@ -35,10 +36,11 @@ pub(crate) enum Thing {
     View(Box<ViewObject>),
     Recording(Recorded),
     Trainer(Box<TrainerObject>),
+    Relight(RelightObject),
 }
 
 impl Object for Thing {
-    const KINDS: &'static [&'static str] = &["scene", "list of cameras", "view", "recording", "trainer"];
+    const KINDS: &'static [&'static str] = &["scene", "list of cameras", "view", "recording", "trainer", "relighting"];
 
     fn kind(&self) -> u64 {
         match self {
@@ -47,6 +49,7 @@ impl Object for Thing {
             Thing::View(_) => 3,
             Thing::Recording(_) => 4,
             Thing::Trainer(_) => 5,
+            Thing::Relight(_) => 6,
         }
     }
 }
@@ -69,6 +72,7 @@ getters! {
     cameras Cameras 2 Vec<sgs_scene::Camera>;
     view View 3 Box<ViewObject>;
     trainer Trainer 5 Box<TrainerObject>;
+    relight Relight 6 RelightObject;
 }
 
 fn unpoisoned<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {

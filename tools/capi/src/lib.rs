@@ -10,6 +10,7 @@
 mod border;
 mod context;
 mod host;
+mod relight;
 mod scene;
 mod table;
 mod trainer;
@@ -18,6 +19,7 @@ mod view;
 
 pub use context::*;
 pub use host::*;
+pub use relight::*;
 pub use scene::*;
 pub use trainer::*;
 pub use types::*;

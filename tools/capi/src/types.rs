@@ -69,6 +69,8 @@ pub type SgsView = u64;
 pub type SgsRecording = u64;
 /// A training under way.
 pub type SgsTrainer = u64;
+/// A run whose light changes.
+pub type SgsRelight = u64;
 
 /// Red, green and blue over the background, display-referred.
 pub const SGS_LAYER_COLOR: u32 = 0;
@@ -78,6 +80,25 @@ pub const SGS_LAYER_DEPTH: u32 = 1;
 pub const SGS_LAYER_NORMAL: u32 = 2;
 /// One minus the transmittance.
 pub const SGS_LAYER_ALPHA: u32 = 3;
+
+/// Of relightings: all light, over the background.
+pub const SGS_LAYER_SHADED: u32 = 16;
+/// Of relightings: linear albedo.
+pub const SGS_LAYER_ALBEDO: u32 = 17;
+/// Of relightings: roughness.
+pub const SGS_LAYER_ROUGHNESS: u32 = 18;
+/// Of relightings: metallic.
+pub const SGS_LAYER_METALLIC: u32 = 19;
+/// Of relightings: diffuse light, over black.
+pub const SGS_LAYER_DIFFUSE: u32 = 20;
+/// Of relightings: specular light, over black.
+pub const SGS_LAYER_SPECULAR: u32 = 21;
+/// Of relightings: how much of the lights is seen, mean over all of them.
+pub const SGS_LAYER_VISIBILITY: u32 = 22;
+/// Of relightings: light of the surroundings, over the surroundings themselves.
+pub const SGS_LAYER_ENVIRONMENT: u32 = 23;
+/// Of relightings: light of lamps, over black.
+pub const SGS_LAYER_DIRECT: u32 = 24;
 
 /// Colors as blended, that is sRGB-encoded.
 pub const SGS_ENCODING_DISPLAY: u32 = 0;
@@ -317,6 +338,84 @@ pub struct SgsViewReport {
     pub incomplete: u32,
     /// Recordings that are not done yet.
     pub recordings: u32,
+}
+
+/// How a run is opened to be relit.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsRelightInfo {
+    /// sizeof(SgsRelightInfo)
+    pub struct_size: u32,
+    /// Lights that there is room for before views make their plans anew; 0 for 16 more than the run has.
+    pub light_capacity: u32,
+}
+
+/// What is known of a relighting.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsRelightState {
+    /// sizeof(SgsRelightState)
+    pub struct_size: u32,
+    /// How many Gaussians, with those put in.
+    pub gaussians: u32,
+    /// How many lights.
+    pub lights: u32,
+    /// How many there is room for.
+    pub light_capacity: u32,
+    /// Not 0 if there is metallic.
+    pub metallic: u32,
+    /// Not 0 if something is in the way of lights.
+    pub visibility: u32,
+    /// Not 0 if there are surroundings.
+    pub environment: u32,
+    /// Texels along an edge of the cube that surroundings become.
+    pub environment_size: u32,
+}
+
+/// A light. sgs_relight_light_set takes every field as it is: get it, change it, set it.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsLight {
+    /// sizeof(SgsLight)
+    pub struct_size: u32,
+    /// Not 0 if it shines.
+    pub on: u32,
+    /// Where it is.
+    pub position: [f32; 3],
+    /// Factor of its light.
+    pub gain: f32,
+    /// Factors of red, green and blue; 1 for as it was loaded.
+    pub color: [f32; 3],
+}
+
+/// A new light.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsNewLight {
+    /// sizeof(SgsNewLight)
+    pub struct_size: u32,
+    /// How narrow it shines around the axis; 0 for the same in all directions.
+    pub sharpness: f32,
+    /// Where it is.
+    pub position: [f32; 3],
+    /// Radiant intensity along the axis, in the units of the pictures.
+    pub intensity: [f32; 3],
+    /// From what is lit to the light; of no meaning without sharpness.
+    pub axis: [f32; 3],
+}
+
+/// What of a relighting is rendered to memory.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsRelitInfo {
+    /// sizeof(SgsRelitInfo)
+    pub struct_size: u32,
+    /// SGS_LAYER_SHADED and its like; one float a pixel for roughness, metallic and visibility, else three, linear.
+    pub layer: u32,
+    /// What lies behind SGS_LAYER_SHADED, display-referred.
+    pub background: [f32; 3],
+    /// Light is multiplied by two to the power of this.
+    pub exposure: f32,
 }
 
 /// What is trained on.

@@ -2,31 +2,53 @@
 
 use crate::border::{Outcome, fail, read, write};
 use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
+use crate::relight::RelightObject;
 use crate::scene::{SceneObject, camera};
 use crate::types::*;
 use sgs_engine::graph::exec::{Executor, SemaphorePoint, Until};
 use sgs_engine::graph::{Buffer, ImageState};
 use sgs_engine::vk::{self, Handle};
 use sgs_engine::{DeviceImage, ImageFormat};
-use sgs_passes::pipeline::{Frame, View, ViewOptions};
+use sgs_passes::pipeline::{Frame, LitFrame, LitView, View, ViewOptions};
 use sgs_passes::splat::{Encoding, Layer, Presented, TexelFormat};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// A view, the scene that it shows, and the images that it has seen.
+/// A view, what it shows, and the images that it has seen.
 pub(crate) struct ViewObject {
-    scene: Arc<SceneObject>,
-    view: View,
+    pub shows: Shows,
     images: HashMap<u64, DeviceImage>,
+}
+
+/// What a view shows.
+#[allow(clippy::large_enum_variant, reason = "views are boxed, and there are few")]
+pub(crate) enum Shows {
+    Scene(Arc<SceneObject>, View),
+    /// With the exposure, a factor.
+    Relight(RelightObject, LitView, f32),
 }
 
 /// Images that are remembered; a host has as many as its swapchain.
 const IMAGES: usize = 16;
 
 impl ViewObject {
+    pub fn new(shows: Shows) -> ViewObject {
+        ViewObject { shows, images: HashMap::new() }
+    }
+
     /// Recordings that are not done.
     pub fn open(&self) -> Outcome<usize> {
-        Ok(self.view.recordings()?)
+        Ok(match &self.shows {
+            Shows::Scene(_, view) => view.recordings()?,
+            Shows::Relight(_, view, _) => view.recordings()?,
+        })
+    }
+
+    fn target(&self) -> ([u32; 2], TexelFormat) {
+        match &self.shows {
+            Shows::Scene(_, view) => (view.options().size, view.options().presented.format),
+            Shows::Relight(_, view, _) => (view.options().size, view.options().format),
+        }
     }
 }
 
@@ -46,7 +68,16 @@ fn state(layout: u32, what: &str) -> Outcome<ImageState> {
     })
 }
 
-fn options(info: &SgsViewInfo) -> Outcome<ViewOptions> {
+/// What all views have in common.
+pub(crate) struct Target {
+    pub format: TexelFormat,
+    pub encoding: Encoding,
+    pub entry: ImageState,
+    pub exit: ImageState,
+    pub frames_in_flight: usize,
+}
+
+pub(crate) fn target(info: &SgsViewInfo) -> Outcome<Target> {
     let wrong = |text: String| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
     let format = match vk::Format::from_raw(info.format as i32) {
         vk::Format::R8G8B8A8_UNORM => TexelFormat::Rgba8Unorm,
@@ -57,21 +88,11 @@ fn options(info: &SgsViewInfo) -> Outcome<ViewOptions> {
         vk::Format::R32G32B32A32_SFLOAT => TexelFormat::Rgba32Float,
         _ => return wrong(format!("SgsViewInfo.format is {}, which no view is rendered in.", info.format)),
     };
-    let layer = match info.layer {
-        SGS_LAYER_COLOR => Layer::Color,
-        SGS_LAYER_DEPTH => Layer::Depth,
-        SGS_LAYER_NORMAL => Layer::Normal,
-        SGS_LAYER_ALPHA => Layer::Alpha,
-        other => return wrong(format!("There is no layer {other}.")),
-    };
     let encoding = match info.encoding {
         SGS_ENCODING_DISPLAY => Encoding::Display,
         SGS_ENCODING_LINEAR => Encoding::Linear,
         other => return wrong(format!("There is no encoding {other}.")),
     };
-    if !info.depth_scale.is_finite() {
-        return wrong("SgsViewInfo.depth_scale is not finite.".into());
-    }
     let exit = state(info.final_layout, "final_layout")?;
     if exit == ImageState::Undefined {
         return wrong("SgsViewInfo.final_layout is undefined, which no image can be left in.".into());
@@ -79,13 +100,35 @@ fn options(info: &SgsViewInfo) -> Outcome<ViewOptions> {
     if info.frames_in_flight > 16 {
         return wrong(format!("SgsViewInfo.frames_in_flight is {}, but at most 16.", info.frames_in_flight));
     }
+    Ok(Target {
+        format,
+        encoding,
+        entry: state(info.initial_layout, "initial_layout")?,
+        exit,
+        frames_in_flight: if info.frames_in_flight == 0 { 2 } else { info.frames_in_flight as usize },
+    })
+}
+
+fn options(info: &SgsViewInfo) -> Outcome<ViewOptions> {
+    let wrong = |text: String| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
+    let layer = match info.layer {
+        SGS_LAYER_COLOR => Layer::Color,
+        SGS_LAYER_DEPTH => Layer::Depth,
+        SGS_LAYER_NORMAL => Layer::Normal,
+        SGS_LAYER_ALPHA => Layer::Alpha,
+        other => return wrong(format!("There is no layer {other}.")),
+    };
+    if !info.depth_scale.is_finite() {
+        return wrong("SgsViewInfo.depth_scale is not finite.".into());
+    }
+    let Target { format, encoding, entry, exit, frames_in_flight } = target(info)?;
     let depth_scale = if info.depth_scale == 0.0 { 1.0 } else { info.depth_scale };
     Ok(ViewOptions {
         size: [info.width, info.height],
         presented: Presented { layer, format, encoding, depth_scale },
-        entry: state(info.initial_layout, "initial_layout")?,
+        entry,
         exit,
-        frames_in_flight: if info.frames_in_flight == 0 { 2 } else { info.frames_in_flight as usize },
+        frames_in_flight,
         entry_capacity: 0,
     })
 }
@@ -105,7 +148,7 @@ pub unsafe extern "C" fn sgs_view_create(
             let scene = inner.scene(scene)?.clone();
             let options = options(&read(info)?)?;
             let made = View::new(&inner.device, inner.tuning, &scene.gaussians, options)?;
-            let object = ViewObject { scene, view: made, images: HashMap::new() };
+            let object = ViewObject::new(Shows::Scene(scene, made));
             hand_over(inner, view, Thing::View(Box::new(object)))
         })
     }
@@ -138,21 +181,30 @@ unsafe fn frame<R>(
     if object.images.len() >= IMAGES && !object.images.contains_key(&info.image) {
         object.images.clear();
     }
-    let options = *object.view.options();
+    let (size, format) = object.target();
     let image = match object.images.get(&info.image) {
         Some(image) => image.clone(),
         None => {
             let raw = vk::Image::from_raw(info.image);
-            let format = ImageFormat::from(options.presented.format);
+            let format = ImageFormat::from(format);
             // SAFETY: the host promises that the image is of the view's size and format, and lives.
-            let image = unsafe { device.wrap_image("host's image", raw, options.size, format, false) }?;
+            let image = unsafe { device.wrap_image("host's image", raw, size, format, false) }?;
             object.images.insert(info.image, image.clone());
             image
         }
     };
-    let sh_degree = object.scene.degree(info.sh_bands);
-    let what = Frame { camera, sh_degree, background: info.background };
-    Ok(object.view.frame(&object.scene.gaussians, &image, &what, how)?)
+    match &mut object.shows {
+        Shows::Scene(scene, view) => {
+            let what = Frame { camera, sh_degree: scene.degree(info.sh_bands), background: info.background };
+            Ok(view.frame(&scene.gaussians, &image, &what, how)?)
+        }
+        Shows::Relight(relight, view, exposure) => {
+            let background = info.background.map(sgs_scene::srgb_to_linear);
+            let what = LitFrame { camera, background, exposure: *exposure };
+            let relight = relight.hold();
+            Ok(view.frame(relight.scene(), relight.lighting(), &image, &what, how)?)
+        }
+    }
 }
 
 /// Records a frame into a host's command buffer, behind everything recorded before and before everything after. The
@@ -288,7 +340,15 @@ pub unsafe extern "C" fn sgs_view_submit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_wait(context: *const SgsContext, view: SgsView) -> SgsResult {
     // SAFETY: as the caller promises.
-    unsafe { with(context, |inner| Ok(inner.view(view)?.view.finish()?)) }
+    unsafe {
+        with(context, |inner| {
+            match &mut inner.view(view)?.shows {
+                Shows::Scene(_, view) => view.finish()?,
+                Shows::Relight(_, view, _) => view.finish()?,
+            }
+            Ok(())
+        })
+    }
 }
 
 /// What is known of the frames that are done. Waits for nothing.
@@ -302,7 +362,10 @@ pub unsafe extern "C" fn sgs_view_report(
     unsafe {
         with(context, |inner| {
             let object = inner.view(view)?;
-            let known = object.view.report()?;
+            let known = match &object.shows {
+                Shows::Scene(_, view) => view.report()?,
+                Shows::Relight(_, view, _) => view.report()?,
+            };
             let value = SgsViewReport {
                 struct_size: 0,
                 frames: known.frames,

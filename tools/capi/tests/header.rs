@@ -7,7 +7,7 @@ fn generated() -> String {
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).expect("cbindgen.toml");
     let mut builder = cbindgen::Builder::new().with_config(config);
     // File by file, so that neither cargo nor the network is asked.
-    for file in ["types", "context", "host", "scene", "view", "trainer"] {
+    for file in ["types", "context", "host", "scene", "view", "relight", "trainer"] {
         builder = builder.with_src(root.join("src").join(file).with_extension("rs"));
     }
     let mut text = Vec::new();
@@ -25,7 +25,14 @@ fn the_header_is_current() {
     let there = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(there == generated, "sgs.h is out of date; renew it with SGS_WRITE_HEADER=1");
     // A file that lost its functions would be current too.
-    for name in ["sgs_version", "sgs_context_adopt", "sgs_view_record", "sgs_train_step", "SGS_ERROR_HANDLE"] {
+    for name in [
+        "sgs_version",
+        "sgs_context_adopt",
+        "sgs_view_record",
+        "sgs_train_step",
+        "sgs_relight_open",
+        "SGS_ERROR_HANDLE",
+    ] {
         assert!(there.contains(name), "{name} is missing");
     }
 }

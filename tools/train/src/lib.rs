@@ -47,16 +47,16 @@ pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use relight::{
-    BakeOptions, Baked, Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight,
-    Region, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
+    BakeOptions, Baked, Edit, EnvironmentEdit, Insert, Lamp, LightChange, LightEdit, MaterialEdit, MaterialValues,
+    NewLight, Region, Relighter, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
 };
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
-    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MemorySettings, Metallic, PRESETS, Preset,
-    ProviderSettings, Rates, Settings, VisibilityKind, VisibilitySettings, overlay,
+    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, PRESETS,
+    Preset, ProviderSettings, Rates, Settings, VisibilityKind, VisibilitySettings, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

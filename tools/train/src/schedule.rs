@@ -56,6 +56,7 @@ impl Schedule {
             lr_normals: (factor * g.rates.normals) as f32,
             lr_semantics: (factor * g.rates.semantics) as f32,
             lr_decoder: (factor * g.rates.decoder) as f32,
+            lr_share: 1.0,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_l1: g.losses.l1,

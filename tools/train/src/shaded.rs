@@ -77,13 +77,7 @@ pub fn shaded_scene(
         None => None,
     };
     let environment = match environment {
-        Some(texels) => {
-            let options = EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() };
-            let tables = Environment::new(texels.size, &options).map_err(|e| TrainError::Setting(e.to_string()))?;
-            let memory = EnvironmentMemory::new(device, &tables)?;
-            let texels = Trainable::new(device, "environment", &texels.data, false)?;
-            Some(ShadedEnvironment { tables, memory, texels })
-        }
+        Some(texels) => Some(shaded_environment(device, texels)?),
         None => None,
     };
     let visibility = match visibility {
@@ -92,11 +86,11 @@ pub fn shaded_scene(
             field.upload(device, &file.tables, &file.mlp)?;
             Some(ShadedVisibility::Field { field, place: field_box(file.low, file.high) })
         }
-        Visibility::Traced(rays) if lights.is_some() => {
+        Visibility::Traced(rays) => {
             let (memory, shape) = traced(device, splats, *rays)?;
             Some(ShadedVisibility::Traced { memory, shape })
         }
-        Visibility::Traced(_) | Visibility::None => None,
+        Visibility::None => None,
     };
     Ok(ShadedScene {
         gaussians,
@@ -110,6 +104,18 @@ pub fn shaded_scene(
         environment,
         visibility,
     })
+}
+
+/// Puts surroundings into device memory.
+///
+/// # Errors
+/// If there can be none of this size, or memory runs out.
+pub fn shaded_environment(device: &Device, texels: &Texels) -> Result<ShadedEnvironment> {
+    let options = EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() };
+    let tables = Environment::new(texels.size, &options).map_err(|e| TrainError::Setting(e.to_string()))?;
+    let memory = EnvironmentMemory::new(device, &tables)?;
+    let texels = Trainable::new(device, "environment", &texels.data, false)?;
+    Ok(ShadedEnvironment { tables, memory, texels })
 }
 
 /// What lights a run, as its files have it.
@@ -176,7 +182,15 @@ impl Shading {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade(&mut self, view: &sgs_scene::Camera) -> Result<ShadedView> {
-        Ok(ShadedView(self.shader.shade(&self.scene, &camera(view))?))
+        self.shade_from(&camera(view))
+    }
+
+    /// As [`Shading::shade`], from a camera as kernels take it.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_from(&mut self, view: &sgs_passes::pipeline::Camera) -> Result<ShadedView> {
+        Ok(ShadedView(self.shader.shade(&self.scene, view)?))
     }
 
     /// What each splat, alone and at its center, sends to a place: linear red, green, blue.
@@ -266,6 +280,11 @@ impl ShadedView {
     /// Where there is a surface, in one channel.
     pub fn surface(&self) -> Image {
         self.image(1, self.0.coverage.iter().map(|c| if *c >= LEAST_COVERAGE { 1.0 } else { 0.0 }).collect())
+    }
+
+    /// Opacity where there is a surface, else 0: what light is multiplied by.
+    pub fn covered(&self) -> Vec<f32> {
+        self.0.coverage.iter().map(|c| if *c >= LEAST_COVERAGE { *c } else { 0.0 }).collect()
     }
 
     fn over(&self, parts: &[&[f32]], background: [f32; 3]) -> Image {

@@ -10,7 +10,7 @@ use crate::loss::{
     material_pictures, material_pictures_bwd, material_sum, msg, photometric, photometric_bwd, pictures, region_mask,
     relight,
 };
-use crate::optim::EPSILON;
+use crate::optim::{EPSILON, Rate};
 use crate::pipeline::{RING, SurfaceHandles};
 use crate::scene::StepWords;
 use crate::shade::environment::{
@@ -289,8 +289,8 @@ pub(super) fn build(
             visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
             visibility_adam(g, *t, &v.field, &gradients, &moments)?;
         }
-        moves.push((l.positions, into.positions, o.rates.light_positions, EPSILON));
-        moves.push((l.lobes, into.lobes, o.rates.lights, EPSILON));
+        moves.push((l.positions, into.positions, Rate::Constant(o.rates.light_positions), EPSILON));
+        moves.push((l.lobes, into.lobes, Rate::Constant(o.rates.lights), EPSILON));
     }
     if let Some((e, texels, tables, filtered, view, _)) = &around {
         let sums =
@@ -298,7 +298,7 @@ pub(super) fn build(
         let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, filtered, o.environment_smooth);
         let grad_texels = texels.gradient(g);
         environment_filter_bwd(g, t, e, tables, filtered, &sums, smoothness.as_ref(), grad_texels)?;
-        moves.push((**texels, grad_texels, o.rates.environment, TEXEL_EPSILON));
+        moves.push((**texels, grad_texels, Rate::Constant(o.rates.environment), TEXEL_EPSILON));
     }
     let grads = RawMaterials {
         albedo: inputs.albedo.gradient(g),
@@ -315,10 +315,10 @@ pub(super) fn build(
         materials_bwd(g, t, &bare, &weights, n, &gradient, true, &RawMaterials { metallic: None, ..grads })?;
     }
     g.set_prefix("");
-    moves.push((inputs.albedo, grads.albedo, o.rates.albedo, EPSILON));
-    moves.push((inputs.roughness, grads.roughness, o.rates.roughness, EPSILON));
+    moves.push((inputs.albedo, grads.albedo, Rate::Share(o.rates.albedo), EPSILON));
+    moves.push((inputs.roughness, grads.roughness, Rate::Share(o.rates.roughness), EPSILON));
     if let (Some(metallic), Some(gradient)) = (inputs.metallic, grads.metallic) {
-        moves.push((metallic, gradient, o.rates.metallic, EPSILON));
+        moves.push((metallic, gradient, Rate::Share(o.rates.metallic), EPSILON));
     }
 
     // Everything moves at once.

@@ -65,7 +65,7 @@ pub struct IntrinsicOptions {
     pub frames_in_flight: usize,
 }
 
-/// Learning rates of Adam; constant.
+/// Learning rates of Adam. Those of materials count times `lr_share` of the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntrinsicRates {
     /// Of albedo.

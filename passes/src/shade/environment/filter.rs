@@ -24,6 +24,13 @@ pub struct Filtered {
     pub(super) smoothed: Option<Buffer>,
 }
 
+impl Filtered {
+    /// Levels that another graph has left in memory: for looking them up, not for gradients.
+    pub fn kept(radiance: Buffer) -> Filtered {
+        Filtered { radiance, inverse_sums: radiance, smoothed: None }
+    }
+}
+
 /// Columns of a block and rows of a lane. A processor shares each texel that it fetches among several; where the cone is
 /// narrow, a block that is nearly square sees fewest texels that only some of its own need.
 fn block(t: &Tuning, level: &Level) -> [u32; 2] {

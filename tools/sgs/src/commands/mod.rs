@@ -11,7 +11,6 @@ pub mod priors;
 pub mod pseudo;
 pub mod relight;
 pub mod render;
-pub mod report;
 pub mod shell;
 pub mod synth;
 pub mod train;

@@ -49,6 +49,15 @@ pub struct LobeRow {
     pub amplitude: [f32; 3],
 }
 
+/// A row of [`LightModel::row`] floats with a free axis; no lobe is a dark one.
+pub fn raw_lobe(lobe: Option<&LobeRow>) -> [f32; 7] {
+    let Some(LobeRow { axis: [x, y, z], sharpness, amplitude }) = lobe else {
+        return [0.0, 0.0, 1.0, 0.0, -69.0, -69.0, -69.0];
+    };
+    let [r, g, b] = amplitude.map(|a| a.max(1e-30).ln());
+    [*x, *y, *z, sharpness.max(1e-30).ln(), r, g, b]
+}
+
 impl LightFile {
     /// Of some lights.
     pub fn new(normalizer: f32, lights: Vec<LightRow>) -> LightFile {
@@ -91,14 +100,7 @@ impl LightFile {
             positions.extend(light.position);
             gains.push(light.gain);
             for k in 0..most {
-                match light.lobes.get(k) {
-                    Some(l) => {
-                        lobes.extend(l.axis);
-                        lobes.push(l.sharpness.max(1e-30).ln());
-                        lobes.extend(l.amplitude.map(|a| a.max(1e-30).ln()));
-                    }
-                    None => lobes.extend([0.0, 0.0, 1.0, 0.0, -69.0, -69.0, -69.0]),
-                }
+                lobes.extend(raw_lobe(light.lobes.get(k)));
             }
         }
         (model, positions, lobes, gains)

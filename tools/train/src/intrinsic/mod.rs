@@ -9,9 +9,11 @@ mod data;
 mod files;
 mod modeled;
 mod needs;
+mod start;
 mod state;
 mod surfaces;
 
+pub(crate) use files::raw_lobe;
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub use needs::IntrinsicNeeds;
 
@@ -20,7 +22,7 @@ use crate::data::{Packed, TrainingData};
 use crate::error::{Result, TrainError};
 use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
-use crate::settings::{LobeLayout, Metallic, Settings, VisibilityKind};
+use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use crate::shadows::{Rays, traced};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
@@ -213,27 +215,47 @@ impl Intrinsic {
             tracing::info!("what views see of the geometry takes {bytes} bytes: it is worked out anew in each step");
         }
         let data = packed.upload(device)?;
-        let up = |priors: Option<MaterialPriors>, name: &str| priors.map(|p| p.upload(device, name)).transpose();
+        let up =
+            |priors: &Option<MaterialPriors>, name: &str| priors.as_ref().map(|p| p.upload(device, name)).transpose();
         let priors = Priors {
-            albedo: up(albedo, "albedo_priors")?,
-            roughness: up(roughness, "roughness_priors")?,
-            metallic: up(told, "metallic_priors")?,
+            albedo: up(&albedo, "albedo_priors")?,
+            roughness: up(&roughness, "roughness_priors")?,
+            metallic: up(&told, "metallic_priors")?,
         };
-        let surfaces = Surfaces::new(device, builder, &gaussians, &data, kept, &others)?;
+        let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, kept, &others)?;
         let environment = match environment {
             Some(made) => Some((EnvironmentMemory::new(device, &made)?, made)).map(|(memory, made)| (made, memory)),
             None => None,
         };
+        let begin = match s.start {
+            MaterialStart::Priors => {
+                let unless = |known: bool, priors| if known { None } else { priors };
+                let wanted = [
+                    unless(splats.albedo.is_some(), albedo.as_ref()),
+                    unless(splats.roughness.is_some(), roughness.as_ref()),
+                    unless(splats.metallic.is_some(), told.as_ref()),
+                ];
+                start::start(device, &gaussians, &mut surfaces, &data, wanted)?
+            }
+            MaterialStart::Gray => start::Start::default(),
+        };
+        drop((albedo, roughness, told));
         let n = splats.len();
         let start = |given: Option<Vec<f32>>, width: usize, otherwise: f32| {
             given.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
         };
         let flat = splats.albedo.as_ref().map(|a| a.as_flattened().to_vec());
         let parameters = IntrinsicParameters {
-            albedo: Trainable::new(device, "albedo", &start(flat, 3, 0.0), true)?,
-            roughness: Trainable::new(device, "roughness", &start(splats.roughness.clone(), 1, 0.0), true)?,
+            albedo: Trainable::new(device, "albedo", &start(flat.or(begin.albedo), 3, 0.0), true)?,
+            roughness: {
+                let rough = start(splats.roughness.clone().or(begin.roughness), 1, 0.0);
+                Trainable::new(device, "roughness", &rough, true)?
+            },
             metallic: match metallic {
-                true => Some(Trainable::new(device, "metallic", &start(splats.metallic.clone(), 1, -2.0), true)?),
+                true => {
+                    let metal = start(splats.metallic.clone().or(begin.metallic), 1, -2.0);
+                    Some(Trainable::new(device, "metallic", &metal, true)?)
+                }
                 false => None,
             },
             lights: match s.lights.enabled {
@@ -364,7 +386,8 @@ impl Intrinsic {
     fn values(&self, step: u32, view: usize) -> IntrinsicStepValues {
         let s = &self.settings.intrinsic;
         let (camera, offset) = self.data.views[view];
-        let whole = self.schedule.step(step, &camera, offset);
+        let share = self.share(step);
+        let whole = Step { lr_share: share, ..self.schedule.step(step, &camera, offset) };
         let with =
             |factor: f32| Step { weight_l1: factor * s.losses.l1, weight_dssim: factor * s.losses.dssim, ..whole };
         IntrinsicStepValues {
@@ -383,6 +406,13 @@ impl Intrinsic {
             field: self.field_step(&whole),
             ..Default::default()
         }
+    }
+
+    /// What is left of the learning rates of materials at a step: all until the middle, then ever less.
+    fn share(&self, step: u32) -> f32 {
+        let s = &self.settings.intrinsic;
+        let done = f64::from(step) / f64::from(s.steps.max(1));
+        f64::from(s.rates.materials_last).powf((2.0 * done - 1.0).clamp(0.0, 1.0)) as f32
     }
 
     /// The uniform of the visibility field.

@@ -67,6 +67,16 @@ impl Surfaces {
         self.builder.shape()
     }
 
+    /// The surfaces of a training view; not before the next call where they are worked out anew.
+    pub fn kept(&mut self, gaussians: &Gaussians, camera: &Camera, view: usize) -> Result<&Surface> {
+        if self.all {
+            return Ok(&self.kept[view]);
+        }
+        self.builder.fill(gaussians, camera, &self.kept[0])?;
+        self.builder.finish()?;
+        Ok(&self.kept[0])
+    }
+
     /// Bytes of all that is kept.
     pub fn bytes(&self) -> u64 {
         self.shape().bytes() * (self.kept.len() + self.others.len()) as u64

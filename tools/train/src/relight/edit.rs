@@ -183,9 +183,16 @@ impl Edit {
     pub fn read(path: &Path) -> Result<Edit> {
         let wrong = |reason: String| TrainError::File { path: path.to_owned(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
-        let mut edit: Edit = serde_json::from_str(&text).map_err(|e| wrong(format!("not an edit: {e}")))?;
-        edit.check().map_err(wrong)?;
-        let beside = path.parent().unwrap_or(Path::new(""));
+        Edit::parse(&text, path.parent().unwrap_or(Path::new(""))).map_err(wrong)
+    }
+
+    /// From text. Paths in it are meant beside a folder, and become whole.
+    ///
+    /// # Errors
+    /// What is wrong, as part of a sentence: it holds what is not known, or asks for what cannot be.
+    pub fn parse(text: &str, beside: &Path) -> std::result::Result<Edit, String> {
+        let mut edit: Edit = serde_json::from_str(text).map_err(|e| format!("not an edit: {e}"))?;
+        edit.check()?;
         edit.environment.file = edit.environment.file.map(|file| beside.join(file));
         edit.insert.iter_mut().for_each(|i| i.source = beside.join(&i.source));
         Ok(edit)
@@ -234,7 +241,7 @@ impl Edit {
 }
 
 impl NewLight {
-    fn check(&self, name: &str) -> std::result::Result<(), String> {
+    pub(super) fn check(&self, name: &str) -> std::result::Result<(), String> {
         let place = self.position.is_some();
         let sends = usize::from(self.intensity.is_some()) + usize::from(self.lobes.is_some());
         let rectangle = self.corners.is_some() && self.radiance.is_some();

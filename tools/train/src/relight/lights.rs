@@ -11,7 +11,7 @@ use glam::DVec3;
 const COSINE_SHARPNESS: f64 = 2.133;
 
 /// Largest amplitude that shading takes.
-const MOST_AMPLITUDE: f32 = 3.2e6;
+pub const MOST_AMPLITUDE: f32 = 3.2e6;
 
 /// Applies an edit to the lights of a run, of which there may be none.
 ///
@@ -52,19 +52,27 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
         light.position = change.to.unwrap_or([0, 1, 2].map(|c| light.position[c] + by[c]));
     }
     for new in &edit.add {
-        let mut rows = new_light(new, file.normalizer);
-        let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
-        if brightest > MOST_AMPLITUDE {
-            let most = MOST_AMPLITUDE * file.normalizer;
-            return Err(TrainError::Setting(format!("A new light is too bright: intensities end at {most}.")));
-        }
+        let mut rows = new_light(new, file.normalizer)?;
         file.lights.append(&mut rows);
     }
     Ok(Some(file).filter(|f| !f.lights.is_empty()))
 }
 
 /// A light as rows: one for a point, one for each patch of a rectangle.
-pub fn new_light(new: &NewLight, normalizer: f32) -> Vec<LightRow> {
+///
+/// # Errors
+/// If it is too bright.
+pub fn new_light(new: &NewLight, normalizer: f32) -> Result<Vec<LightRow>> {
+    let rows = rows(new, normalizer);
+    let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
+    if brightest > MOST_AMPLITUDE {
+        let most = MOST_AMPLITUDE * normalizer;
+        return Err(TrainError::Setting(format!("A new light is too bright: intensities end at {most}.")));
+    }
+    Ok(rows)
+}
+
+fn rows(new: &NewLight, normalizer: f32) -> Vec<LightRow> {
     let amplitude = |v: [f32; 3]| v.map(|a| a / normalizer.max(1e-30));
     if let (Some(corners), Some(radiance)) = (new.corners, new.radiance) {
         return rectangle(corners, amplitude(radiance), new.patches.unwrap_or(4));
@@ -157,7 +165,7 @@ mod tests {
         // Of 2 by 2, in the plane z = 0, counterclockwise seen from above: a disk of the same area, seen from far away.
         let corners = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]];
         let new = NewLight { corners: Some(corners), radiance: Some([1.0; 3]), ..Default::default() };
-        let rows = new_light(&new, 0.25);
+        let rows = new_light(&new, 0.25).unwrap();
         assert_eq!(rows.len(), 16);
         let arriving = |p: [f32; 3]| -> f64 {
             let at = |l: &LightRow| {

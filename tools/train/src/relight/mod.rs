@@ -7,8 +7,10 @@ mod edit;
 mod environment;
 mod harmonics;
 mod insert;
+mod lamps;
 mod lights;
-mod materials;
+mod live;
+pub(crate) mod materials;
 mod select;
 mod truth;
 
@@ -16,6 +18,8 @@ pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
+pub use lamps::Lamp;
+pub use live::Relighter;
 pub use select::Selector;
 pub use truth::evaluate_relit;
 

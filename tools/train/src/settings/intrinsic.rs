@@ -12,6 +12,8 @@ pub struct IntrinsicSettings {
     pub steps: u32,
     /// Whether there is a metallic value for each Gaussian.
     pub metallic: Metallic,
+    /// Where materials begin.
+    pub start: MaterialStart,
     /// Point lights.
     pub lights: LightSettings,
     /// The light of the surroundings.
@@ -41,6 +43,7 @@ impl Default for IntrinsicSettings {
         IntrinsicSettings {
             steps: 3000,
             metallic: Metallic::Auto,
+            start: MaterialStart::Priors,
             lights: LightSettings::default(),
             environment: EnvironmentSettings::default(),
             visibility: VisibilitySettings::default(),
@@ -66,6 +69,16 @@ pub enum Metallic {
     On,
     /// Never: everything is a dielectric.
     Off,
+}
+
+/// Where materials begin that the splats do not bring.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MaterialStart {
+    /// With the mean of what the priors of all views say.
+    Priors,
+    /// Gray and half rough, as published.
+    Gray,
 }
 
 /// Point lights.
@@ -195,6 +208,9 @@ pub struct IntrinsicRates {
     pub environment: f32,
     /// Of hash tables and network.
     pub visibility: f32,
+    /// What is left of those of materials at the last step; they fall from the middle of the stage on, evenly in their
+    /// logarithm. Published: 1. Albedo then follows the noise of the view that it saw last.
+    pub materials_last: f32,
 }
 
 impl Default for IntrinsicRates {
@@ -206,6 +222,7 @@ impl Default for IntrinsicRates {
             lights: 0.05,
             environment: 0.05,
             visibility: 4e-3,
+            materials_last: 0.05,
         }
     }
 }
@@ -227,7 +244,7 @@ pub struct IntrinsicLosses {
     pub metallic: f32,
     /// Differences of gradients at four scales, within the weights of the priors.
     pub gradients: f32,
-    /// Edge-aware smoothness of albedo.
+    /// Edge-aware smoothness of albedo. Published: 1, which wipes out what is painted on a floor.
     pub albedo_smooth: f32,
     /// The same of roughness.
     pub roughness_smooth: f32,
@@ -254,7 +271,7 @@ impl Default for IntrinsicLosses {
             roughness: 0.3,
             metallic: 0.3,
             gradients: 1.0,
-            albedo_smooth: 1.0,
+            albedo_smooth: 0.1,
             roughness_smooth: 0.2,
             environment_smooth: 0.01,
             light_position: 1e-6,

@@ -5,8 +5,8 @@ mod names;
 mod presets;
 
 pub use intrinsic::{
-    EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, Metallic,
-    VisibilityKind, VisibilitySettings,
+    EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
+    Metallic, VisibilityKind, VisibilitySettings,
 };
 pub(crate) use names::{distance, one_line};
 pub use presets::{PRESETS, Preset, overlay};

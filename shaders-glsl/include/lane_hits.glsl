@@ -1,0 +1,30 @@
+// Which of a batch of entries, one a lane, show at any of the wanted pixels that a subgroup does at a time.
+//
+// Wanted pixels are few and splats are small, so that most entries of a tile show at none of them. The test is wider
+// than the one that decides (by far more than rounding), and exact for what it leaves out. Needs constants SUBGROUP and
+// PER_LANE, and the list of wanted pixels.
+
+const float HIT_MARGIN = 0.01; // of the exponent
+
+// A ballot of the lanes whose entry shows; `there` says which lanes have one.
+uvec4 lane_hits(Splat s, bool there, uint from, uint pixels) {
+    float limit = log2(s.opacity / ALPHA_MIN) + HIT_MARGIN;
+    bool hit = false;
+    [[unroll]] for (uint j = 0u; j < PER_LANE * SUBGROUP; ++j) {
+        uint packed = listed[min(from + j, pixels - 1u)];
+        float dx = float(packed & 0xffffu) + 0.5 - s.mean.x, dy = float(packed >> 16) + 0.5 - s.mean.y;
+        float p = s.factor.x * dx + s.factor.y * dy;
+        float q = s.factor.z * dy;
+        hit = hit || p * p + q * q <= limit;
+    }
+    return subgroupBallot(there && hit);
+}
+
+// The next lane of a ballot, which must have one; it leaves the ballot.
+uint next_lane(inout uvec4 votes) {
+    uint i = subgroupBallotFindLSB(votes);
+    if (SUBGROUP <= 32u) votes.x &= votes.x - 1u;
+    else if (i < 32u) votes.x &= votes.x - 1u;
+    else votes.y &= votes.y - 1u;
+    return i;
+}

@@ -1,4 +1,0 @@
-//! What `sgs report` shows: pictures of views, and what each light does.
-
-pub mod lamps;
-pub mod views;

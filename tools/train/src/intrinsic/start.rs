@@ -1,0 +1,93 @@
+//! Where materials begin: with what the priors say of the pixels that a Gaussian is seen in.
+//!
+//! The mean over all training views, weighted by how much of each pixel the Gaussian is. Beginning with gray, the first hundreds of
+//! steps would do no more than find that mean, and what they leave of gray goes into the lights.
+
+use super::data::MaterialPriors;
+use super::surfaces::Surfaces;
+use crate::data::TrainingData;
+use crate::error::Result;
+use crate::relight::materials::{raw, raw_metallic, raw_roughness};
+use rayon::prelude::*;
+use sgs_engine::Device;
+use sgs_passes::pipeline::WeightColumns;
+use sgs_passes::scene::Gaussians;
+use sgs_scene::srgb_to_linear;
+
+/// Least sum of weights, in pixels, from which the priors' mean is taken.
+const LEAST: f64 = 1e-3;
+
+/// Materials before activation, as far as priors say something; gray and half rough where they do not.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Start {
+    /// `[Gaussians * 3]`.
+    pub albedo: Option<Vec<f32>>,
+    /// `[Gaussians]`.
+    pub roughness: Option<Vec<f32>>,
+    /// `[Gaussians]`.
+    pub metallic: Option<Vec<f32>>,
+}
+
+/// Works out where materials begin (waits for the device, view by view).
+pub(super) fn start(
+    device: &Device,
+    gaussians: &Gaussians,
+    surfaces: &mut Surfaces,
+    data: &TrainingData,
+    [albedo, roughness, metallic]: [Option<&MaterialPriors>; 3],
+) -> Result<Start> {
+    let n = gaussians.capacity as usize;
+    let mut sums = [albedo, roughness, metallic].map(|p| p.map(|p| (p, vec![[0.0; 4]; n])));
+    if sums.iter().all(Option::is_none) {
+        return Ok(Start::default());
+    }
+    for (i, (camera, _)) in data.views.iter().enumerate() {
+        let columns = surfaces.kept(gaussians, camera, i)?.weights(device)?;
+        for (priors, sums) in sums.iter_mut().flatten() {
+            gather(&columns, &priors.packed[i], sums);
+        }
+    }
+    let [albedo, roughness, metallic] = sums.map(|s| s.map(|(_, sums)| sums.into_iter().map(mean)));
+    let first = |raw: fn(f32) -> f32, otherwise: f32| move |m: Option<[f32; 3]>| m.map_or(otherwise, |m| raw(m[0]));
+    // Albedo priors are encoded as they are displayed, and so is their mean.
+    let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v))));
+    Ok(Start {
+        albedo: albedo.map(|a| a.flat_map(encoded).collect()),
+        roughness: roughness.map(|r| r.map(first(raw_roughness, 0.0)).collect()),
+        metallic: metallic.map(|m| m.map(first(raw_metallic, -2.0)).collect()),
+    })
+}
+
+/// Adds what a view's priors say, packed as photographs are, to the sums of values and weights.
+fn gather(columns: &WeightColumns, packed: &[u32], sums: &mut [[f64; 4]]) {
+    sums.par_iter_mut().enumerate().for_each(|(gaussian, sum)| {
+        for (pixel, weight) in columns.of(gaussian) {
+            let word = packed.get(pixel).copied().unwrap_or(0);
+            if word >> 24 != 0 && weight.is_finite() {
+                let weight = f64::from(weight);
+                (0..3).for_each(|c| sum[c] += weight * f64::from(word >> (8 * c) & 0xff) / 255.0);
+                sum[3] += weight;
+            }
+        }
+    });
+}
+
+fn mean(sum: [f64; 4]) -> Option<[f32; 3]> {
+    (sum[3] >= LEAST).then(|| [0, 1, 2].map(|c| (sum[c] / sum[3]) as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_decide_and_pixels_without_priors_do_not_count() {
+        let columns =
+            WeightColumns { starts: vec![0, 3, 3, 4], pixels: vec![0, 1, 2, 2], weights: vec![0.25, 0.75, 5.0, 1.0] };
+        let packed = [0xff00_00ff, 0xff00_ff00, 0x0012_3456];
+        let mut sums = vec![[0.0; 4]; 3];
+        gather(&columns, &packed, &mut sums);
+        let means: Vec<_> = sums.into_iter().map(mean).collect();
+        assert_eq!(means, [Some([0.25, 0.75, 0.0]), None, None]);
+    }
+}
