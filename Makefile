@@ -10,7 +10,7 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-priors bench lint docs check setup install
+.PHONY: help demo test test-priors bench lint docs check setup setup-tests install
 .NOTPARALLEL:
 
 help:
@@ -26,12 +26,15 @@ help:
 setup:
 	@tools/setup
 
+setup-tests:
+	@tools/setup --tests
+
 demo: setup
 	$(CARGO) build --release --locked -p sgs
 	DEMO_STEPS=$(DEMO_STEPS) tools/demo "$${CARGO_TARGET_DIR:-target}/release/sgs" "$(OUT)"
 
 # The tests include the layers, so this is lint and more.
-test: check
+test: setup-tests check
 	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
 	$(CARGO) test --workspace --locked
 

@@ -1,6 +1,7 @@
 //! The harness: a device with validation on, graphs run once with poisoned outputs, tolerances, finite differences; the
 //! `sgs` program as a user runs it, and tiny rooms for it.
 
+pub mod browser;
 pub mod busy;
 pub mod cli;
 pub mod compare;

@@ -33,9 +33,9 @@ pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
 pub use ground_truth::{GroundTruth, GroundTruthKind};
 pub use image::{
-    ExrImage, Image, NpyArray, linear_to_srgb, read_environment, read_exr, read_ids, resize, resize_valid,
-    srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr, write_ids, write_npy_f16,
-    write_npy_f32, write_png,
+    ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, read_environment, read_exr, read_ids, resize,
+    resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr, write_ids,
+    write_npy_f16, write_npy_f32, write_png,
 };
 pub use maps::{MaskedMap, NormalFrame, RegionMap};
 pub use points::{Pcg, PointCloud, RandomBox};

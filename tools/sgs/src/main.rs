@@ -8,6 +8,7 @@ mod commands;
 mod common;
 mod palette;
 mod pictures;
+mod report;
 mod ui;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -44,6 +45,8 @@ enum Command {
     Relight(commands::relight::Args),
     /// Train variants of the method and write a table of what each part is worth.
     Ablate(commands::ablate::Args),
+    /// Write one page that shows a run: pictures side by side, tables, curves, lights, profile, settings.
+    Report(commands::report::Args),
     /// Write a run's Gaussians as a PLY that viewers open.
     Export(commands::export::Args),
     /// List what can run here, and what each device lacks.
@@ -84,6 +87,7 @@ fn main() {
         Command::Render(a) => commands::render::run(&cli.common, a),
         Command::Relight(a) => commands::relight::run(&cli.common, a),
         Command::Ablate(a) => commands::ablate::run(&cli.common, a),
+        Command::Report(a) => commands::report::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
         Command::Devices => commands::devices::run(&cli.common),
         Command::Completions(a) => commands::shell::completions(a, Cli::command()),

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::Path;
 
+use ::image::codecs::jpeg::JpegEncoder;
 use ::image::codecs::png::PngEncoder;
 use ::image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
 
@@ -15,20 +16,56 @@ use crate::error::{Result, SceneError};
 /// Values are taken as display-referred: clamped to `[0, 1]`, rounded to 255 steps, not-a-number becoming 0.
 pub fn write_png(path: &Path, image: &Image) -> Result<()> {
     image.check()?;
-    let color = match image.channels {
+    let Some(color) = color_of(image) else {
+        let n = image.channels;
+        return Err(SceneError::image(path, format!("a PNG holds 1 to 4 channels, not {n}; write an EXR instead")));
+    };
+    let bytes = bytes_of(image);
+    atomic_write(path, |out| {
+        PngEncoder::new(out).write_image(&bytes, image.width, image.height, color).map_err(io::Error::other)
+    })
+}
+
+/// What [`write_png`] would write, in memory.
+pub fn encode_png(image: &Image) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    let color = encodable(image, 4)?;
+    let done = PngEncoder::new(&mut out).write_image(&bytes_of(image), image.width, image.height, color);
+    done.map_err(|e| SceneError::Data { what: "the picture", problem: e.to_string() })?;
+    Ok(out)
+}
+
+/// A JPEG of an image of 1 or 3 channels in memory, of a quality from 1 to 100; values are taken as [`write_png`] takes them.
+pub fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    let color = encodable(image, 3)?;
+    let encoder = JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100));
+    let done = encoder.write_image(&bytes_of(image), image.width, image.height, color);
+    done.map_err(|e| SceneError::Data { what: "the picture", problem: e.to_string() })?;
+    Ok(out)
+}
+
+fn encodable(image: &Image, most: u32) -> Result<ExtendedColorType> {
+    image.check()?;
+    color_of(image).filter(|_| image.channels <= most).ok_or_else(|| {
+        let problem = format!("it has {} channels, but at most {most} can be encoded", image.channels);
+        SceneError::Data { what: "the picture", problem }
+    })
+}
+
+fn color_of(image: &Image) -> Option<ExtendedColorType> {
+    Some(match image.channels {
         1 => ExtendedColorType::L8,
         2 => ExtendedColorType::La8,
         3 => ExtendedColorType::Rgb8,
         4 => ExtendedColorType::Rgba8,
-        n => {
-            return Err(SceneError::image(path, format!("a PNG holds 1 to 4 channels, not {n}; write an EXR instead")));
-        }
-    };
-    // A cast of NaN gives 0.
-    let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
-    atomic_write(path, |out| {
-        PngEncoder::new(out).write_image(&bytes, image.width, image.height, color).map_err(io::Error::other)
+        _ => return None,
     })
+}
+
+fn bytes_of(image: &Image) -> Vec<u8> {
+    // A cast of NaN gives 0.
+    image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect()
 }
 
 /// Writes whole numbers, row by row, as a gray PNG with 16 bits.
@@ -74,8 +111,22 @@ mod tests {
             }
             write_png(&path, &image).unwrap();
             assert_eq!(read_size(&path).unwrap(), (5, 3));
+            assert_eq!(encode_png(&image).unwrap(), std::fs::read(&path).unwrap());
             assert_eq!(read_raster(&path).unwrap(), (image, Encoding::Srgb));
         }
+    }
+
+    #[test]
+    fn jpegs_in_memory_are_near_the_picture() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.jpg");
+        let data = (0..16 * 16 * 3).map(|i| (i / 48) as f32 / 16.0).collect();
+        let image = Image { width: 16, height: 16, channels: 3, data };
+        std::fs::write(&path, encode_jpeg(&image, 95).unwrap()).unwrap();
+        let (read, _) = read_raster(&path).unwrap();
+        assert!(read.data.iter().zip(&image.data).all(|(a, b)| (a - b).abs() < 0.03));
+        assert!(encode_jpeg(&Image::new(2, 2, 2 + 3), 95).is_err() && encode_jpeg(&Image::new(2, 2, 4), 95).is_err());
+        assert!(encode_png(&Image::new(2, 2, 5)).unwrap_err().to_string().contains("5 channels"));
     }
 
     #[test]

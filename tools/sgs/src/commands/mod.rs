@@ -11,6 +11,7 @@ pub mod priors;
 pub mod pseudo;
 pub mod relight;
 pub mod render;
+pub mod report;
 pub mod shell;
 pub mod synth;
 pub mod train;

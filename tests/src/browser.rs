@@ -1,0 +1,211 @@
+//! Chromium without a window and without a network, told what to do through two pipes (the DevTools protocol): pages are
+//! opened, looked at, clicked and photographed as a person would.
+
+use serde_json::{Value, json};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// How long an answer may take. Machines that run tests are busy.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A browser with one page.
+pub struct Browser {
+    child: Child,
+    to: File,
+    from: Receiver<Value>,
+    next: u64,
+    session: String,
+    /// What the browser said unasked.
+    heard: Vec<Value>,
+    /// Its profile and its pipes, which go with it.
+    _folder: TempDir,
+}
+
+impl Browser {
+    /// Starts Chromium, if there is one.
+    pub fn start() -> Option<Browser> {
+        let known = ["chromium", "chromium-browser"];
+        let name =
+            known.iter().find(|n| Command::new(n).arg("--version").output().is_ok_and(|o| o.status.success()))?;
+        let folder = tempfile::tempdir().expect("a folder");
+        let pipes = ["in", "out"].map(|n| folder.path().join(n));
+        let made = Command::new("mkfifo").args(&pipes).status();
+        assert!(made.is_ok_and(|s| s.success()), "mkfifo failed");
+        // The browser reads from its file 3 and writes to its file 4. Nothing has a name that could be looked up.
+        let mut command = Command::new("bash");
+        command.args(["-c", "exec 3<\"$1\" 4>\"$2\"; shift 2; exec \"$@\"", "bash"]).args(&pipes).arg(name);
+        command.args(["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run"]);
+        command.args(["--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND"]);
+        command.arg(format!("--user-data-dir={}", folder.path().join("profile").display()));
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
+        let child = command.spawn().expect("chromium starts");
+        let to = File::options().write(true).open(&pipes[0]).expect("a pipe");
+        let answers = BufReader::new(File::open(&pipes[1]).expect("a pipe"));
+        let (send, from) = channel();
+        std::thread::spawn(move || {
+            for message in answers.split(0).map_while(Result::ok) {
+                let Ok(message) = serde_json::from_slice(&message) else { continue };
+                if send.send(message).is_err() {
+                    break;
+                }
+            }
+        });
+        let session = String::new();
+        let mut browser = Browser { child, to, from, next: 0, session, heard: Vec::new(), _folder: folder };
+        let target = browser.ask("Target.createTarget", json!({"url": "about:blank"}))["targetId"].clone();
+        let attached = browser.ask("Target.attachToTarget", json!({"targetId": target, "flatten": true}));
+        browser.session = attached["sessionId"].as_str().expect("a session").to_owned();
+        for domain in ["Page.enable", "Runtime.enable", "Network.enable", "Log.enable"] {
+            browser.ask(domain, json!({}));
+        }
+        Some(browser)
+    }
+
+    /// Sends a command and waits for its answer.
+    #[track_caller]
+    pub fn ask(&mut self, method: &str, params: Value) -> Value {
+        self.next += 1;
+        let mut message = json!({"id": self.next, "method": method, "params": params});
+        if !self.session.is_empty() {
+            message["sessionId"] = self.session.clone().into();
+        }
+        let mut bytes = message.to_string().into_bytes();
+        bytes.push(0);
+        self.to.write_all(&bytes).expect("the browser listens");
+        loop {
+            let answer = self.from.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("{method}: no answer ({e})"));
+            if answer["id"] == self.next {
+                assert!(answer["error"].is_null(), "{method}: {answer}");
+                return answer["result"].clone();
+            }
+            self.heard.push(answer);
+        }
+    }
+
+    /// Opens a page of the disk at a size of the window, and waits until it is complete.
+    #[track_caller]
+    pub fn open(&mut self, page: &Path, [width, height]: [u32; 2]) {
+        self.heard.clear();
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        self.ask("Emulation.setDeviceMetricsOverride", size);
+        let answer = self.ask("Page.navigate", json!({"url": format!("file://{}", page.display())}));
+        assert!(answer["errorText"].is_null(), "{answer}");
+        let begun = Instant::now();
+        while self.eval("document.readyState") != "complete" || self.eval("location.protocol") != "file:" {
+            assert!(begun.elapsed() < PATIENCE, "the page is never complete");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// What an expression comes to in the page.
+    #[track_caller]
+    pub fn eval(&mut self, expression: &str) -> Value {
+        let params = json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
+        let answer = self.ask("Runtime.evaluate", params);
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    /// Presses the mouse at a place of the window, moves it to another, and lets go.
+    pub fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
+        for (kind, [x, y]) in [("mousePressed", from), ("mouseMoved", to), ("mouseReleased", to)] {
+            let event = json!({"type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1});
+            self.ask("Input.dispatchMouseEvent", event);
+        }
+    }
+
+    /// The window, or all of the page, as a PNG file.
+    pub fn photograph(&mut self, whole: bool, path: &Path) {
+        let size = self.ask("Page.getLayoutMetrics", json!({}))["cssContentSize"].clone();
+        let mut params = json!({"format": "png", "captureBeyondViewport": whole});
+        if whole {
+            params["clip"] = json!({"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1});
+        }
+        let answer = self.ask("Page.captureScreenshot", params);
+        std::fs::write(path, decoded(answer["data"].as_str().unwrap_or_default())).expect("the picture is written");
+    }
+
+    /// What the page asked for beside itself and what it holds, and what went wrong in it.
+    pub fn complaints(&mut self) -> Vec<String> {
+        self.eval("1");
+        let said = |e: &Value| match e["method"].as_str().unwrap_or_default() {
+            "Network.requestWillBeSent" => {
+                let url = e["params"]["request"]["url"].as_str().unwrap_or_default();
+                (!url.starts_with("data:") && e["params"]["type"] != "Document").then(|| format!("asks for {url}"))
+            }
+            "Runtime.exceptionThrown" | "Log.entryAdded" => Some(e["params"].to_string()),
+            _ => None,
+        };
+        self.heard.iter().filter_map(said).collect()
+    }
+}
+
+/// Bytes from base64 (RFC 4648).
+fn decoded(text: &str) -> Vec<u8> {
+    let value = |c: u8| match c {
+        b'A'..=b'Z' => Some(c - b'A'),
+        b'a'..=b'z' => Some(c - b'a' + 26),
+        b'0'..=b'9' => Some(c - b'0' + 52),
+        b'+' => Some(62),
+        b'/' => Some(63),
+        _ => None,
+    };
+    let digits: Vec<u32> = text.bytes().filter_map(value).map(u32::from).collect();
+    let bytes = digits.chunks(4).flat_map(|four| {
+        let word = four.iter().enumerate().fold(0, |w, (i, d)| w | d << (18 - 6 * i));
+        word.to_be_bytes()[1..four.len()].to_vec()
+    });
+    bytes.collect()
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // It has children of its own; asked to close, it takes them along.
+        let _ = self.to.write_all(b"{\"id\":0,\"method\":\"Browser.close\"}\0");
+        let begun = Instant::now();
+        while begun.elapsed() < Duration::from_secs(10) && self.child.try_wait().is_ok_and(|s| s.is_none()) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_decoded() {
+        for (coded, plain) in [("Zm9vYmFy", "foobar"), ("Zm9vYmE=", "fooba"), ("Zm9vYg==", "foob"), ("", "")] {
+            assert_eq!(decoded(coded), plain.as_bytes());
+        }
+    }
+
+    /// What the tests of pages rely on: errors, requests and missing files are heard.
+    #[test]
+    fn what_goes_wrong_in_a_page_is_noticed() {
+        let Some(mut browser) = Browser::start() else {
+            eprintln!("skipped: there is no chromium");
+            return;
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        let page = folder.path().join("a.html");
+        let mut open = |html: &str| {
+            std::fs::write(&page, html).expect("a page");
+            browser.open(&page, [300, 200]);
+            browser.complaints()
+        };
+        let icon = "<link rel=icon href=data:,>";
+        assert_eq!(open(&format!("{icon}<p>good</p>")), [""; 0]);
+        assert!(open(&format!("{icon}<script>throw 1</script>")).iter().any(|c| c.contains("exception")));
+        assert!(open(&format!("{icon}<img src=\"http://x.invalid/a.png\">")).iter().any(|c| c.contains("x.invalid")));
+        assert!(open(&format!("{icon}<img src=\"b.png\">")).iter().any(|c| c.contains("b.png")));
+    }
+}

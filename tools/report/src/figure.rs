@@ -1,0 +1,73 @@
+//! Pictures in a page: alone, or truth and render under a slider.
+
+use crate::text::{base64, escape};
+use sgs_scene::{Image, Result, encode_jpeg, encode_png, resize};
+
+/// Pictures of more pixels become JPEG: as PNG, photographs of a dozen views would make a page that no browser likes.
+const PNG_PIXELS: usize = 1 << 17;
+
+/// Of the JPEGs.
+const QUALITY: u8 = 90;
+
+/// A picture as text that a page can hold: PNG, or JPEG if it is large. Values are display-referred, of 1, 3 or 4 channels.
+/// What is wider than `width` is made smaller, by averages of displayed values: for looking, not for measuring.
+///
+/// # Errors
+/// If the image is none.
+pub fn data_uri(image: &Image, width: u32) -> Result<String> {
+    let small;
+    let shown = if image.width > width.max(1) {
+        let height = (u64::from(image.height) * u64::from(width.max(1)) / u64::from(image.width)).max(1);
+        small = resize(image, width.max(1), height as u32);
+        &small
+    } else {
+        image
+    };
+    if shown.pixels() > PNG_PIXELS && (shown.channels == 1 || shown.channels == 3) {
+        return Ok(format!("data:image/jpeg;base64,{}", base64(&encode_jpeg(shown, QUALITY)?)));
+    }
+    Ok(format!("data:image/png;base64,{}", base64(&encode_png(shown)?)))
+}
+
+/// A picture under its name; `uri` is from [`data_uri`].
+pub fn picture(name: &str, uri: &str, [width, height]: [u32; 2]) -> String {
+    let name = escape(name);
+    format!(
+        "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}\"><figcaption>{name}</figcaption></figure>\n"
+    )
+}
+
+/// Truth at the left of a slider and render at its right. Without its script the page shows half of each.
+pub fn slider(name: &str, truth: &str, render: &str, [width, height]: [u32; 2], note: &str) -> String {
+    let (name, note) = (escape(name), escape(note));
+    let note = if note.is_empty() { note } else { format!(" <small>{note}</small>") };
+    format!(
+        "<figure><div class=\"slider\"><img src=\"{render}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: render\">\
+         <img class=\"over\" src=\"{truth}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: truth\">\
+         <span class=\"left\">truth</span><span class=\"right\">render</span>\
+         <input type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" aria-label=\"{name}: truth to the left, render to the right\">\
+         </div><figcaption>{name}{note}</figcaption></figure>\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_pictures_are_exact_and_large_ones_are_photographs() {
+        let small = data_uri(&Image::new(8, 4, 3), 640).unwrap();
+        assert!(small.starts_with("data:image/png;base64,iVBOR"), "{small}");
+        assert!(data_uri(&Image::new(512, 300, 3), 640).unwrap().starts_with("data:image/jpeg;base64,/9j/"));
+        assert!(data_uri(&Image::new(512, 300, 3), 100).unwrap().starts_with("data:image/png"));
+        assert!(data_uri(&Image::new(512, 300, 4), 640).unwrap().starts_with("data:image/png"));
+        assert!(data_uri(&Image::new(0, 0, 3), 640).is_err());
+    }
+
+    #[test]
+    fn names_are_escaped() {
+        for html in [picture("<b>", "data:,", [1, 1]), slider("<b>", "data:,", "data:,", [1, 1], "\"<i>")] {
+            assert!(!html.contains("<b>") && !html.contains("<i>") && html.contains("&lt;b&gt;"), "{html}");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Text in HTML: escaping, numbers, data URIs.
+
+/// Text as HTML shows it, in elements and in quoted attributes.
+pub fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            // No character of HTML; browsers would show a box.
+            c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// A number for people: four digits that mean something.
+pub fn number(v: f64) -> String {
+    let a = v.abs();
+    if !v.is_finite() {
+        return if v.is_nan() { "–".into() } else { "∞".into() };
+    }
+    match a {
+        _ if a == 0.0 => "0".into(),
+        _ if v.fract() == 0.0 && a < 1e7 => format!("{v:.0}"),
+        _ if !(1e-4..1e6).contains(&a) => format!("{v:.2e}"),
+        _ => {
+            let digits = (3 - a.log10().floor() as i32).clamp(0, 7) as usize;
+            let text = format!("{v:.digits$}");
+            if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+        }
+    }
+}
+
+/// Bytes as base64 (RFC 4648), padded.
+pub(crate) fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let b = [0, 1, 2].map(|i| u32::from(chunk.get(i).copied().unwrap_or(0)));
+        let word = b[0] << 16 | b[1] << 8 | b[2];
+        for i in 0..4 {
+            let digit = DIGITS[(word >> (18 - 6 * i)) as usize & 63] as char;
+            out.push(if i <= chunk.len() { digit } else { '=' });
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_the_standard() {
+        // The examples of RFC 4648, section 10.
+        for (plain, coded) in
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")]
+        {
+            assert_eq!(base64(plain.as_bytes()), coded);
+        }
+        assert_eq!(base64(&[0xff, 0xef, 0xbe]), "/+++");
+    }
+
+    #[test]
+    fn nothing_from_a_file_becomes_markup() {
+        assert_eq!(
+            escape("<img src=\"x\" onerror='a()'>&\u{0}"),
+            "&lt;img src=&quot;x&quot; onerror=&#39;a()&#39;&gt;&amp;\u{fffd}"
+        );
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        for (v, text) in [
+            (0.0, "0"),
+            (31.876_639, "31.88"),
+            (0.960_866, "0.9609"),
+            (0.003_771_1, "0.003771"),
+            (11385.0, "11385"),
+            (172_525_736.0, "1.73e8"),
+            (12345.678, "12346"),
+            (-0.5, "-0.5"),
+            (f64::INFINITY, "∞"),
+            (f64::NAN, "–"),
+        ] {
+            assert_eq!(number(v), text);
+        }
+    }
+}

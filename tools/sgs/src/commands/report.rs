@@ -1,0 +1,235 @@
+//! `sgs report`: a run as one page: pictures, tables, curves, lights, times, settings. Nothing else is needed to look at it.
+
+use super::eval::{Split, measure};
+use super::train::{open_scene, validated};
+use crate::cameras::splats_of;
+use crate::common::Common;
+use crate::report::lamps::{self, Lamps};
+use crate::report::views;
+use anyhow::{Context, bail};
+use serde_json::Value;
+use sgs_engine::Device;
+use sgs_report::{Page, chart, escape, figure, number, room, table};
+use sgs_scene::{Scene, Splats, read_environment};
+use sgs_train::{RunDirectory, Settings, displayed, light_of};
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Run directory.
+    run: PathBuf,
+    /// The page to write.
+    #[arg(short, long, value_name = "FILE.html")]
+    output: PathBuf,
+    /// Another place of the scene than the run remembers.
+    #[arg(long)]
+    scene: Option<PathBuf>,
+    /// Which views.
+    #[arg(long, value_enum, default_value = "test")]
+    split: Split,
+    /// So many of them at most are shown, spread evenly; tables have all.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    views: u32,
+    /// So many lights, the brightest, have pictures of their own in each view.
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    lights: u32,
+    /// Pictures that are wider are made smaller.
+    #[arg(long, value_name = "PIXELS", default_value_t = 640, value_parser = clap::value_parser!(u32).range(16..))]
+    width: u32,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    check_output(&a.output)?;
+    let run = RunDirectory::open(&a.run)?;
+    let (splats, settings) = splats_of(&a.run)?;
+    let Some(mut settings) = settings else { bail!("\"{}\" is not a run directory.", a.run.display()) };
+    if let Some(scene) = &a.scene {
+        settings.scene.clone_from(scene);
+    }
+    let scene = open_scene(&settings)?;
+    let split = if a.split == Split::Test { &scene.split.test } else { &scene.split.train };
+    let chosen = spread(split, a.views as usize);
+    if chosen.is_empty() {
+        bail!("The scene has no views in that split.");
+    }
+    let files = Files::read(&run)?;
+    let device = common.open_device()?;
+    let metrics = metrics(&device, &scene, &run, &splats, &settings, a.split, &files)?;
+    let light = light_of(&run, &settings)?;
+    let lamps = Lamps::measure(&device, &scene, &splats, &light, &chosen)?;
+    let shown = views::Shown { width: a.width, lamps: &lamps, most: a.lights as usize };
+    let pictures = views::html(common, &device, &scene, &run, &splats, &settings, &light, &chosen, &metrics, &shown)?;
+
+    let name = run.root().canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
+    let mut page = Page::new(&format!("SGS: {}", name.unwrap_or_else(|| a.run.display().to_string())));
+    page.section("summary", "Summary", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));
+    let what = if a.split == Split::Test { "views that training never saw" } else { "views of training" };
+    let table = table::views(&metrics);
+    let relit = table::relit(&metrics);
+    let relit = if relit.is_empty() { relit } else { format!("<h3>Under other lights, means</h3>\n{relit}") };
+    page.section("metrics", "Metrics", format!("<p>At {what}.</p>\n{table}{relit}"));
+    let left_out = split.len() - chosen.len();
+    let note = if left_out == 0 { String::new() } else { format!(" {left_out} more are left out.") };
+    page.section(
+        "views",
+        "Views",
+        format!("<p>Move the sliders: truth is left, the render right.{note}</p>\n{pictures}"),
+    );
+    page.section("lights", "Lights", lights(&run, &splats, &scene, &lamps, a.width)?);
+    page.section("curves", "Curves", chart::log(&files.log));
+    page.section("profile", "Profile", profile(&files));
+    let config = format!("<details><summary>config.toml</summary><pre>{}</pre></details>\n", escape(&files.config));
+    page.section("settings", "Settings", config);
+    let html = page.html();
+    sgs_scene::atomic_write(&a.output, |f| std::io::Write::write_all(f, html.as_bytes()))?;
+    let answer =
+        serde_json::json!({"file": a.output, "bytes": html.len(), "views": chosen.len(), "metrics": metrics["mean"]});
+    if !common.answer(&answer)? && !common.quiet {
+        eprintln!("wrote {} ({:.1} MB)", a.output.display(), html.len() as f64 / 1e6);
+    }
+    validated(&device)
+}
+
+/// Minutes of work are not to end in a file that cannot be written.
+fn check_output(path: &Path) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if path.is_dir() {
+        bail!("\"{}\" is a directory; name a file for the page.", path.display());
+    }
+    if !folder.is_dir() {
+        bail!("\"{}\" does not exist; make it first, or name another place for the page.", folder.display());
+    }
+    Ok(())
+}
+
+/// At most so many of them, spread evenly.
+fn spread(all: &[usize], most: usize) -> Vec<usize> {
+    let count = all.len().min(most);
+    (0..count).map(|i| all[(2 * i + 1) * all.len() / (2 * count)]).collect()
+}
+
+/// What the run's files say beside the pictures.
+struct Files {
+    config: String,
+    log: String,
+    training: Value,
+    profiles: Vec<(&'static str, Value)>,
+    metrics: Value,
+}
+
+impl Files {
+    fn read(run: &RunDirectory) -> anyhow::Result<Files> {
+        let text = |name: &str| -> anyhow::Result<Option<String>> {
+            let path = run.path(name);
+            match std::fs::read_to_string(&path) {
+                Ok(text) => Ok(Some(text)),
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+                Err(e) => Err(e).with_context(|| format!("\"{}\" cannot be read", path.display())),
+            }
+        };
+        let json = |name: &str| -> anyhow::Result<Value> {
+            let Some(text) = text(name)? else { return Ok(Value::Null) };
+            serde_json::from_str(&text).with_context(|| format!("\"{}\" is not valid", run.path(name).display()))
+        };
+        let profiles = [("geometry", "profile.json"), ("intrinsic", "profile-intrinsic.json")];
+        let profiles = profiles.iter().map(|(stage, file)| Ok((*stage, json(file)?))).collect::<anyhow::Result<_>>()?;
+        Ok(Files {
+            config: text("config.toml")?.unwrap_or_default(),
+            log: text("log.jsonl")?.unwrap_or_default(),
+            training: json("training.json")?,
+            profiles,
+            metrics: json("metrics.json")?,
+        })
+    }
+}
+
+/// The metrics of a split: as recorded, if that was after the Gaussians were written; else measured and recorded now.
+fn metrics(
+    device: &Device,
+    scene: &Scene,
+    run: &RunDirectory,
+    splats: &Splats,
+    settings: &Settings,
+    split: Split,
+    files: &Files,
+) -> anyhow::Result<Value> {
+    let changed = |name: &str| std::fs::metadata(run.path(name)).and_then(|m| m.modified()).ok();
+    let known = &files.metrics[if split == Split::Test { "test" } else { "train" }];
+    if known.is_object() && changed("metrics.json") >= changed("scene.ply") {
+        return Ok(known.clone());
+    }
+    Ok(serde_json::to_value(measure(device, scene, run, splats, settings, split, None)?)?)
+}
+
+fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, device: &str) -> String {
+    let mut rows: Vec<(String, String)> = Vec::new();
+    let mut add = |name: &str, value: String| rows.push((name.to_owned(), value));
+    add("scene", settings.scene.display().to_string());
+    let size = scene.views.first().map_or(String::new(), |v| format!(", {} × {}", v.camera.width, v.camera.height));
+    add("views", format!("{} to train on, {} to test{size}", scene.split.train.len(), scene.split.test.len()));
+    add("Gaussians", splats.len().to_string());
+    for (stage, said) in [("geometry", &files.training), ("intrinsic", &files.training["intrinsic"])] {
+        let value = |key: &str| said[key].as_f64();
+        if let (Some(steps), Some(seconds)) = (value("steps"), value("seconds")) {
+            let rate = value("steps_per_second").map_or(String::new(), |r| format!(", {} a second", number(r)));
+            let peak =
+                value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {} MB", number(b / 1e6)));
+            let on = said["device"].as_str().map_or(String::new(), |d| format!(", on {d}"));
+            add(stage, format!("{} steps in {} s{rate}{peak}{on}", number(steps), number(seconds)));
+        }
+    }
+    add("this page", format!("made on {device}, by sgs {}", env!("CARGO_PKG_VERSION")));
+    table::facts(&rows)
+}
+
+fn profile(files: &Files) -> String {
+    let mut out = String::new();
+    for (stage, trace) in &files.profiles {
+        let (times, total) = chart::times(trace);
+        if !times.is_empty() {
+            let count = times.len();
+            out.push_str(&format!("<h3>{stage}: a step, {} ms in {count} passes</h3>\n", number(total)));
+            out.push_str(&chart::bars(&times, 20, "ms"));
+        }
+    }
+    out
+}
+
+/// Lights in the room and their shares, and the surroundings.
+fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, width: u32) -> anyhow::Result<String> {
+    let mut out = String::new();
+    let all = lamps.rows();
+    if !all.is_empty() {
+        let eyes: Vec<room::Eye> = scene.split.train.iter().map(|v| lamps::eye(&scene.views[*v].camera)).collect();
+        out.push_str("<p>Blue: cameras of training. Circles: lights, as large as their share of the light of all lamps in the views below, in their color.</p>\n");
+        out.push_str(&room::drawing(&lamps::opaque(splats), &eyes, &all));
+        out.push_str(&lamps.table());
+    }
+    let environment = run.path("environment.exr");
+    if environment.is_file() {
+        let image = displayed(&read_environment(&environment)?);
+        out.push_str("<h3>Surroundings</h3>\n<div class=\"grid large\">\n");
+        out.push_str(&figure::picture(
+            "environment.exr",
+            &figure::data_uri(&image, width)?,
+            [image.width, image.height],
+        ));
+        out.push_str("</div>\n");
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_spread() {
+        let all: Vec<usize> = (10..22).collect();
+        assert_eq!(spread(&all, 12), all);
+        assert_eq!(spread(&all, 99), all);
+        assert_eq!(spread(&all, 3), [12, 16, 20]);
+        assert_eq!(spread(&all, 1), [16]);
+        assert!(spread(&[], 4).is_empty());
+    }
+}

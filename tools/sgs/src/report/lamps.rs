@@ -1,0 +1,167 @@
+//! What each light of a run does: how much of the light of all lamps is its, and in which color.
+
+use glam::DVec3;
+use sgs_engine::Device;
+use sgs_report::room::{Eye, Lamp};
+use sgs_report::{escape, number};
+use sgs_scene::{Camera, Scene, Splats, linear_to_srgb};
+use sgs_train::{LightFile, RunLight, Shading, shaded_scene};
+
+/// Width of the pictures by which lights are compared.
+const WIDTH: u32 = 64;
+/// At how many views.
+const VIEWS: usize = 3;
+
+/// The lights of a run, brightest first.
+pub struct Lamps {
+    file: LightFile,
+    /// Number, and mean linear light over the views.
+    sums: Vec<(usize, [f64; 3])>,
+    total: f64,
+}
+
+/// Rec. 709.
+fn luminance([r, g, b]: [f64; 3]) -> f64 {
+    0.2126 * r + 0.7152 * g + 0.0722 * b
+}
+
+impl Lamps {
+    /// Compares the lights of a run at a few of the views, in small pictures; none where it has no lights.
+    pub fn measure(
+        device: &Device,
+        scene: &Scene,
+        splats: &Splats,
+        light: &RunLight,
+        views: &[usize],
+    ) -> anyhow::Result<Lamps> {
+        let Some(file) = light.lights.clone().filter(|_| splats.albedo.is_some() && splats.roughness.is_some()) else {
+            return Ok(Lamps { file: LightFile::new(1.0, Vec::new()), sums: Vec::new(), total: 0.0 });
+        };
+        let all = shaded_scene(device, splats, Some(&file), None, &light.visibility)?;
+        let mut shading = Shading::new(device, all)?;
+        let every = views.len().div_ceil(VIEWS).max(1);
+        let cameras: Vec<Camera> = views.iter().step_by(every).map(|v| small(&scene.views[*v].camera)).collect();
+        let mut sums = Vec::new();
+        for i in 0..file.lights.len() {
+            shading.set_gains(device, &alone(&file, &[i]))?;
+            let (mut sum, mut pixels) = ([0.0; 3], 0);
+            for camera in &cameras {
+                let direct = shading.shade(camera)?.direct();
+                for pixel in direct.data.chunks_exact(3) {
+                    sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += f64::from(*v));
+                }
+                pixels += direct.pixels();
+            }
+            sums.push((i, sum.map(|s| s / f64::from(pixels.max(1) as u32))));
+        }
+        sums.sort_by(|a, b| luminance(b.1).total_cmp(&luminance(a.1)));
+        let total = sums.iter().map(|(_, s)| luminance(*s)).sum();
+        Ok(Lamps { file, sums, total })
+    }
+
+    fn share(&self, sum: [f64; 3]) -> f64 {
+        luminance(sum) / self.total.max(1e-30)
+    }
+
+    /// The brightest, each with what it is called, and its gains alone; then, if there are more, all others together.
+    pub fn brightest(&self, most: usize) -> Vec<(String, Vec<f32>)> {
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let one =
+            |(i, s): &(usize, [f64; 3])| (format!("light {i} ({})", percent(self.share(*s))), alone(&self.file, &[*i]));
+        let mut out: Vec<_> = self.sums.iter().take(most).map(one).collect();
+        if self.sums.len() > most && most > 0 {
+            let rest = &self.sums[most..];
+            let numbers: Vec<usize> = rest.iter().map(|(i, _)| *i).collect();
+            let share = rest.iter().map(|(_, s)| self.share(*s)).sum();
+            out.push((format!("{} others ({})", rest.len(), percent(share)), alone(&self.file, &numbers)));
+        }
+        out
+    }
+
+    /// All gains as they are.
+    pub fn gains(&self) -> Vec<f32> {
+        self.file.lights.iter().map(|l| l.gain).collect()
+    }
+
+    /// As the drawing of the room takes them.
+    pub fn rows(&self) -> Vec<Lamp> {
+        let row = |(i, sum): &(usize, [f64; 3])| Lamp {
+            name: i.to_string(),
+            position: DVec3::from(self.file.lights[*i].position.map(f64::from)),
+            share: self.share(*sum),
+            color: color(*sum),
+        };
+        self.sums.iter().map(row).collect()
+    }
+
+    /// Every light: where, how much, which color.
+    pub fn table(&self) -> String {
+        let mut out = String::from(
+            "<details><summary>All lights</summary><div class=\"wide\"><table>\n<thead><tr><th>light</th><th>share</th>\
+             <th>color</th><th>x</th><th>y</th><th>z</th><th>gain</th><th>lobes</th></tr></thead>\n<tbody>\n",
+        );
+        for (i, sum) in &self.sums {
+            let light = &self.file.lights[*i];
+            let [x, y, z] = light.position.map(|v| number(f64::from(v)));
+            let share = 100.0 * self.share(*sum);
+            out.push_str(&format!(
+                "<tr><th>{i}</th><td>{share:.1} %</td><td><span class=\"swatch\" style=\"background:{}\"></span></td><td>{x}</td>\
+                 <td>{y}</td><td>{z}</td><td>{}</td><td>{}</td></tr>\n",
+                escape(&color(*sum)),
+                number(f64::from(light.gain)),
+                light.lobes.len()
+            ));
+        }
+        out.push_str("</tbody></table></div></details>\n");
+        out
+    }
+}
+
+/// Gains with which these lights alone shine.
+fn alone(file: &LightFile, on: &[usize]) -> Vec<f32> {
+    file.lights.iter().enumerate().map(|(i, l)| if on.contains(&i) { l.gain } else { 0.0 }).collect()
+}
+
+/// The hue of linear light, as bright as a screen shows it.
+fn color(sum: [f64; 3]) -> String {
+    let most = sum.iter().fold(1e-30, |m: f64, v| m.max(*v));
+    let [r, g, b] = sum.map(|v| (linear_to_srgb((v / most) as f32) * 255.0 + 0.5) as u8);
+    crate::palette::hex([r, g, b])
+}
+
+fn small(camera: &Camera) -> Camera {
+    let width = camera.width.min(WIDTH);
+    let height = u64::from(camera.height) * u64::from(width) / u64::from(camera.width.max(1));
+    camera.scaled(width, (height as u32).max(1))
+}
+
+/// A camera as the drawing of the room takes it.
+pub fn eye(camera: &Camera) -> Eye {
+    Eye { position: camera.position(), forward: camera.forward(), up: -(camera.rotation.transpose() * DVec3::Y) }
+}
+
+/// Centers of splats that show.
+pub fn opaque(splats: &Splats) -> Vec<[f32; 3]> {
+    let shows = splats.means.iter().zip(&splats.opacity_logits).filter(|(_, logit)| **logit > 0.0);
+    shows.map(|(mean, _)| *mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_train::LightRow;
+
+    #[test]
+    fn the_brightest_come_first_and_the_rest_together() {
+        let light = |gain| LightRow { position: [0.0; 3], gain, lobes: Vec::new() };
+        let file = LightFile::new(1.0, vec![light(1.0), light(2.0), light(3.0), light(4.0)]);
+        let sums = vec![(2, [5.0; 3]), (0, [3.0; 3]), (3, [1.5; 3]), (1, [0.5; 3])];
+        let lamps = Lamps { file, sums, total: 10.0 };
+        let found = lamps.brightest(2);
+        let names: Vec<&str> = found.iter().map(|(n, _)| n.as_str()).collect();
+        assert_eq!(names, ["light 2 (50.0 %)", "light 0 (30.0 %)", "2 others (20.0 %)"]);
+        assert_eq!((&found[0].1, &found[2].1), (&vec![0.0, 0.0, 3.0, 0.0], &vec![0.0, 2.0, 0.0, 4.0]));
+        assert!(lamps.brightest(0).is_empty() && lamps.brightest(4).len() == 4);
+        assert_eq!(color([0.5, 0.25, 0.0]), "#ffbc00");
+    }
+}

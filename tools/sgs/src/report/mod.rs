@@ -1,0 +1,4 @@
+//! What `sgs report` shows: pictures of views, and what each light does.
+
+pub mod lamps;
+pub mod views;
