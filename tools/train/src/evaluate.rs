@@ -43,6 +43,19 @@ pub struct Nvs {
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
+    /// FLIP, the mean difference that somebody sees who flips between the two: 0 none, 1 the most ([`metrics::flip`]).
+    pub flip: f64,
+}
+
+impl Nvs {
+    /// Measures a picture against the truth where the mask says that it counts; both display-referred.
+    pub(crate) fn of(ours: &Image, theirs: &Image, mask: Option<&Image>) -> Result<Nvs> {
+        Ok(Nvs {
+            psnr: metrics::psnr(ours, theirs, mask)?,
+            ssim: metrics::ssim(ours, theirs, mask)?,
+            flip: metrics::flip(ours, theirs, mask)?,
+        })
+    }
 }
 
 /// Metrics of classes.
@@ -145,10 +158,7 @@ pub fn evaluate_classes(
         let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
-        let nvs = Nvs {
-            psnr: metrics::psnr(&rendered.rgb, &photo, counts.as_ref())?,
-            ssim: metrics::ssim(&rendered.rgb, &photo, counts.as_ref())?,
-        };
+        let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref())?;
         // Without normals of their own the Gaussians still have a surface: its normals come from depth.
         let surface;
         let shown = match &rendered.normal {
@@ -186,7 +196,7 @@ pub fn evaluate_classes(
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
     let mean = Means {
-        nvs: Nvs { psnr: mean(&|v| v.nvs.psnr), ssim: mean(&|v| v.nvs.ssim) },
+        nvs: Nvs { psnr: mean(&|v| v.nvs.psnr), ssim: mean(&|v| v.nvs.ssim), flip: mean(&|v| v.nvs.flip) },
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         depth_rel: some(&|v| v.depth_rel),
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),

@@ -69,10 +69,7 @@ pub fn evaluate_shaded(
         let mut found = measure_materials(&shaded, &truth, i)?;
         let picture = displayed(&shaded.radiance(background));
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        found.pbr = Some(Nvs {
-            psnr: metrics::psnr(&picture, &photo, counts.as_ref())?,
-            ssim: metrics::ssim(&picture, &photo, counts.as_ref())?,
-        });
+        found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref())?);
         look(&view.camera.name, &shaded)?;
         metrics.shaded = Some(found);
     }
@@ -134,7 +131,8 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
         let values: Vec<f64> = all.iter().filter_map(|m| f(m)).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
-    let pbr = some(&|m| m.pbr.map(|v| v.psnr)).zip(some(&|m| m.pbr.map(|v| v.ssim)));
+    let pbr =
+        some(&|m| m.pbr.map(|v| v.psnr)).zip(some(&|m| m.pbr.map(|v| v.ssim))).zip(some(&|m| m.pbr.map(|v| v.flip)));
     let albedo = some(&|m| m.albedo.map(|v| v.psnr))
         .zip(some(&|m| m.albedo.map(|v| v.ssim)))
         .zip(some(&|m| m.albedo.map(|v| v.psnr_scaled)));
@@ -147,7 +145,7 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
         Some((name.clone(), RelitMetrics { psnr, ssim, psnr_scaled }))
     });
     ShadedMetrics {
-        pbr: pbr.map(|(psnr, ssim)| Nvs { psnr, ssim }),
+        pbr: pbr.map(|((psnr, ssim), flip)| Nvs { psnr, ssim, flip }),
         albedo: albedo.map(|((psnr, ssim), psnr_scaled)| AlbedoMetrics { psnr, ssim, psnr_scaled }),
         roughness_mse: some(&|m| m.roughness_mse),
         metallic_mse: some(&|m| m.metallic_mse),

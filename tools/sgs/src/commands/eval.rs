@@ -153,13 +153,15 @@ fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize
 }
 
 fn print_table(e: &Evaluation) {
-    let row = |name: &str, [a, b, c, d, e]: [String; 5]| println!("{name:<20} {a:>8} {b:>8} {c:>10} {d:>10} {e:>8}");
+    let row = |name: &str, [a, b, c, d, e, f]: [String; 6]| {
+        println!("{name:<20} {a:>8} {b:>8} {c:>8} {d:>10} {e:>10} {f:>8}")
+    };
     let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     let line = |name: &str, nvs: &Nvs, normal: Option<f64>, depth: Option<f64>, semantic: Option<Semantic>| {
-        let (psnr, ssim) = (cell(Some(nvs.psnr), 2), cell(Some(nvs.ssim), 4));
-        row(name, [psnr, ssim, cell(normal, 2), cell(depth, 4), cell(semantic.map(|s| s.accuracy), 4)]);
+        let (psnr, ssim, flip) = (cell(Some(nvs.psnr), 2), cell(Some(nvs.ssim), 4), cell(Some(nvs.flip), 4));
+        row(name, [psnr, ssim, flip, cell(normal, 2), cell(depth, 4), cell(semantic.map(|s| s.accuracy), 4)]);
     };
-    row("view", ["PSNR", "SSIM", "normal °", "depth rel", "labels"].map(str::to_owned));
+    row("view", ["PSNR", "SSIM", "FLIP", "normal °", "depth rel", "labels"].map(str::to_owned));
     for v in &e.views {
         line(&v.name, &v.nvs, v.normal_mae_deg, v.depth_rel, v.semantic);
     }
@@ -173,7 +175,7 @@ fn print_table(e: &Evaluation) {
 fn print_shaded(m: &ShadedMetrics) {
     println!();
     if let Some(v) = &m.pbr {
-        println!("{:<20} {:>8.2} dB {:>8.4} SSIM", "shaded picture", v.psnr, v.ssim);
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.4} FLIP", "shaded picture", v.psnr, v.ssim, v.flip);
     }
     if let Some(v) = &m.albedo {
         println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled", "albedo", v.psnr, v.ssim, v.psnr_scaled);

@@ -5,12 +5,14 @@
 //! no pixel counts, instead of returning a number that means nothing.
 
 mod depth;
+mod flip;
 mod label;
 mod normal;
 mod psnr;
 mod ssim;
 
 pub use depth::depth_rel;
+pub use flip::flip;
 pub use label::label_accuracy;
 pub use normal::normal_mae_deg;
 pub use psnr::{mse, psnr, psnr_scaled};

@@ -1,0 +1,72 @@
+//! Measures of pictures against other people's implementations, on the same pictures: `tests/data/metrics/make.py` ran
+//! scikit-image and flip-evaluator, and wrote what they say.
+
+use serde_json::{Value, json};
+use sgs_scene::{Image, LoadOptions, Scene, SceneOptions};
+use sgs_tests::rooms::{Room, write_json};
+use sgs_train::metrics::{flip, mse, psnr, psnr_scaled, ssim};
+use std::path::{Path, PathBuf};
+
+/// How far apart they may be, in the unit of each measure.
+const AGREE: f64 = 1e-4;
+
+fn data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/metrics")
+}
+
+/// Pictures by name, read as a scene's photographs are.
+fn pictures(names: &[String]) -> Vec<Image> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("images")).unwrap();
+    let first = Room { views: names.len(), size: [72, 54], ..Room::default() }.cameras();
+    let cameras: Vec<_> =
+        first.into_iter().zip(names).map(|(c, n)| sgs_scene::Camera { name: n.clone(), ..c }).collect();
+    for name in names {
+        let file = format!("{name}.png");
+        std::fs::copy(data().join(&file), folder.path().join("images").join(&file)).unwrap();
+    }
+    write_json(&folder.path().join("transforms.json"), &sgs_tests::rooms::transforms(&cameras));
+    let scene = Scene::open(folder.path(), &SceneOptions::default()).unwrap();
+    let find = |name: &String| scene.views.iter().find(|v| v.camera.name == *name).unwrap();
+    names.iter().map(|n| find(n).load_image(&LoadOptions::default()).unwrap()).collect()
+}
+
+/// What disagrees, one sentence each.
+fn disagreements(expected: &Value, found: &[(&str, f64)]) -> Vec<String> {
+    let wrong = found.iter().filter(|(k, v)| !expected[*k].as_f64().is_some_and(|e| (e - v).abs() <= AGREE));
+    wrong.map(|(k, v)| format!("{k} is {v}, but {} elsewhere", expected[*k])).collect()
+}
+
+#[test]
+fn measures_are_those_of_others() {
+    let text = std::fs::read_to_string(data().join("expected.json")).unwrap();
+    let expected: Value = serde_json::from_str(&text).unwrap();
+    let pairs = expected["pairs"].as_object().unwrap();
+    let mut names: Vec<String> = pairs.keys().cloned().collect();
+    names.push("truth".into());
+    let images = pictures(&names);
+    let truth = &images[names.len() - 1];
+    for (name, image) in names.iter().zip(&images).filter(|(n, _)| *n != "truth") {
+        let found = [
+            ("mse", mse(image, truth, None).unwrap()),
+            ("psnr", psnr(image, truth, None).unwrap()),
+            ("psnr_scaled", psnr_scaled(image, truth, None).unwrap()),
+            ("ssim", ssim(image, truth, None).unwrap()),
+            ("flip", flip(image, truth, None).unwrap()),
+        ];
+        println!("{name}: {found:?}");
+        assert_eq!(disagreements(&pairs[name], &found), [""; 0], "{name}");
+        // Every measure tells this picture from another.
+        let other = if name == "blur" { "noise" } else { "blur" };
+        assert_eq!(disagreements(&pairs[other], &found).len(), found.len(), "{name}");
+    }
+    assert!(pairs.len() >= 6);
+}
+
+#[test]
+fn disagreement_is_noticed() {
+    let expected = json!({"psnr": 30.0, "ssim": 0.9});
+    assert!(disagreements(&expected, &[("psnr", 30.00005), ("ssim", 0.9)]).is_empty());
+    let found = [("psnr", 30.0002), ("ssim", f64::NAN), ("flip", 0.1)];
+    assert_eq!(disagreements(&expected, &found).len(), 3);
+}
