@@ -188,7 +188,7 @@ fn metrics_hold_what_is_known() {
             assert_eq!(views.len(), count);
             for entry in views.iter().chain([&metrics[split]["mean"]]) {
                 let entry = entry.as_object().unwrap();
-                for key in ["psnr", "ssim"] {
+                for key in ["psnr", "ssim", "flip"] {
                     assert!(entry["nvs"][key].as_f64().unwrap() > 0.0, "{entry:?}");
                 }
                 assert_eq!(entry.contains_key("depth_rel"), truth, "{entry:?}");
