@@ -201,7 +201,7 @@ fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, wid
     let all = lamps.rows();
     if !all.is_empty() {
         let eyes: Vec<room::Eye> = scene.split.train.iter().map(|v| lamps::eye(&scene.views[*v].camera)).collect();
-        out.push_str("<p>Blue: cameras of training. Circles: lights, as large as their share of the light of all lamps in the views below, in their color.</p>\n");
+        out.push_str("<p>Blue: cameras of training. Circles: lights, as large as their share of the light of all lamps in the views shown, in their color.</p>\n");
         out.push_str(&room::drawing(&lamps::opaque(splats), &eyes, &all));
         out.push_str(&lamps.table());
     }
