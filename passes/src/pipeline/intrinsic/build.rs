@@ -1,15 +1,12 @@
 //! The graph of a step. Everything reads parameters before anything moves them.
 
+use super::across::{Other, across_views};
 use super::inputs::Declared;
+use super::priors::{Asked, compared, priors};
 use super::{IntrinsicOptions, Steps};
 use crate::Tuning;
 use crate::kernel::stage;
-use crate::loss::{
-    CarryOptions, Compose, CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Materials, Msg, Photometric,
-    Seen, carry_mask, compose, compose_bwd, cross_view, edge_aware, gray_picture, gray_picture_bwd, loss_sum,
-    material_pictures, material_pictures_bwd, material_sum, msg, photometric, photometric_bwd, pictures, region_mask,
-    relight,
-};
+use crate::loss::{Compose, compose, compose_bwd, material_pictures_bwd, material_sum};
 use crate::optim::{EPSILON, Rate};
 use crate::pipeline::{RING, SurfaceHandles};
 use crate::scene::StepWords;
@@ -25,13 +22,11 @@ use crate::shade::traced::{lights_bwd_traced, lights_train_traced};
 use crate::shade::visibility::{
     BackwardOptions, Gradients, lights_bwd_field, lights_train_field, visibility_adam, visibility_lights_bwd,
 };
-use crate::shade::{
-    PixelMaterials, Pixels, RawMaterials, SURFACE_DEPTH, materials, materials_bwd, surface_depth, values,
-};
-use crate::splat::{Screen, wanted_words};
+use crate::shade::{PixelMaterials, Pixels, RawMaterials, Surfaces, materials, materials_bwd, values};
+use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::intrinsic_report as report;
-use sgs_shaders::structs::{LossStats, MaterialStats};
+use sgs_shaders::structs::MaterialStats;
 
 type Built<T> = std::result::Result<T, GraphError>;
 
@@ -44,6 +39,17 @@ pub(super) struct Words {
     pub flags: Buffer,
     pub skipped: Buffer,
     pub reports: Buffer,
+}
+
+/// What every part of a step works on.
+pub(super) struct Frame<'a> {
+    pub t: &'a Tuning,
+    pub steps: &'a Steps,
+    pub screen: Screen,
+    /// What the view sees.
+    pub seen: &'a Surfaces,
+    pub inputs: &'a Declared,
+    pub o: &'a IntrinsicOptions,
 }
 
 pub(super) fn build(
@@ -132,124 +138,11 @@ pub(super) fn build(
     let radiance_gradient = g.transient("radiance_gradient", 12 * pixels);
     compose_bwd(g, *t, &composed, grad_image, radiance_gradient)?;
 
-    // The priors, compared as they are displayed.
-    let shown = Materials { step, materials: of_pixels.materials, coverage: seen.coverage, largest: o.shape.largest };
-    let seen_as = pictures(g, "material_pictures", o.shape.largest, true);
-    material_pictures(g, *t, &shown, &seen_as)?;
-    let clear = |g: &mut Graph, name: &str| -> Built<Buffer> {
-        let buffer = g.transient(format!("grad_{name}_picture"), 12 * pixels);
-        g.fill(format!("clear_grad_{name}_picture"), buffer, 0)?;
-        Ok(buffer)
-    };
-    let (albedo_gradient, albedo_stats) = match inputs.albedo_priors {
-        Some(priors) => {
-            let (gradient, stats) = compared(g, t, "albedo", steps.albedo, seen_as.albedo, priors, o)?;
-            (gradient, Some(stats))
-        }
-        None => (clear(g, "albedo")?, None),
-    };
-    let (roughness_gradient, roughness_stats) = match (inputs.roughness_priors, seen_as.roughness) {
-        (Some(priors), Some(picture)) => {
-            let (gradient, stats) = compared(g, t, "roughness", steps.roughness, picture, priors, o)?;
-            (gradient, Some(stats))
-        }
-        _ => (clear(g, "roughness")?, None),
-    };
-    let mut metallic_stats = None;
-    if let (Some(priors), Some(values), Some(into)) = (inputs.metallic_priors, of_pixels.metallic, gradient.metallic) {
-        let picture = g.transient("metallic_picture", 12 * pixels);
-        gray_picture(g, *t, &screen, values, seen.coverage, picture)?;
-        let (by_picture, stats) = compared(g, t, "metallic", steps.metallic, picture, priors, o)?;
-        gray_picture_bwd(g, *t, &screen, by_picture, seen.coverage, into)?;
-        metallic_stats = Some(stats);
-    }
-    let of_pictures = MaterialPictures { albedo: albedo_gradient, roughness: Some(roughness_gradient) };
-    let mut losses = MaterialLosses { saturated: Some(saturated), ..Default::default() };
-    if o.edge_aware {
-        let edges = EdgeAware {
-            step,
-            weights: steps.weights,
-            pictures: seen_as,
-            targets: inputs.targets,
-            largest: o.shape.largest,
-        };
-        losses.edge = Some(edge_aware(g, *t, &edges, &of_pictures)?);
-    }
-    if let (Some(priors), true) = (inputs.albedo_priors, o.gradients) {
-        let scales = Msg {
-            step,
-            weights: steps.weights,
-            pictures: seen_as,
-            coverage: seen.coverage,
-            albedo_prior: priors,
-            roughness_prior: inputs.roughness_priors,
-            all_views: true,
-            mask: None,
-            largest: o.shape.largest,
-        };
-        losses.msg = Some(msg(g, *t, &scales, &of_pictures)?);
-    }
-    let region = match (o.cross_view || o.relight, inputs.regions) {
-        (true, Some(ids)) => {
-            let mask = g.transient("region_mask", 4 * wanted_words(pixels));
-            region_mask(g, *t, &screen, ids, mask)?;
-            Some(mask)
-        }
-        _ => None,
-    };
-    if let (Some(mask), Some(priors), true) = (region, inputs.albedo_priors, o.relight) {
-        let estimate = Msg {
-            step,
-            weights: steps.weights,
-            pictures: MaterialPictures { roughness: None, ..seen_as },
-            coverage: seen.coverage,
-            albedo_prior: priors,
-            roughness_prior: None,
-            all_views: true,
-            mask: Some(mask),
-            largest: o.shape.largest,
-        };
-        losses.relight[0] = Some(relight(g, *t, &estimate, 0, 1.0, of_pictures.albedo)?);
-    }
-    let mut others = Vec::new();
-    if let (Some(mask), true) = (region, o.cross_view) {
-        let mine = CrossPicture {
-            step,
-            albedo: seen_as.albedo,
-            mask,
-            albedo_gradient: of_pictures.albedo,
-            largest: o.shape.largest,
-        };
-        let depth = surface_depth(g, t, &screen, seen)?;
-        let trained = Seen { screen, blended: depth, channels: SURFACE_DEPTH };
-        let mut compared = vec![mine];
-        for (i, (surface, step)) in pseudo.iter().zip(steps.pseudo).enumerate() {
-            g.set_prefix(format!("pseudo{i}."));
-            let other = Screen { step, ..screen };
-            let of_other = PixelMaterials { materials: g.transient("materials", 16 * pixels), metallic: None };
-            materials(g, t, &other, &without_metal(&of_gaussians), &surface.weights, &of_other)?;
-            let coverage = surface.surfaces.coverage;
-            let shown = Materials { step, materials: of_other.materials, coverage, largest: o.shape.largest };
-            let picture = pictures(g, "pictures", o.shape.largest, false);
-            material_pictures(g, *t, &shown, &picture)?;
-            let depth = surface_depth(g, t, &other, &surface.surfaces)?;
-            let seen_there = Seen { screen: other, blended: depth, channels: SURFACE_DEPTH };
-            let carried = g.transient("carried", 4 * wanted_words(pixels));
-            carry_mask(g, *t, "carry_mask", &trained, mask, &seen_there, CarryOptions::default(), carried)?;
-            let by_picture = pictures(g, "grad_pictures", o.shape.largest, false);
-            g.fill("clear_grad_pictures", by_picture.albedo, 0)?;
-            compared.push(CrossPicture {
-                step,
-                albedo: picture.albedo,
-                mask: carried,
-                albedo_gradient: by_picture.albedo,
-                largest: o.shape.largest,
-            });
-            others.push((surface.weights, shown, by_picture));
-        }
-        g.set_prefix("");
-        losses.cross_view = Some(cross_view(g, *t, steps.weights, &compared)?);
-    }
+    // What else is asked of materials.
+    let frame = Frame { t, steps, screen, seen, inputs, o };
+    let mut asked = priors(g, &frame, &of_pixels, gradient.metallic, saturated)?;
+    let others = across_views(g, &frame, pseudo, &of_gaussians, &mut asked)?;
+    let Asked { shown, by_picture: of_pictures, losses, stats: of_priors, .. } = asked;
     let material_stats = g.transient("material_stats", size_of::<MaterialStats>() as u64);
     material_sum(g, *t, step, steps.weights, &losses, material_stats)?;
     material_pictures_bwd(g, *t, &shown, &of_pictures, gradient.materials)?;
@@ -306,7 +199,7 @@ pub(super) fn build(
         metallic: inputs.metallic.map(|m| m.gradient(g)),
     };
     materials_bwd(g, t, &raw, weights, n, &gradient, false, &grads)?;
-    for (i, (weights, shown, by_picture)) in others.into_iter().enumerate() {
+    for (i, Other { weights, shown, by_picture }) in others.into_iter().enumerate() {
         g.set_prefix(format!("pseudo{i}."));
         let gradient = PixelMaterials { materials: g.transient("materials_gradient", 16 * pixels), metallic: None };
         g.fill("clear_materials_gradient", gradient.materials, 0)?;
@@ -335,43 +228,17 @@ pub(super) fn build(
         params: step.into(),
         skipped: words.skipped.into(),
         shaded: stats.into(),
-        albedo: albedo_stats.unwrap_or(stats).into(),
-        roughness: roughness_stats.unwrap_or(stats).into(),
-        metallic: metallic_stats.unwrap_or(stats).into(),
+        albedo: of_priors[0].unwrap_or(stats).into(),
+        roughness: of_priors[1].unwrap_or(stats).into(),
+        metallic: of_priors[2].unwrap_or(stats).into(),
         materials: material_stats.into(),
         reports: words.reports.into(),
     };
     let specs = report::Specs {
         ring: RING,
-        albedo: albedo_stats.is_some(),
-        roughness: roughness_stats.is_some(),
-        metallic: metallic_stats.is_some(),
+        albedo: of_priors[0].is_some(),
+        roughness: of_priors[1].is_some(),
+        metallic: of_priors[2].is_some(),
     };
     stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
-}
-
-/// Pseudo-views are about albedo alone.
-fn without_metal(values: &PixelMaterials) -> PixelMaterials {
-    PixelMaterials { metallic: None, ..*values }
-}
-
-/// A picture against photographs or priors: its gradient, and what the loss came to.
-fn compared(
-    g: &mut Graph,
-    t: &Tuning,
-    name: &str,
-    step: Buffer,
-    image: Buffer,
-    targets: Buffer,
-    o: &IntrinsicOptions,
-) -> Built<(Buffer, Buffer)> {
-    g.set_prefix(format!("{name}."));
-    let loss = Photometric { step, image, targets, channels: 3, largest: o.shape.largest };
-    let partials = photometric(g, *t, &loss)?;
-    let gradient = g.transient("grad_image", 12 * u64::from(o.shape.largest[0]) * u64::from(o.shape.largest[1]));
-    photometric_bwd(g, *t, &loss, &partials, gradient)?;
-    let stats = g.transient("loss_stats", size_of::<LossStats>() as u64);
-    loss_sum(g, *t, step, (partials.sums, partials.count), None, stats)?;
-    g.set_prefix("");
-    Ok((gradient, stats))
 }

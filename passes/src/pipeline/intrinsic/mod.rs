@@ -3,8 +3,10 @@
 //! Geometry stands still. What the view sees of it ([`super::Surface`]) is bound before each step; nothing of the size of
 //! pixels times lights is stored; the host waits for nothing.
 
+mod across;
 mod build;
 mod inputs;
+mod priors;
 
 pub use inputs::{EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
 

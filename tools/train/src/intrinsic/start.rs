@@ -17,6 +17,10 @@ use sgs_scene::srgb_to_linear;
 /// Least sum of weights, in pixels, from which the priors' mean is taken.
 const LEAST: f64 = 1e-3;
 
+/// No albedo begins darker: what a black surface sends back tells lights nothing, and where a photograph shows it bright, as it
+/// does a window, lights have to find it before albedo closes.
+const DARKEST: f32 = 0.1;
+
 /// Materials before activation, as far as priors say something; gray and half rough where they do not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Start {
@@ -50,7 +54,7 @@ pub(super) fn start(
     let [albedo, roughness, metallic] = sums.map(|s| s.map(|(_, sums)| sums.into_iter().map(mean)));
     let first = |raw: fn(f32) -> f32, otherwise: f32| move |m: Option<[f32; 3]>| m.map_or(otherwise, |m| raw(m[0]));
     // Albedo priors are encoded as they are displayed, and so is their mean.
-    let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v))));
+    let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v).max(DARKEST))));
     Ok(Start {
         albedo: albedo.map(|a| a.flat_map(encoded).collect()),
         roughness: roughness.map(|r| r.map(first(raw_roughness, 0.0)).collect()),
