@@ -1,10 +1,10 @@
 //! Measures of pictures against other people's implementations, on the same pictures: `tests/data/metrics/make.py` ran
-//! scikit-image and flip-evaluator, and wrote what they say.
+//! scikit-image, scipy and flip-evaluator, and wrote what they say.
 
 use serde_json::{Value, json};
 use sgs_scene::{Image, LoadOptions, Scene, SceneOptions};
 use sgs_tests::rooms::{Room, write_json};
-use sgs_train::metrics::{flip, mse, psnr, psnr_scaled, ssim};
+use sgs_train::metrics::{depth_rel, flip, mse, normal_mae_deg, psnr, psnr_scaled, ssim};
 use std::path::{Path, PathBuf};
 
 /// How far apart they may be, in the unit of each measure.
@@ -31,6 +31,16 @@ fn pictures(names: &[String]) -> Vec<Image> {
     names.iter().map(|n| find(n).load_image(&LoadOptions::default()).unwrap()).collect()
 }
 
+/// The vectors that the colors of a normal map stand for.
+fn vectors(image: &Image) -> Image {
+    Image { data: image.data.iter().map(|v| 2.0 * v - 1.0).collect(), ..image.clone() }
+}
+
+/// Red as depth, from 1 to 3.
+fn depth(image: &Image) -> Image {
+    Image { channels: 1, data: image.data.iter().step_by(3).map(|v| 1.0 + 2.0 * v).collect(), ..image.clone() }
+}
+
 /// What disagrees, one sentence each.
 fn disagreements(expected: &Value, found: &[(&str, f64)]) -> Vec<String> {
     let wrong = found.iter().filter(|(k, v)| !expected[*k].as_f64().is_some_and(|e| (e - v).abs() <= AGREE));
@@ -53,6 +63,8 @@ fn measures_are_those_of_others() {
             ("psnr_scaled", psnr_scaled(image, truth, None).unwrap()),
             ("ssim", ssim(image, truth, None).unwrap()),
             ("flip", flip(image, truth, None).unwrap()),
+            ("normal_mae_deg", normal_mae_deg(&vectors(image), &vectors(truth), None).unwrap()),
+            ("depth_rel", depth_rel(&depth(image), &depth(truth), None).unwrap()),
         ];
         println!("{name}: {found:?}");
         assert_eq!(disagreements(&pairs[name], &found), [""; 0], "{name}");

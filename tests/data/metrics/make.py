@@ -13,7 +13,9 @@ from pathlib import Path
 
 import flip_evaluator
 import numpy as np
+import scipy
 import skimage
+from scipy.spatial.distance import cosine
 from skimage import io
 from skimage.filters import gaussian
 from skimage.metrics import mean_squared_error, peak_signal_noise_ratio, structural_similarity
@@ -54,6 +56,17 @@ def scaled(a, b):
     return peak_signal_noise_ratio(b, a * gains, data_range=1.0)
 
 
+def degrees(a, b):
+    """Mean angle between the vectors that the colors of normal maps stand for."""
+    pairs = zip((2 * a - 1).reshape(-1, 3), (2 * b - 1).reshape(-1, 3))
+    return np.degrees(np.mean([np.arccos(np.clip(1 - cosine(x, y), -1, 1)) for x, y in pairs]))
+
+
+def relative(a, b):
+    """Red as depth, from 1 to 3."""
+    return np.mean(np.abs((a[..., 0] - b[..., 0]) * 2) / (1 + 2 * b[..., 0]))
+
+
 def main():
     rng = np.random.default_rng(7)
     start = truth()
@@ -78,8 +91,10 @@ def main():
             "psnr_scaled": float(scaled(a, b)),
             "ssim": float(ssim(a, b)),
             "flip": float(flip),
+            "normal_mae_deg": float(degrees(a, b)),
+            "depth_rel": float(relative(a, b)),
         }
-    by = {"scikit-image": skimage.__version__, "flip-evaluator": "1.7", "numpy": np.__version__}
+    by = {"scikit-image": skimage.__version__, "flip-evaluator": "1.7", "scipy": scipy.__version__, "numpy": np.__version__}
     (HERE / "expected.json").write_text(json.dumps({"by": by, "pairs": pairs}, indent=1) + "\n")
 
 
