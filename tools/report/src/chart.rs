@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// Size of a curve, in the units of its drawing.
 const SIZE: [f64; 2] = [300.0, 130.0];
 /// Room for numbers at the left and below.
-const EDGE: [f64; 2] = [44.0, 16.0];
+const EDGE: [f64; 2] = [52.0, 16.0];
 /// Points of a curve that are drawn; a line of pixels shows no more.
 const MOST: usize = 600;
 
@@ -141,7 +141,7 @@ mod tests {
         );
         assert!(html.contains("&lt;albedo&gt;") && !html.contains("skipped") && !html.contains("NaN"));
         // From the upper left to the lower right.
-        assert!(html.contains("points=\"44.0,6.0 294.0,108.0 \""), "{html}");
+        assert!(html.contains("points=\"52.0,6.0 294.0,108.0 \""), "{html}");
         assert_eq!(log(""), "");
     }
 
