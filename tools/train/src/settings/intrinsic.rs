@@ -235,8 +235,8 @@ pub struct IntrinsicLosses {
     pub l1: f32,
     /// One minus its SSIM.
     pub dssim: f32,
-    /// Of the albedo prior: times the same two and the gradients. Published: 0.3, with which lights write themselves into
-    /// albedo (docs/ABLATION.md).
+    /// Of the albedo prior: times the same two and the gradients. Published: 0.3, which leaves more of albedo to what lights
+    /// cannot explain.
     pub albedo: f32,
     /// Of the roughness prior, likewise.
     pub roughness: f32,
