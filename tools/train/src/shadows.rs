@@ -44,7 +44,9 @@ pub(crate) fn traced(device: &Device, splats: &Splats, rays: Rays) -> Result<(Tr
 
 /// The middle one of the largest standard deviations of Gaussians that are opaque enough to show.
 fn size(splats: &Splats) -> f32 {
-    let largest = |i: usize| splats.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    // What is no number in one axis is no size.
+    let or_nan = |m: f32, v: &f32| if m.is_nan() || v.is_nan() { f32::NAN } else { m.max(*v) };
+    let largest = |i: usize| splats.log_scales[i].iter().fold(f32::NEG_INFINITY, or_nan);
     let shown = (0..splats.len()).filter(|&i| splats.opacity_logits[i] > -2.0);
     let mut all: Vec<f32> = shown.map(largest).filter(|s| s.is_finite()).collect();
     let middle = all.len() / 2;
