@@ -2,20 +2,22 @@
 //
 // Wanted pixels are few and splats are small, so that most entries of a tile show at none of them. The test is wider
 // than the one that decides (by far more than rounding), and exact for what it leaves out. Needs constants SUBGROUP and
-// PER_LANE, and the list of wanted pixels.
+// PER_LANE.
 
 const float HIT_MARGIN = 0.01; // of the exponent
 
-// A ballot of the lanes whose entry shows; `there` says which lanes have one.
-uvec4 lane_hits(Splat s, bool there, uint from, uint pixels) {
+// A ballot of the lanes whose entry shows at one of the lanes' pixels; `there` says which lanes have an entry. All lanes
+// hand their pixels round: fetching each from the list would be a load a lane.
+uvec4 lane_hits(Splat s, bool there, vec2 center[PER_LANE]) {
     float limit = log2(s.opacity / ALPHA_MIN) + HIT_MARGIN;
     bool hit = false;
-    [[unroll]] for (uint j = 0u; j < PER_LANE * SUBGROUP; ++j) {
-        uint packed = listed[min(from + j, pixels - 1u)];
-        float dx = float(packed & 0xffffu) + 0.5 - s.mean.x, dy = float(packed >> 16) + 0.5 - s.mean.y;
-        float p = s.factor.x * dx + s.factor.y * dy;
-        float q = s.factor.z * dy;
-        hit = hit || p * p + q * q <= limit;
+    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+        [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) {
+            float dx = subgroupShuffle(center[k].x, j) - s.mean.x, dy = subgroupShuffle(center[k].y, j) - s.mean.y;
+            float p = s.factor.x * dx + s.factor.y * dy;
+            float q = s.factor.z * dy;
+            hit = hit || p * p + q * q <= limit;
+        }
     }
     return subgroupBallot(there && hit);
 }

@@ -1,24 +1,42 @@
 // Which pixels of a tile somebody wants features at: a bit a pixel of the view, and the tile's own list of them.
 //
 // Features are wide and their maps are coarse, or masked: a list of the wanted pixels, lanes side by side on it, costs
-// what it must and no more. Needs constants SUBGROUP, TILE_WIDTH and TILE_HEIGHT, and the buffer `wanted` of words.
+// what it must and no more. Needs constants SUBGROUP, TILE_WIDTH and TILE_HEIGHT, of which the width is at most 32, and the
+// buffer `wanted` of words.
 
 shared uint listed[TILE_WIDTH * TILE_HEIGHT]; // column and row in the view, 16 bits each
 
-// Fills the list, in rows; returns its length. One subgroup is the workgroup.
-uint list_wanted(uvec2 corner, uvec2 size) {
-    uint count = 0u;
-    for (uint from = 0u; from < TILE_WIDTH * TILE_HEIGHT; from += SUBGROUP) {
-        uint item = from + gl_SubgroupInvocationID;
-        uvec2 pixel = corner + uvec2(item % TILE_WIDTH, item / TILE_WIDTH);
-        bool wants = item < TILE_WIDTH * TILE_HEIGHT && all(lessThan(pixel, size));
-        if (wants) {
-            uint bit = pixel.y * size.x + pixel.x;
-            wants = (wanted[bit / 32u] >> (bit % 32u) & 1u) != 0u;
+const uint LANE_ROWS = (TILE_HEIGHT + SUBGROUP - 1u) / SUBGROUP; // of the tile, a lane
+
+// A row's pixels as bits, the first the lowest.
+uint wanted_row(uint row, uvec2 corner, uvec2 size) {
+    uint y = corner.y + row;
+    if (row >= TILE_HEIGHT || y >= size.y) return 0u;
+    uint columns = min(TILE_WIDTH, size.x - corner.x);
+    uint bit = y * size.x + corner.x, shift = bit % 32u;
+    uint bits = wanted[bit / 32u] >> shift;
+    // A row may end in the next word.
+    if (shift + columns > 32u) bits |= wanted[bit / 32u + 1u] << (32u - shift);
+    return columns < 32u ? bits & ((1u << columns) - 1u) : bits;
+}
+
+// Fills the list; returns its length. Nothing is listed if the length is at most `least`. One subgroup is the workgroup.
+uint list_wanted(uvec2 corner, uvec2 size, uint least) {
+    uint bits[LANE_ROWS];
+    uint mine = 0u;
+    [[unroll]] for (uint r = 0u; r < LANE_ROWS; ++r) {
+        bits[r] = wanted_row(r * SUBGROUP + gl_SubgroupInvocationID, corner, size);
+        mine += bitCount(bits[r]);
+    }
+    uint count = subgroupAdd(mine);
+    if (count <= least) return count;
+    uint to = subgroupExclusiveAdd(mine);
+    [[unroll]] for (uint r = 0u; r < LANE_ROWS; ++r) {
+        uint y = corner.y + r * SUBGROUP + gl_SubgroupInvocationID;
+        while (bits[r] != 0u) {
+            listed[to++] = corner.x + findLSB(bits[r]) | y << 16;
+            bits[r] &= bits[r] - 1u;
         }
-        uvec4 votes = subgroupBallot(wants);
-        if (wants) listed[count + subgroupBallotExclusiveBitCount(votes)] = pixel.x | pixel.y << 16;
-        count += subgroupBallotBitCount(votes);
     }
     subgroupMemoryBarrierShared();
     subgroupBarrier();

@@ -35,7 +35,8 @@ void main() {
     uint tile = folded_workgroup() / SPANS, first = folded_workgroup() % SPANS * SPAN;
     if (tile >= camera.tiles.x * camera.tiles.y) return;
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
-    uint pixels = list_wanted(corner, camera.size);
+    uint pixels = list_wanted(corner, camera.size, first);
+    if (pixels <= first) return;
     uint begin = tile_ranges[2u * tile], end = tile_ranges[2u * tile + 1u];
     for (uint from = first; from < min(first + SPAN, pixels); from += SUBGROUP * PER_LANE) {
         uint at[PER_LANE];
@@ -59,7 +60,7 @@ void main() {
             uint v = entry_splats[sorted_entries[mine]];
             Splat s = splats[v];
             uint gaussian = splat_ids[v];
-            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, from, pixels);
+            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center);
             while ((hits.x | hits.y) != 0u) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);

@@ -2,7 +2,8 @@
 //
 // Gradients of opacity and footprint are linear in the gradients of the channels, so those that come through features are
 // worked out here by themselves and added to the others' where the entries of a splat are summed. An entry that shows at
-// no wanted pixel is not written; its flag stays down. One dispatch does the SPAN wanted pixels of every tile from `first` on.
+// no wanted pixel is not written; its flag stays down. The first dispatch does all wanted pixels of tiles of up to SHORT
+// entries, and SPAN of longer ones; the next does the SPAN of these from `first` on.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -15,6 +16,7 @@ layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint FEATURES = 32;
 layout(constant_id = 5) const uint SPAN = 256;
+layout(constant_id = 6) const uint SHORT = 0;
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push { uint first; } push;
@@ -44,10 +46,14 @@ void main() {
     Camera camera = params.step.camera;
     uint tile = folded_workgroup();
     if (tile >= camera.tiles.x * camera.tiles.y) return;
-    uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
-    uint pixels = list_wanted(corner, camera.size);
     uint begin = tile_ranges[2u * tile], end = tile_ranges[2u * tile + 1u];
-    for (uint from = push.first; from < min(push.first + SPAN, pixels); from += SUBGROUP * PER_LANE) {
+    bool is_short = end - begin <= SHORT;
+    if (is_short && push.first > 0u) return;
+    uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
+    uint pixels = list_wanted(corner, camera.size, push.first);
+    if (pixels <= push.first) return;
+    uint until = is_short ? pixels : min(push.first + SPAN, pixels);
+    for (uint from = push.first; from < until; from += SUBGROUP * PER_LANE) {
         vec2 center[PER_LANE];
         float T[PER_LANE];
         float R[PER_LANE];
@@ -74,7 +80,9 @@ void main() {
             uint v = entry_splats[entry];
             Splat s = splats[v];
             uint gaussian = splat_ids[v];
-            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, from, pixels);
+            uint left = entry_flags[entry]; // whether an earlier part of the list has left something
+            bool shown = false;
+            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center);
             while ((hits.x | hits.y) != 0u) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
@@ -115,9 +123,8 @@ void main() {
                 }
                 if (subgroupAny(shows > 0.0)) {
                     uint at_entry = subgroupShuffle(entry, i);
-                    // An earlier part of the list may have left something. Only this subgroup ever touches the entry, and
-                    // every lane puts the flag up, so that each reads what it wrote itself.
-                    bool first = entry_flags[at_entry] == 0u;
+                    bool first = subgroupShuffle(left, i) == 0u;
+                    shown = shown || i == gl_SubgroupInvocationID;
                     [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
                         float lane_sum[SUBGROUP];
                         [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) lane_sum[j] = sum[part * SUBGROUP + j];
@@ -128,9 +135,11 @@ void main() {
                             entry_features[into] = first ? lane_sum[0] : entry_features[into] + lane_sum[0];
                         }
                     }
-                    entry_flags[at_entry] = 1u;
                 }
             }
+            // An entry is this lane's own in every part of the list, and nobody else ever touches it.
+            // (Lanes past the end have the last entry, and never show.)
+            if (shown) entry_flags[entry] = 1u;
         }
     }
 }

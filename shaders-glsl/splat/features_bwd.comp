@@ -6,6 +6,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint FEATURES = 32;
+layout(constant_id = 2) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 
 IN(Work, visible);
@@ -19,15 +20,17 @@ INOUT(float, grad_features); // [Gaussians * FEATURES]; those that are not visib
 #include "entry_features.glsl"
 
 void main() {
-    // A workgroup does WORKGROUP splats; lanes have four of a splat's features each, side by side.
-    const uint quads = FEATURES / 4u;
-    uint first = folded_workgroup() * WORKGROUP;
-    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * quads; item += WORKGROUP) {
-        uint v = first + item / quads, c = item % quads * 4u;
-        if (v >= visible[0].count) break;
-        vec4 sum = entry_sum(v, c);
-        if (sum == vec4(0.0)) continue;
-        uint at = splat_ids[v] * FEATURES + c;
-        [[unroll]] for (uint k = 0u; k < 4u; ++k) grad_features[at + k] += sum[k];
+    uint own = folded_workgroup() * WORKGROUP + gl_SubgroupID * SUBGROUP + gl_SubgroupInvocationID;
+    bool there = own < visible[0].count;
+    uint id = there ? splat_ids[own] : 0u;
+    EntrySplat mine = entry_splat(own, there);
+    uvec4 exist = subgroupBallot(there);
+    for (uint item = gl_SubgroupInvocationID; item < SUBGROUP * QUADS; item += SUBGROUP) {
+        uint of = item / QUADS, c = item % QUADS * 4u;
+        uint at = subgroupShuffle(id, of) * FEATURES + c;
+        vec4 sum = entry_sum(mine, of, c);
+        if (subgroupBallotBitExtract(exist, of) && sum != vec4(0.0)) {
+            [[unroll]] for (uint k = 0u; k < 4u; ++k) grad_features[at + k] += sum[k];
+        }
     }
 }

@@ -8,7 +8,8 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint FEATURES = 32;
-layout(constant_id = 2) const bool DENSE = false; // then `seen` says which are left to another pass
+layout(constant_id = 2) const uint SUBGROUP = 32;
+layout(constant_id = 3) const bool DENSE = false; // then `seen` says which are left to another pass
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -27,24 +28,26 @@ INOUT(vec2, moments);
 
 void main() {
     if (flags[0] != 0u) return;
-    // Lanes have four of a splat's features each, side by side.
-    const uint quads = FEATURES / 4u;
-    uint first = folded_workgroup() * WORKGROUP;
-    for (uint item = gl_LocalInvocationID.x; item < WORKGROUP * quads; item += WORKGROUP) {
-        uint v = first + item / quads, c = item % quads * 4u;
-        if (v >= visible[0].count) break;
-        uint i = splat_ids[v];
-        if (DENSE && seen[i] == 0u) continue;
-        vec4 sum = entry_sum(v, c);
-        if (!DENSE && sum == vec4(0.0)) continue;
-        [[unroll]] for (uint k = 0u; k < 4u; ++k) {
-            if (!DENSE && sum[k] == 0.0) continue;
-            uint at = i * FEATURES + c + k;
-            float parameter = parameters[at];
-            vec2 m = moments[at];
-            adam(parameter, m, sum[k], params.step.lr_semantics, params.step.correction1, params.step.correction2);
-            parameters[at] = parameter;
-            moments[at] = m;
+    uint own = folded_workgroup() * WORKGROUP + gl_SubgroupID * SUBGROUP + gl_SubgroupInvocationID;
+    bool there = own < visible[0].count;
+    uint id = there ? splat_ids[own] : 0u;
+    if (DENSE) there = there && seen[id] != 0u;
+    EntrySplat mine = entry_splat(own, there);
+    uvec4 exist = subgroupBallot(there);
+    for (uint item = gl_SubgroupInvocationID; item < SUBGROUP * QUADS; item += SUBGROUP) {
+        uint of = item / QUADS, c = item % QUADS * 4u;
+        uint row = subgroupShuffle(id, of) * FEATURES + c;
+        vec4 sum = entry_sum(mine, of, c);
+        if (subgroupBallotBitExtract(exist, of) && (DENSE || sum != vec4(0.0))) {
+            [[unroll]] for (uint k = 0u; k < 4u; ++k) {
+                if (!DENSE && sum[k] == 0.0) continue;
+                uint at = row + k;
+                float parameter = parameters[at];
+                vec2 m = moments[at];
+                adam(parameter, m, sum[k], params.step.lr_semantics, params.step.correction1, params.step.correction2);
+                parameters[at] = parameter;
+                moments[at] = m;
+            }
         }
     }
 }

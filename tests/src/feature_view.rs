@@ -9,7 +9,7 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Handles, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    Channels, Entries, EntryFeatures, Screen, Visible, blend_features, blend_features_bwd, intersect, project,
+    Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, intersect, project,
     wanted_words,
 };
 use sgs_shaders::structs::Work;
@@ -31,6 +31,8 @@ pub struct View {
     pub camera: Camera,
     /// `[pixels * features]`; zero where nothing is wanted.
     pub weights: Vec<f64>,
+    /// Whether kernels are told that what is wanted lies close together. Nothing but time depends on it.
+    pub dense: bool,
 }
 
 impl View {
@@ -43,7 +45,7 @@ impl View {
         let mut r = Rng::new(seed);
         let pixels = (size[0] * size[1]) as usize;
         let weight = |i: usize| if wants(i / WIDE) { f64::from(r.between(-1.0, 1.0) as f32) } else { 0.0 };
-        View { camera, weights: (0..pixels * WIDE).map(weight).collect() }
+        View { camera, weights: (0..pixels * WIDE).map(weight).collect(), dense: seed.is_multiple_of(2) }
     }
 
     /// By the twin, of Gaussians without normals.
@@ -81,8 +83,9 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     let wanted = g.input("wanted", 4 * wanted_words(pixels));
     let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
-    blend_features(g, &t, &screen, handles, &visible, &entries, wanted, image).unwrap();
-    let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, wanted, image, gradient).unwrap();
+    let shown = Wanted { pixels: wanted, dense: view.dense };
+    blend_features(g, &t, &screen, handles, &visible, &entries, shown, image).unwrap();
+    let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, shown, image, gradient).unwrap();
     let mut camera = scenes::gpu_camera(&view.camera);
     camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
     let mut words = vec![0_u32; wanted_words(pixels) as usize];

@@ -7,7 +7,7 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, blend_debt, blend_features,
+    BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
     blend_features_bwd, features_bwd, intersect, project, project_bwd, wanted_words,
 };
 use sgs_tests::scenes::{self, Rng};
@@ -118,8 +118,9 @@ impl Case {
             let wanted = g.input("wanted", 4 * wanted_words(pixels));
             let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
-            blend_features(&mut g, &t, &screen, &handles, &visible, &entries, wanted, image).unwrap();
-            let left = blend_features_bwd(&mut g, &t, &screen, &handles, &visible, &entries, wanted, image, gradient);
+            let all = Wanted { pixels: wanted, dense: true };
+            blend_features(&mut g, &t, &screen, &handles, &visible, &entries, all, image).unwrap();
+            let left = blend_features_bwd(&mut g, &t, &screen, &handles, &visible, &entries, all, image, gradient);
             (wanted, gradient, left.unwrap(), image)
         });
         if self.features_move {

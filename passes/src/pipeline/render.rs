@@ -3,7 +3,7 @@
 use super::{Camera, Step};
 use crate::Tuning;
 use crate::scene::{FEATURES, Gaussians, Handles};
-use crate::splat::{Blended, Channels, Screen, blend, blend_features, intersect, project, wanted_words};
+use crate::splat::{Blended, Channels, Screen, Wanted, blend, blend_features, intersect, project, wanted_words};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -176,7 +176,8 @@ impl State {
         if let Some(into) = features {
             let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
             g.fill("want_all", everywhere, u32::MAX)?;
-            blend_features(&mut g, t, &screen, &handles, &visible, &entries, everywhere, into)?;
+            let wanted = Wanted { pixels: everywhere, dense: true };
+            blend_features(&mut g, t, &screen, &handles, &visible, &entries, wanted, into)?;
         }
         g.copy("copy_wanted", entries.wanted, wanted_out)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);

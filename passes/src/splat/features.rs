@@ -18,10 +18,28 @@ use crate::kernel::{groups, stage};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::features_bwd_adam as fused;
+use sgs_shaders::long_tiles as long;
 use sgs_shaders::{blend_features as forward, blend_features_bwd as backward, features_bwd as kernel};
 
-/// Wanted pixels that a lane has at a time: 64 sums in registers.
-const PER_LANE: u32 = 2;
+/// Where features are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted {
+    /// A bit a pixel, row by row ([`wanted_words`]).
+    pub pixels: Buffer,
+    /// Whether they lie close together, as in a region, or are few in each tile, as the samples of a coarse map.
+    pub dense: bool,
+}
+
+impl Wanted {
+    /// Wanted pixels that a lane has at a time, of which each takes 32 sums in registers. Narrow subgroups take more where
+    /// there are more, since what is fetched and left for an entry is that for all of them.
+    fn per_lane(&self, t: &Tuning) -> u32 {
+        if self.dense { (32 / t.subgroup_size).max(2) } else { 2 }
+    }
+}
+
+/// Iterations of loops that an invocation may do on llvmpipe, with some to spare.
+const SAFE_ITERATIONS: u32 = 60_000;
 
 /// What the kernels that go through tiles bind alike.
 macro_rules! of_tiles {
@@ -34,7 +52,7 @@ macro_rules! of_tiles {
             splats: $visible.splats.into(),
             splat_ids: $visible.ids.into(),
             raw_features: $gaussians.group(Group::Semantics).into(),
-            wanted: $wanted.into(),
+            wanted: $wanted.pixels.into(),
             $($more)*
         }
     };
@@ -87,14 +105,15 @@ pub fn blend_features(
     gaussians: &Handles,
     visible: &Visible,
     entries: &Entries,
-    wanted: Buffer,
+    wanted: Wanted,
     into: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = of_tiles!(forward, (screen, gaussians, visible, entries, wanted), feature_image: into.into(),);
-    let span = 2 * PER_LANE * t.subgroup_size;
+    let per_lane = wanted.per_lane(t);
+    let span = 2 * per_lane * t.subgroup_size;
     let specs = forward::Specs {
         subgroup: t.subgroup_size,
-        per_lane: PER_LANE,
+        per_lane,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
@@ -116,7 +135,7 @@ pub fn blend_features_bwd(
     gaussians: &Handles,
     visible: &Visible,
     entries: &Entries,
-    wanted: Buffer,
+    wanted: Wanted,
     image: Buffer,
     gradient: Buffer,
 ) -> Result<EntryFeatures, GraphError> {
@@ -130,17 +149,28 @@ pub fn blend_features_bwd(
         entry_features: values.into(),
         entry_flags: flags.into(),
     );
-    // Whole tiles, but for narrow subgroups: their parts of a tile are many, and llvmpipe leaves loops after 65535
-    // iterations, those of all loops of an invocation together.
-    let span = if t.subgroup_size < 16 { 2 * PER_LANE * t.subgroup_size } else { pixels(screen) };
+    // Whole tiles. But llvmpipe leaves loops after 65535 iterations, those of all loops of an invocation together, so that
+    // on narrow subgroups, whose parts of a tile are many, long tiles are done part by part. (An entry is fetched by one
+    // of the lanes, and then it may be tried: 9/8 iterations on eight lanes.)
+    let per_lane = wanted.per_lane(t);
+    let at_once = per_lane * t.subgroup_size;
+    let parts = pixels(screen).div_ceil(at_once);
+    let (span, short) = if t.subgroup_size < 16 {
+        (2 * at_once, SAFE_ITERATIONS / parts * t.subgroup_size / (t.subgroup_size + 1))
+    } else {
+        (pixels(screen), u32::MAX)
+    };
     let specs = backward::Specs {
         subgroup: t.subgroup_size,
-        per_lane: PER_LANE,
+        per_lane,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
         span,
+        short,
     };
+    let tiles = groups(u64::from(screen.tiles()), 1);
+    let mut needed = None;
     for first in (0..pixels(screen)).step_by(span as usize) {
         let push = backward::Push { first };
         let mut pass =
@@ -150,9 +180,34 @@ pub fn blend_features_bwd(
             let discard = first == 0 && name == "entry_features";
             pass = if discard { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
         }
-        pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(u64::from(screen.tiles()), 1))?;
+        let pass = pass.subgroup_size(Some(t.subgroup_size));
+        match needed {
+            None => pass.dispatch(tiles)?,
+            Some(arguments) => pass.dispatch_indirect(arguments, 0)?,
+        }
+        if span < pixels(screen) && needed.is_none() {
+            needed = Some(long_tiles(g, t, entries, screen.tiles(), short, tiles)?);
+        }
     }
     Ok(EntryFeatures { starts: entries.starts, values, flags })
+}
+
+/// Group counts of dispatches that only tiles of more than `short` entries need.
+fn long_tiles(
+    g: &mut Graph,
+    t: &Tuning,
+    entries: &Entries,
+    tiles: u32,
+    short: u32,
+    groups: [u32; 3],
+) -> Result<Buffer, GraphError> {
+    let arguments = g.transient("long_tiles", 12);
+    let bindings = long::Bindings { tile_ranges: entries.tile_ranges.into(), arguments: arguments.into() };
+    let specs = long::Specs { workgroup: t.workgroup, short };
+    let push = long::Push { tiles, groups };
+    stage(g, "long_tiles", &long::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch([1, 1, 1])?;
+    Ok(arguments)
 }
 
 /// Gradients of the features, by Gaussian, added to what is there: the caller clears it, then the views of a step add up,
@@ -168,8 +223,9 @@ pub fn features_bwd(
     into: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = of_splats!(kernel, (visible, entries), grad_features: into.into(),);
-    let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
+    let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width(), subgroup: t.subgroup_size };
     stage(g, "features_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 
@@ -205,7 +261,13 @@ pub fn features_bwd_adam(
         parameters: gaussians.group(Group::Semantics).into(),
         moments: a.moments.into(),
     );
-    let specs = fused::Specs { workgroup: t.workgroup, features: Group::Semantics.width(), dense: a.seen.is_some() };
+    let specs = fused::Specs {
+        workgroup: t.workgroup,
+        features: Group::Semantics.width(),
+        subgroup: t.subgroup_size,
+        dense: a.seen.is_some(),
+    };
     stage(g, "features_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

@@ -15,7 +15,8 @@ pub(crate) use blend::per_lane;
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
-    EntryFeatures, FeatureAdam, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, wanted_words,
+    EntryFeatures, FeatureAdam, Wanted, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
+    wanted_words,
 };
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};

@@ -16,8 +16,8 @@ use crate::pipeline::status::StatusHandles;
 use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step};
 use crate::splat::{
     Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen, Visible,
-    blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd, features_bwd_adam, intersect,
-    project, project_bwd_adam, wanted_words,
+    Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
+    intersect, project, project_bwd_adam, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
@@ -212,7 +212,8 @@ fn meaning(
     let mask = region.as_ref().map(|r| r.mask);
     wanted_samples(g, *t, screen, mask, s.targets.targets, wanted)?;
     let image = g.transient("feature_image", FEATURE_BYTES * screen.pixels());
-    blend_features(g, t, screen, gaussians, &view.visible, &view.entries, wanted, image)?;
+    let shown = Wanted { pixels: wanted, dense: region.is_some() };
+    blend_features(g, t, screen, gaussians, &view.visible, &view.entries, shown, image)?;
     let prepared = semantic_prepare(g, *t, &s.head)?;
     let gradient = g.transient("grad_feature_image", FEATURE_BYTES * screen.pixels());
     let channels = Group::Semantics.width();
@@ -235,7 +236,7 @@ fn meaning(
         None => None,
     };
     let (visible, entries) = (&view.visible, &view.entries);
-    let entries = blend_features_bwd(g, t, screen, gaussians, visible, entries, wanted, image, gradient)?;
+    let entries = blend_features_bwd(g, t, screen, gaussians, visible, entries, shown, image, gradient)?;
     Ok(Meaning { entries, pseudo })
 }
 

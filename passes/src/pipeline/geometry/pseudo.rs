@@ -15,8 +15,8 @@ use crate::loss::{
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{Group, Handles};
 use crate::splat::{
-    Channels, EntryFeatures, ExtraGradients, blend_features, blend_features_bwd, features_bwd, project_bwd_features,
-    wanted_words,
+    Channels, EntryFeatures, ExtraGradients, Wanted, blend_features, blend_features_bwd, features_bwd,
+    project_bwd_features, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph};
 
@@ -46,7 +46,7 @@ pub(super) struct Pseudo {
 /// A pseudo-view whose features have gradients.
 struct Compared {
     view: Rendering,
-    wanted: Buffer,
+    wanted: Wanted,
     image: Buffer,
     gradient: Buffer,
 }
@@ -117,13 +117,14 @@ impl Region {
                 (Masks::Given, _) => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
             }
             let image = g.transient("feature_image", FEATURE_BYTES * pixels);
+            let wanted = Wanted { pixels: wanted, dense: true };
             blend_features(g, t, &view_i.screen, gaussians, &view_i.visible, &view_i.entries, wanted, image)?;
             let gradient = g.transient("grad_feature_image", FEATURE_BYTES * pixels);
             Ok(Compared { view: view_i, wanted, image, gradient })
         };
         let views = Views([one(0)?, one(1)?]);
         g.set_prefix("");
-        let mask = |c: &Compared| if self.masks == Masks::Given { self.mask } else { c.wanted };
+        let mask = |c: &Compared| if self.masks == Masks::Given { self.mask } else { c.wanted.pixels };
         let pictures = views.0.each_ref().map(|c| (pictured(&c.view, c.image, mask(c)), c.gradient));
         for (i, (picture, _)) in pictures.iter().enumerate() {
             region(g, picture, head, prepared, &all, 1 + i as u32)?;
