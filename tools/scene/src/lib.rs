@@ -42,6 +42,6 @@ pub use points::{Pcg, PointCloud, RandomBox};
 pub use priors::{FeatureMap, TextEmbeddings, UnknownClass};
 pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
-pub use splats::{SH_C0, Splats};
+pub use splats::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
 pub use split::Split;
 pub use view::{LoadOptions, Photograph, View};

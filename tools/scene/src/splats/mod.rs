@@ -4,10 +4,13 @@
 //! ([`Splats::read_ply`], [`Splats::write_ply`]) and makes first ones from points ([`Splats::from_points`]); what a
 //! value does in an image is not its business.
 
+mod dialect;
 mod initial;
 mod layout;
 mod read;
 mod write;
+
+pub use dialect::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE};
 
 use crate::error::{Result, SceneError};
 

@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use super::Splats;
+use super::dialect::{Names, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, albedo_of_color};
 use super::layout::{degree_of_rest, place_of_rest};
+use super::{PlyDialect, Splats};
 use crate::error::Result;
-use crate::ply::VertexTable;
+use crate::ply::{Scalar, VertexTable};
 
 const PURPOSE: &str = "a splat file";
 
@@ -20,11 +21,16 @@ struct Groups {
 }
 
 impl Splats {
-    /// Reads a PLY file as 3DGS programs write it, with this project's additions where present.
+    /// Reads a PLY file as 3DGS programs write it, with the additions of any [`PlyDialect`].
     ///
     /// Properties may have any order and type. Normals that are all zero count as absent, because 3DGS files carry
     /// zeros there. Values that are not finite and quaternions of length zero are refused.
     pub fn read_ply(path: &Path) -> Result<Self> {
+        Ok(Self::read_ply_dialect(path)?.0)
+    }
+
+    /// [`Splats::read_ply`], and which dialect the file was in. Materials come as this project stores them.
+    pub fn read_ply_dialect(path: &Path) -> Result<(Self, PlyDialect)> {
         let table = VertexTable::open(path)?;
         let mut wanted = table.need(&["x", "y", "z", "scale_0", "scale_1", "scale_2"], PURPOSE)?;
         wanted.extend(table.need(&["rot_0", "rot_1", "rot_2", "rot_3", "opacity"], PURPOSE)?);
@@ -38,7 +44,19 @@ impl Splats {
         for i in 0..rest {
             wanted.extend(table.need(&[format!("f_rest_{i}").as_str()], PURPOSE)?);
         }
-        let groups = optional_groups(&table, &mut wanted);
+        let dialect = PlyDialect::of(&table);
+        let bytes = table.find("roughness").is_some_and(|p| table.scalar(p) == Scalar::U8);
+        let names = dialect.names(bytes);
+        let groups = optional_groups(&table, &names, &mut wanted);
+        let [mut albedo_code, mut metallic_code] = [OWN_ALBEDO, OWN_METALLIC];
+        if let Some((_, code)) = names.albedo {
+            albedo_code = code;
+        }
+        if let Some((_, code)) = names.metallic {
+            metallic_code = code;
+        }
+        // Where albedo has no names of its own, it is the color.
+        let from_color = names.albedo.is_none() && groups.roughness.is_some();
 
         let n = table.len();
         let mut splats = Self {
@@ -48,7 +66,7 @@ impl Splats {
             opacity_logits: Vec::with_capacity(n),
             sh: std::array::from_fn(|d| if d <= degree { vec![0.0; n * (2 * d + 1) * 3] } else { Vec::new() }),
             normals: groups.normals.map(|_| Vec::with_capacity(n)),
-            albedo: groups.albedo.map(|_| Vec::with_capacity(n)),
+            albedo: (groups.albedo.is_some() || from_color).then(|| Vec::with_capacity(n)),
             roughness: groups.roughness.map(|_| Vec::with_capacity(n)),
             metallic: groups.metallic.map(|_| Vec::with_capacity(n)),
             semantic: groups.semantic.map(|(_, channels)| (channels, Vec::with_capacity(n * channels))),
@@ -72,13 +90,15 @@ impl Splats {
                 target.push(three(at));
             }
             if let (Some(target), Some(at)) = (&mut splats.albedo, groups.albedo) {
-                target.push(three(at));
+                target.push(three(at).map(|v| albedo_code.to(OWN_ALBEDO, v)));
+            } else if let Some(target) = &mut splats.albedo {
+                target.push(three(11).map(albedo_of_color));
             }
             if let (Some(target), Some(at)) = (&mut splats.roughness, groups.roughness) {
-                target.push(v[at]);
+                target.push(names.roughness.1.to(OWN_ROUGHNESS, v[at]));
             }
             if let (Some(target), Some(at)) = (&mut splats.metallic, groups.metallic) {
-                target.push(v[at]);
+                target.push(metallic_code.to(OWN_METALLIC, v[at]));
             }
             if let (Some((channels, target)), Some((at, _))) = (&mut splats.semantic, groups.semantic) {
                 target.extend_from_slice(&v[at..at + *channels]);
@@ -88,22 +108,23 @@ impl Splats {
         if splats.normals.as_ref().is_some_and(|n| n.iter().flatten().all(|&v| v == 0.0)) {
             splats.normals = None;
         }
-        Ok(splats)
+        Ok((splats, dialect))
     }
 }
 
-fn optional_groups(table: &VertexTable, wanted: &mut Vec<usize>) -> Groups {
+fn optional_groups(table: &VertexTable, names: &Names, wanted: &mut Vec<usize>) -> Groups {
     let mut group = |names: &[&str]| {
         let at = wanted.len();
         wanted.extend(table.find_all(names)?);
         Some(at)
     };
-    let normals = group(&["nx", "ny", "nz"]);
-    let albedo = group(&["albedo_0", "albedo_1", "albedo_2"]);
-    let roughness = group(&["roughness"]);
-    let metallic = group(&["metallic"]);
-    let channels = table.count_numbered("semantic_");
-    let names: Vec<String> = (0..channels).map(|i| format!("semantic_{i}")).collect();
+    let normals = group(&names.normals);
+    let albedo = names.albedo.as_ref().and_then(|(names, _)| group(names));
+    let roughness = group(&[names.roughness.0]);
+    let metallic = names.metallic.and_then(|(name, _)| group(&[name]));
+    let prefix = names.semantic.unwrap_or("semantic_");
+    let channels = table.count_numbered(prefix);
+    let names: Vec<String> = (0..channels).map(|i| format!("{prefix}{i}")).collect();
     let semantic = if channels == 0 { None } else { group(&names.iter().map(String::as_str).collect::<Vec<_>>()) };
     Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)) }
 }

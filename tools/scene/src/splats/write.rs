@@ -3,68 +3,132 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::Splats;
+use super::dialect::{Code, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, color_of_albedo};
 use super::layout::{REST, place_of_rest};
+use super::{PlyDialect, Splats};
 use crate::atomic::atomic_write;
-use crate::error::Result;
+use crate::error::{Result, SceneError};
+
+/// Where the values of a property come from.
+enum Source {
+    Mean(usize),
+    Normal(usize),
+    Sh(usize, usize),
+    Opacity,
+    Scale(usize),
+    Rotation(usize),
+    Albedo(usize, Code),
+    /// Albedo in place of the color.
+    Shown(usize),
+    Roughness(Code),
+    Metallic(Code),
+    Semantic(usize),
+}
+
+impl Source {
+    fn value(&self, s: &Splats, i: usize) -> f32 {
+        match *self {
+            Source::Mean(k) => s.means[i][k],
+            Source::Normal(k) => s.normals.as_ref().map_or(0.0, |n| n[i][k]),
+            Source::Sh(band, at) => s.sh[band].get(i * (2 * band + 1) * 3 + at).copied().unwrap_or(0.0),
+            Source::Opacity => s.opacity_logits[i],
+            Source::Scale(k) => s.log_scales[i][k],
+            Source::Rotation(k) => s.rotations[i][k],
+            Source::Albedo(k, code) => s.albedo.as_ref().map_or(0.0, |a| OWN_ALBEDO.to(code, a[i][k])),
+            Source::Shown(k) => s.albedo.as_ref().map_or(0.0, |a| color_of_albedo(a[i][k])),
+            Source::Roughness(code) => s.roughness.as_ref().map_or(0.0, |r| OWN_ROUGHNESS.to(code, r[i])),
+            // Where nothing says so, nothing is metallic.
+            Source::Metallic(code) => match &s.metallic {
+                Some(m) => OWN_METALLIC.to(code, m[i]),
+                None => Code::Plain(1.0).to(code, 0.0),
+            },
+            Source::Semantic(k) => s.semantic.as_ref().map_or(0.0, |(channels, v)| v[i * channels + k]),
+        }
+    }
+}
 
 impl Splats {
     /// Writes a binary PLY file: `x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*` as every 3DGS program does, then
     /// `albedo_0..2 roughness metallic semantic_*` where present. Absent normals are written as zeros.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
+        self.write_ply_as(path, PlyDialect::Own)
+    }
+
+    /// Writes a binary PLY file in a dialect. What the dialect has no place for is left out
+    /// ([`PlyDialect::leaves_out`]); values beyond its range become the nearest.
+    ///
+    /// # Errors
+    /// If the dialect's files hold materials and these splats have none.
+    pub fn write_ply_as(&self, path: &Path, dialect: PlyDialect) -> Result<()> {
         self.check()?;
-        let degree = self.sh_degree();
-        let header = self.header(degree);
-        let rest: Vec<_> = (0..REST[degree] * 3).map(|i| place_of_rest(degree, i)).collect();
+        if dialect.needs_materials() && (self.albedo.is_none() || self.roughness.is_none()) {
+            let problem = format!("they have no materials, which {} files hold; write 3dgs instead", dialect.name());
+            return Err(SceneError::Data { what: "the splats", problem });
+        }
+        let columns = self.columns(dialect);
+        let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.len());
+        columns.iter().for_each(|(name, _)| header.push_str(&format!("property float {name}\n")));
+        header.push_str("end_header\n");
         atomic_write(path, |out| {
             out.write_all(header.as_bytes())?;
-            let mut row: Vec<f32> = Vec::new();
             let mut bytes: Vec<u8> = Vec::new();
             for i in 0..self.len() {
-                row.clear();
-                row.extend(self.means[i]);
-                row.extend(self.normals.as_ref().map_or([0.0; 3], |n| n[i]));
-                row.extend(self.sh[0].get(i * 3..i * 3 + 3).unwrap_or(&[0.0; 3]));
-                row.extend(rest.iter().map(|&(band, at)| self.sh[band][i * (2 * band + 1) * 3 + at]));
-                row.push(self.opacity_logits[i]);
-                row.extend(self.log_scales[i]);
-                row.extend(self.rotations[i]);
-                row.extend(self.albedo.iter().flat_map(|v| v[i]));
-                row.extend(self.roughness.iter().map(|v| v[i]));
-                row.extend(self.metallic.iter().map(|v| v[i]));
-                if let Some((channels, values)) = &self.semantic {
-                    row.extend(&values[i * channels..(i + 1) * channels]);
-                }
                 bytes.clear();
-                bytes.extend(row.iter().flat_map(|v| v.to_le_bytes()));
+                bytes.extend(columns.iter().flat_map(|(_, source)| source.value(self, i).to_le_bytes()));
                 out.write_all(&bytes)?;
             }
             Ok(())
         })
     }
 
-    fn header(&self, degree: usize) -> String {
-        let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.len());
-        let mut declare = |name: &str| header.push_str(&format!("property float {name}\n"));
-        ["x", "y", "z", "nx", "ny", "nz"].into_iter().for_each(&mut declare);
-        (0..3).for_each(|i| declare(&format!("f_dc_{i}")));
-        (0..REST[degree] * 3).for_each(|i| declare(&format!("f_rest_{i}")));
-        declare("opacity");
-        (0..3).for_each(|i| declare(&format!("scale_{i}")));
-        (0..4).for_each(|i| declare(&format!("rot_{i}")));
-        if self.albedo.is_some() {
-            (0..3).for_each(|i| declare(&format!("albedo_{i}")));
+    /// The properties of a file, in their order.
+    fn columns(&self, dialect: PlyDialect) -> Vec<(String, Source)> {
+        let degree = self.sh_degree();
+        let names = dialect.names(false);
+        let own = dialect == PlyDialect::Own;
+        let mesh = dialect == PlyDialect::Mesh2Splat;
+        let mut columns: Vec<(String, Source)> = Vec::new();
+        let mut put = |name: &str, source| columns.push((name.to_owned(), source));
+        ["x", "y", "z"].into_iter().enumerate().for_each(|(k, n)| put(n, Source::Mean(k)));
+        ["nx", "ny", "nz"].into_iter().enumerate().for_each(|(k, n)| put(n, Source::Normal(k)));
+        (0..3).for_each(|k| put(&format!("f_dc_{k}"), if mesh { Source::Shown(k) } else { Source::Sh(0, k) }));
+        let metallic = names.metallic.filter(|_| dialect != PlyDialect::ThreeDgs && (!own || self.metallic.is_some()));
+        if mesh {
+            metallic.iter().for_each(|(name, code)| put(name, Source::Metallic(*code)));
+            put(names.roughness.0, Source::Roughness(names.roughness.1));
+        } else {
+            for i in 0..REST[degree] * 3 {
+                let (band, at) = place_of_rest(degree, i);
+                put(&format!("f_rest_{i}"), Source::Sh(band, at));
+            }
         }
-        if self.roughness.is_some() {
-            declare("roughness");
+        put("opacity", Source::Opacity);
+        (0..3).for_each(|k| put(&format!("scale_{k}"), Source::Scale(k)));
+        (0..4).for_each(|k| put(&format!("rot_{k}"), Source::Rotation(k)));
+        if mesh || dialect == PlyDialect::ThreeDgs {
+            return columns;
         }
-        if self.metallic.is_some() {
-            declare("metallic");
+        if dialect == PlyDialect::GsIr {
+            names.normals.into_iter().enumerate().for_each(|(k, n)| put(n, Source::Normal(k)));
         }
         let channels = self.semantic.as_ref().map_or(0, |(channels, _)| *channels);
-        (0..channels).for_each(|i| declare(&format!("semantic_{i}")));
-        header.push_str("end_header\n");
-        header
+        let semantic = names.semantic.map_or(0..0, |_| 0..channels);
+        let prefix = names.semantic.unwrap_or_default();
+        // The published code has features before materials, this project behind them.
+        if !own {
+            semantic.clone().for_each(|k| put(&format!("{prefix}{k}"), Source::Semantic(k)));
+        }
+        if let (Some((names, code)), true) = (names.albedo, self.albedo.is_some()) {
+            names.into_iter().enumerate().for_each(|(k, n)| put(n, Source::Albedo(k, code)));
+        }
+        if self.roughness.is_some() {
+            put(names.roughness.0, Source::Roughness(names.roughness.1));
+        }
+        metallic.iter().for_each(|(name, code)| put(name, Source::Metallic(*code)));
+        if own {
+            semantic.for_each(|k| put(&format!("{prefix}{k}"), Source::Semantic(k)));
+        }
+        columns
     }
 }
 

@@ -1,12 +1,7 @@
 //! Materials of chosen Gaussians after an edit.
 
 use super::edit::MaterialEdit;
-use sgs_scene::Splats;
-
-/// Lowest albedo, and how far it reaches from there.
-const ALBEDO: [f32; 2] = [0.01, 0.98];
-/// The same of roughness; metallic lies between 0 and 1.
-const ROUGHNESS: [f32; 2] = [0.09, 0.9];
+use sgs_scene::{ALBEDO_RANGE as ALBEDO, ROUGHNESS_RANGE as ROUGHNESS, Splats};
 
 /// Nearer to the ends no value comes: beyond, what is before activation would be infinite.
 const MARGIN: f32 = 1e-4;
