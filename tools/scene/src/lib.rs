@@ -14,6 +14,7 @@ mod camera;
 mod depth;
 mod error;
 mod exposure;
+mod gltf;
 mod ground_truth;
 mod image;
 mod json;
@@ -31,6 +32,7 @@ pub use atomic::atomic_write;
 pub use camera::{Camera, Distortion, MAX_IMAGE_SIDE};
 pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
+pub use gltf::{GltfScene, Placement, PointLight, write_gltf};
 pub use ground_truth::{GroundTruth, GroundTruthKind};
 pub use image::{
     ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, read_environment, read_exr, read_ids, resize,

@@ -4,10 +4,10 @@ use anyhow::{Context, bail};
 use sgs_engine::Device;
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_scene::Splats;
-use sgs_train::{RunDirectory, Settings, gaussian_data};
+use sgs_train::{RunDirectory, Settings, gaussian_data, read_splats};
 use std::path::Path;
 
-/// The PLY behind a run directory or a file, and the run's settings if it is one.
+/// The Gaussians of a run directory or of a PLY or glTF file, and the run's settings if it is one.
 pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
     if source.is_dir() {
         let run = RunDirectory::open(source)?;
@@ -18,9 +18,9 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
         return Ok((Splats::read_ply(&ply)?, Some(run.settings()?)));
     }
     if !source.exists() {
-        bail!("\"{}\" does not exist; give a run directory or a PLY file.", source.display());
+        bail!("\"{}\" does not exist; give a run directory, a PLY or a glTF file.", source.display());
     }
-    Ok((Splats::read_ply(source)?, None))
+    Ok((read_splats(source)?, None))
 }
 
 /// Gaussians on the device from splats; semantic features only if they are wanted.

@@ -39,7 +39,7 @@ enum Command {
     Train(commands::train::Args),
     /// Measure a run at held-out or training views.
     Eval(commands::eval::Args),
-    /// Render a run or a PLY from the cameras of a transforms file.
+    /// Render a run or a file from the cameras of a transforms file.
     Render(commands::render::Args),
     /// Render a run under other lights, of other materials, with other things in it; train nothing.
     Relight(commands::relight::Args),
@@ -47,7 +47,7 @@ enum Command {
     Ablate(commands::ablate::Args),
     /// Write one page that shows a run: pictures side by side, tables, curves, lights, profile, settings.
     Report(commands::report::Args),
-    /// Write a run's Gaussians as a PLY that viewers open.
+    /// Write Gaussians, materials and light for other programs: PLY, glTF.
     Export(commands::export::Args),
     /// List what can run here, and what each device lacks.
     Devices,

@@ -4,7 +4,7 @@
 
 use anyhow::bail;
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_train::{RunDirectory, RunLight, Settings, ShadedView, displayed, light_of};
+use sgs_train::{RunDirectory, RunLight, Settings, ShadedView, displayed, light_of, read_light};
 use std::path::{Path, PathBuf};
 
 /// Formats of picture files.
@@ -88,9 +88,11 @@ pub fn write(format: Format, dir: &Path, stem: &str, name: &str, image: &Image) 
     Ok(path)
 }
 
-/// What lights a run; nothing for a PLY file.
+/// What lights a run, or a file: lights in it or beside it, surroundings beside it.
 pub fn light_of_source(source: &Path, settings: Option<&Settings>) -> anyhow::Result<RunLight> {
-    let Some(settings) = settings else { return Ok(RunLight::default()) };
+    let Some(settings) = settings else {
+        return Ok(read_light(source, Settings::default().intrinsic.environment.resolution)?);
+    };
     Ok(light_of(&RunDirectory::open(source)?, settings)?)
 }
 

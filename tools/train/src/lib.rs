@@ -12,6 +12,7 @@ mod data;
 mod error;
 mod evaluate;
 mod evaluate_shaded;
+mod exchange;
 mod floats;
 mod geometry;
 mod head;
@@ -40,6 +41,7 @@ pub use evaluate::{
     render_view,
 };
 pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
+pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, read_lights, write_lights};

@@ -6,8 +6,8 @@ use crate::ui::Bar;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::html;
-use sgs_scene::{Scene, Splats};
-use sgs_train::{Intrinsic, IntrinsicLog, RunDirectory, Settings};
+use sgs_scene::Scene;
+use sgs_train::{Intrinsic, IntrinsicLog, RunDirectory, Settings, read_splats};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -57,7 +57,7 @@ pub fn intrinsic_into(
             from.display()
         );
     }
-    let mut splats = Splats::read_ply(from)?;
+    let mut splats = read_splats(from)?;
     // The stage begins afresh or from its checkpoint, never from what an earlier one came to.
     (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
     let mut training = Intrinsic::new(device, scene, settings, &splats)?;

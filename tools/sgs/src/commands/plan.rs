@@ -17,9 +17,9 @@ pub struct Args {
     /// Which stage: geometry, or materials, lights and shadows, or both.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry of the intrinsic stage, as a PLY file of 3DGS; by default the scene's points as the geometry stage begins
+    /// Geometry of the intrinsic stage, as a PLY or glTF file; by default the scene's points as the geometry stage begins
     /// with them.
-    #[arg(long, value_name = "FILE.ply")]
+    #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,

@@ -5,7 +5,7 @@ use sgs_engine::graph::Plan;
 use sgs_engine::{Budget, Device};
 use sgs_passes::pipeline::IntrinsicOptions;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Intrinsic, IntrinsicNeeds, Settings};
+use sgs_train::{Intrinsic, IntrinsicNeeds, Settings, read_splats};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ pub struct IntrinsicPlan {
 impl IntrinsicPlan {
     pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<IntrinsicPlan> {
         let splats = match start {
-            Some(file) => Splats::read_ply(file)?,
+            Some(file) => read_splats(file)?,
             None => Splats::from_points(&scene.points, s.geometry.sh_degree as usize)?,
         };
         let mut training = Intrinsic::new(device, scene, s, &splats)?;

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Args {
-    /// Run directory, or PLY file with materials.
+    /// Run directory, or a PLY or glTF file with materials.
     source: PathBuf,
     /// What changes: see docs/RELIGHT.md. Nothing by default.
     #[arg(long, value_name = "FILE.json")]

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Args {
-    /// Run directory or PLY file.
+    /// Run directory, or a PLY or glTF file.
     source: PathBuf,
     /// Cameras: a transforms file.
     #[arg(long, value_name = "FILE.json")]

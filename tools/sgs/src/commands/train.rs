@@ -63,8 +63,8 @@ pub struct Args {
     /// Which stage: geometry, or materials, lights and shadows on the geometry that is in the run, or both.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry for the intrinsic stage from elsewhere, as a PLY file of 3DGS.
-    #[arg(long, value_name = "FILE.ply")]
+    /// Geometry for the intrinsic stage from elsewhere: a PLY of any 3DGS program, or glTF.
+    #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,

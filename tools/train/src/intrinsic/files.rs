@@ -106,7 +106,7 @@ impl LightFile {
         (model, positions, lobes, gains)
     }
 
-    fn check(&self) -> std::result::Result<(), String> {
+    pub(crate) fn check(&self) -> std::result::Result<(), String> {
         if self.format != FORMAT {
             return Err(format!("its format is \"{}\", not \"{FORMAT}\"", self.format));
         }

@@ -18,6 +18,7 @@ pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
+pub(crate) use insert::{join, placed};
 pub use lamps::Lamp;
 pub use live::Relighter;
 pub use select::Selector;

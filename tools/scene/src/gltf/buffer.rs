@@ -1,0 +1,164 @@
+//! The bytes of a glTF file: its container, its buffers, and numbers in them. Nothing is reserved that the bytes at hand do
+//! not fill.
+
+use super::document::{Accessor, Buffer, Document};
+use crate::error::io_error;
+use std::path::Path;
+
+/// What is wrong, in words.
+type Found<T> = std::result::Result<T, String>;
+
+/// The JSON and the binary chunk of a file.
+pub(super) fn chunks(bytes: &[u8]) -> Found<(&[u8], Option<&[u8]>)> {
+    if !bytes.starts_with(b"glTF") {
+        return Ok((bytes, None));
+    }
+    let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    let (Some(version), Some(length)) = (word(4), word(8)) else { return Err("its header is cut off".into()) };
+    if version != 2 {
+        return Err(format!("it is of version {version} of the container, not 2"));
+    }
+    if length > bytes.len() {
+        return Err(format!("it promises {length} bytes, but has {}; copy or export it again", bytes.len()));
+    }
+    let chunk = |at: usize, kind: &[u8; 4]| {
+        let size = word(at)?;
+        (bytes.get(at + 4..at + 8)? == kind).then_some(())?;
+        bytes.get(at + 8..(at + 8).checked_add(size)?)
+    };
+    let Some(json) = chunk(12, b"JSON") else { return Err("its first chunk is no whole JSON".into()) };
+    let next = 20 + json.len().next_multiple_of(4);
+    let binary = chunk(next, b"BIN\0");
+    if binary.is_none() && next < length {
+        return Err("its second chunk is no whole binary one".into());
+    }
+    Ok((json, binary))
+}
+
+/// The bytes of every buffer that `wanted` names; the others stay empty.
+pub(super) fn buffers(path: &Path, document: &Document, binary: Option<&[u8]>) -> Found<Vec<Vec<u8>>> {
+    let one = |(i, buffer): (usize, &Buffer)| {
+        let bytes = match &buffer.uri {
+            None => binary.filter(|_| i == 0).ok_or_else(|| format!("buffer {i} is nowhere"))?.to_vec(),
+            Some(uri) if uri.starts_with("data:") => {
+                let text = uri.split_once(";base64,").map(|(_, text)| text);
+                text.and_then(base64).ok_or_else(|| format!("buffer {i} is no base64"))?
+            }
+            Some(uri) => {
+                let inside = !uri.is_empty() && !uri.contains([':', '\\']) && !uri.starts_with('/');
+                if !inside || uri.split('/').any(|part| part == "..") {
+                    return Err(format!("buffer {i} is at \"{uri}\", which is not beside the file"));
+                }
+                let file = path.with_file_name(uri.replace("%20", " "));
+                std::fs::read(&file).map_err(|e| io_error("read", &file)(e).to_string())?
+            }
+        };
+        if bytes.len() < buffer.byte_length {
+            return Err(format!("buffer {i} promises {} bytes, but has {}", buffer.byte_length, bytes.len()));
+        }
+        Ok(bytes)
+    };
+    document.buffers.iter().enumerate().map(one).collect()
+}
+
+fn base64(text: &str) -> Option<Vec<u8>> {
+    let mut out = Vec::with_capacity(text.len() / 4 * 3);
+    let (mut bits, mut have) = (0_u32, 0);
+    for byte in text.trim_end_matches('=').bytes() {
+        let six = match byte {
+            b'A'..=b'Z' => byte - b'A',
+            b'a'..=b'z' => byte - b'a' + 26,
+            b'0'..=b'9' => byte - b'0' + 52,
+            b'+' => 62,
+            b'/' => 63,
+            _ => return None,
+        };
+        bits = bits << 6 | u32::from(six);
+        have += 6;
+        if have >= 8 {
+            have -= 8;
+            out.push((bits >> have) as u8);
+        }
+    }
+    Some(out)
+}
+
+/// How many components a type has.
+fn width(kind: &str) -> Option<usize> {
+    ["SCALAR", "VEC2", "VEC3", "VEC4"].iter().position(|k| *k == kind).map(|at| at + 1)
+}
+
+/// All numbers of an accessor, element by element.
+pub(super) fn numbers(document: &Document, buffers: &[Vec<u8>], accessor: &Accessor, wide: usize) -> Found<Vec<f32>> {
+    if width(&accessor.kind) != Some(wide) {
+        return Err(format!("it is {}, but must have {wide} components", accessor.kind));
+    }
+    if accessor.sparse.is_some() {
+        return Err("it is sparse, which is not read; export it dense".into());
+    }
+    let size = match accessor.component_type {
+        5120 | 5121 => 1,
+        5122 | 5123 => 2,
+        5126 => 4,
+        other => return Err(format!("its components are of type {other}, which is not read")),
+    };
+    let view = accessor.buffer_view.ok_or("it has no buffer view; compressed splats are not read")?;
+    let view = document.buffer_views.get(view).ok_or_else(|| format!("its buffer view {view} is not there"))?;
+    let buffer = buffers.get(view.buffer).ok_or_else(|| format!("its buffer {} is not there", view.buffer))?;
+    let end = view.byte_offset.checked_add(view.byte_length);
+    let bytes = end.and_then(|end| buffer.get(view.byte_offset..end)).ok_or("its buffer view leaves the buffer")?;
+    let element = wide * size;
+    let stride = view.byte_stride.unwrap_or(element);
+    let last = accessor.count.checked_sub(1).ok_or("it is empty")?;
+    let need =
+        last.checked_mul(stride).and_then(|n| n.checked_add(element)).and_then(|n| n.checked_add(accessor.byte_offset));
+    // A stride of less than an element would let few bytes stand for many.
+    if stride < element || need.is_none_or(|need| need > bytes.len()) {
+        return Err(format!("its {} elements leave the buffer view of {} bytes", accessor.count, bytes.len()));
+    }
+    let mut out = Vec::with_capacity(accessor.count * wide);
+    for i in 0..accessor.count {
+        let at = accessor.byte_offset + i * stride;
+        for c in bytes[at..at + element].chunks_exact(size) {
+            let whole = |value: f32, most: f32| if accessor.normalized { (value / most).max(-1.0) } else { value };
+            out.push(match accessor.component_type {
+                5120 => whole(f32::from(c[0] as i8), 127.0),
+                5121 => whole(f32::from(c[0]), 255.0),
+                5122 => whole(f32::from(i16::from_le_bytes([c[0], c[1]])), 32767.0),
+                5123 => whole(f32::from(u16::from_le_bytes([c[0], c[1]])), 65535.0),
+                _ => f32::from_le_bytes([c[0], c[1], c[2], c[3]]),
+            });
+        }
+    }
+    match out.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(format!("element {} holds {}", at / wide, out[at])),
+        None => Ok(out),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_everybody() {
+        assert_eq!(base64("TWFu").unwrap(), b"Man");
+        assert_eq!(base64("TWE=").unwrap(), b"Ma");
+        assert_eq!(base64("TQ==").unwrap(), b"M");
+        assert_eq!(base64("/+8=").unwrap(), [0xff, 0xef]);
+        assert_eq!(base64("T*==").map(|b| b.len()), None);
+    }
+
+    #[test]
+    fn containers_are_whole_or_refused() {
+        assert_eq!(chunks(b"{}").unwrap(), (&b"{}"[..], None));
+        let glb = b"glTF\x02\0\0\0\x20\0\0\0\x04\0\0\0JSON{}  \0\0\0\0BIN\0";
+        assert_eq!(chunks(glb).unwrap(), (&b"{}  "[..], Some(&[][..])));
+        for length in 4..glb.len() {
+            assert!(chunks(&glb[..length]).is_err(), "{length}");
+        }
+        let mut bad = *glb;
+        bad[4] = 1;
+        assert!(chunks(&bad).unwrap_err().contains("version 1"));
+    }
+}

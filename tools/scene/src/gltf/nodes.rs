@@ -1,0 +1,88 @@
+//! Where the nodes of a glTF file put what they carry.
+
+use super::Placement;
+use super::document::{Document, Node};
+use glam::{DMat4, DQuat, DVec3};
+
+/// What is wrong, in words.
+type Found<T> = std::result::Result<T, String>;
+
+/// Every node of the scene, once, with its matrix.
+pub(super) fn all(document: &Document) -> Found<Vec<(usize, DMat4)>> {
+    let mut open: Vec<(usize, DMat4)> = match document.scenes.get(document.scene.unwrap_or(0)) {
+        Some(scene) => scene.nodes.iter().map(|n| (*n, DMat4::IDENTITY)).collect(),
+        // A library without scenes: what is nobody's child.
+        None => {
+            let mut child = vec![false; document.nodes.len()];
+            let children = document.nodes.iter().flat_map(|n| &n.children);
+            children.filter(|c| **c < document.nodes.len()).for_each(|c| child[*c] = true);
+            (0..child.len()).filter(|n| !child[*n]).map(|n| (n, DMat4::IDENTITY)).collect()
+        }
+    };
+    let mut seen = vec![false; document.nodes.len()];
+    let mut placed = Vec::new();
+    while let Some((index, above)) = open.pop() {
+        let Some(node) = document.nodes.get(index) else { return Err(format!("there is no node {index}")) };
+        if std::mem::replace(&mut seen[index], true) {
+            return Err(format!("node {index} is reached twice"));
+        }
+        let here = above * local(node);
+        open.extend(node.children.iter().map(|c| (*c, here)));
+        placed.push((index, here));
+    }
+    placed.sort_by_key(|(index, _)| *index);
+    Ok(placed)
+}
+
+fn local(node: &Node) -> DMat4 {
+    match node.matrix {
+        Some(matrix) => DMat4::from_cols_array(&matrix),
+        None => DMat4::from_scale_rotation_translation(
+            DVec3::from(node.scale.unwrap_or([1.0; 3])),
+            DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0])),
+            DVec3::from(node.translation.unwrap_or([0.0; 3])),
+        ),
+    }
+}
+
+/// A matrix as scale, rotation and translation.
+pub(super) fn placement(matrix: &DMat4) -> Found<Placement> {
+    if *matrix == DMat4::IDENTITY {
+        return Ok(Placement::NONE);
+    }
+    if !matrix.is_finite() {
+        return Err("its place is not finite".into());
+    }
+    let length = matrix.x_axis.truncate().length();
+    if matrix.determinant() <= 0.0 || length <= 0.0 {
+        return Err("it is mirrored or flat, which splats cannot be; apply its transform before exporting".into());
+    }
+    let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
+    let scale = scale.x.max(scale.y).max(scale.z);
+    let again = DMat4::from_scale_rotation_translation(DVec3::splat(scale), rotation, translation);
+    if !again.abs_diff_eq(*matrix, 1e-5 * scale.max(translation.length())) {
+        return Err("it is skewed or scaled unevenly; apply its transform before exporting".into());
+    }
+    let q = rotation.normalize();
+    Ok(Placement { scale, rotation: [q.w, q.x, q.y, q.z], translation: translation.to_array() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matrices_are_taken_apart_or_refused() {
+        assert_eq!(placement(&DMat4::IDENTITY).unwrap(), Placement::NONE);
+        let q = DQuat::from_xyzw(0.5, -0.5, 0.5, 0.5);
+        let m = DMat4::from_scale_rotation_translation(DVec3::splat(3.0), q, DVec3::new(1.0, 2.0, 3.0));
+        let p = placement(&m).unwrap();
+        assert!((p.scale - 3.0).abs() < 1e-12 && p.translation == [1.0, 2.0, 3.0]);
+        assert!((p.rotation[0] - 0.5).abs() < 1e-12 && (p.rotation[2] + 0.5).abs() < 1e-12);
+        let uneven = DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0));
+        assert!(placement(&uneven).unwrap_err().contains("unevenly"));
+        assert!(placement(&DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0))).unwrap_err().contains("mirrored"));
+        assert!(placement(&DMat4::from_scale(DVec3::splat(f64::NAN))).is_err());
+        assert!(placement(&DMat4::ZERO).is_err());
+    }
+}
