@@ -3,6 +3,7 @@
 //! Readers of others are the crates `ply-rs-bw` and `gltf`, and for glTF the program `assimp` where it is
 //! installed (Debian's assimp-utils, which continuous integration has).
 
+use glam::{DVec3, Vec3};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
 use proptest::prelude::*;
@@ -10,8 +11,11 @@ use serde_json::{Value, json};
 use sgs_scene::{ALBEDO_RANGE, Camera, GltfScene, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, read_exr, write_exr};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, sgs_after};
-use sgs_tests::rooms::Room;
-use sgs_train::{LightFile, LightRow, LobeRow, read_exchange, read_lights, read_splats, write_exchange, write_lights};
+use sgs_tests::rooms::{Room, transforms, write_json};
+use sgs_tests::runs::{Parts, fabricate};
+use sgs_train::{
+    LightFile, LightRow, LobeRow, VisibilityKind, read_exchange, read_lights, read_splats, write_exchange, write_lights,
+};
 use std::path::Path;
 use std::process::Command;
 
@@ -337,7 +341,7 @@ fn bad_files_get_one_sentence() {
         let mut document = foreign();
         change(&mut document);
         std::fs::write(place.path("f.gltf"), document.to_string()).unwrap();
-        // Within a gigabyte, whatever the file promises.
+        // In an address space of 4 GB, the program's own libraries included, whatever the file promises.
         let (from, to) = (place.text("f.gltf"), place.text("g.ply"));
         sgs_after("ulimit -v 4000000", &["export", &from, "-o", &to]).refused(words);
         assert!(!place.path("g.ply").exists());
@@ -397,30 +401,88 @@ fn bad_files_get_one_sentence() {
 #[test]
 fn pictures_of_files_are_those_of_the_run() {
     let place = place();
-    export(&place, "a.ply", "b.glb", &[]).ok();
-    std::fs::copy(place.path("a.environment.exr"), place.path("b.environment.exr")).unwrap();
-    let cameras = place.text("scene/transforms.json");
-    let view = Camera::read_transforms(Path::new(&cameras)).unwrap()[0].name.clone();
-    // Lights of files stand in shadows that are traced; here they shall be seen.
+    fabricate(&place.path("run"), Parts { visibility: VisibilityKind::Traced, ..Parts::ALL });
+    export(&place, "run", "r.ply", &[]).ok();
+    export(&place, "run", "r.glb", &[]).ok();
+    let camera = Camera { translation: [0.1, -0.05, 0.2].into(), rotation: Default::default(), ..camera(&place) };
+    write_json(&place.path("cameras.json"), &transforms(&[camera]));
+    let cameras = place.text("cameras.json");
     for (command, last, more) in [
-        ("render", "pbr", &["--channels", "rgb,pbr"][..]),
-        ("relight", "direct", &["--channels", "relit,direct", "--visibility", "none"]),
+        ("render", "direct", &["--channels", "rgb,pbr,visibility,direct"][..]),
+        ("relight", "direct", &["--channels", "relit,direct"]),
+        ("relight", "open", &["--channels", "direct", "--visibility", "none"]),
     ] {
         let picture = |source: &str| {
-            let (from, to) = (place.text(source), place.text(&format!("{source}-{command}")));
+            let (from, to) = (place.text(source), place.text(&format!("{source}-{last}")));
             let mut arguments = vec![command, &from, "--cameras", &cameras, "-o", &to, "--format", "exr"];
             arguments.extend(more);
             sgs(&arguments).ok();
-            read_exr(&Path::new(&to).join(format!("{view}_{last}.exr"))).unwrap().image
+            read_exr(&Path::new(&to).join("000_direct.exr")).unwrap().image
         };
-        let [a, b] = ["a.ply", "b.glb"].map(picture);
-        assert!(a.data.iter().any(|v| *v > 0.0), "{command}: nothing is lit");
-        assert_eq!(a.data, b.data, "{command}");
+        let [run, ply, glb] = ["run", "r.ply", "r.glb"].map(picture);
+        let lit = run.data.iter().filter(|v| **v > 0.01).count();
+        assert!(lit > run.data.len() / 4, "{command}: {lit} of {} numbers are lit", run.data.len());
+        assert_eq!(ply.data, run.data, "{command}");
+        assert_eq!(glb.data, run.data, "{command}");
     }
-    std::fs::remove_file(place.path("a.lights.json")).unwrap();
-    std::fs::remove_file(place.path("a.environment.exr")).unwrap();
-    let (from, to) = (place.text("a.ply"), place.text("dark"));
+    // Shadows are there, in files as in the run.
+    let of = |file: &str| read_exr(&place.path(file)).unwrap().image.data.iter().map(|v| f64::from(*v)).sum::<f64>();
+    let [shadow, open] = ["direct", "open"].map(|d| of(&format!("r.ply-{d}/000_direct.exr")));
+    assert!(shadow < 0.9 * open, "{shadow} {open}");
+
+    std::fs::remove_file(place.path("r.lights.json")).unwrap();
+    std::fs::remove_file(place.path("r.environment.exr")).unwrap();
+    let (from, to) = (place.text("r.ply"), place.text("dark"));
     sgs(&["render", &from, "--cameras", &cameras, "-o", &to, "--channels", "pbr"]).refused(&["neither lights"]);
+}
+
+/// The first camera of the room.
+fn camera(place: &Place) -> Camera {
+    Camera::read_transforms(&place.path("scene/transforms.json")).unwrap().remove(0)
+}
+
+#[test]
+fn lamps_of_files_light_what_faces_them() {
+    let place = place();
+    std::fs::remove_file(place.path("a.environment.exr")).unwrap();
+    let (from, cameras) = (place.text("a.ply"), place.text("scene/transforms.json"));
+    let to = place.text("o");
+    let a = ["render", &from, "--cameras", &cameras, "-o", &to, "--format", "exr"];
+    sgs(&[&a[..], &["--channels", "alpha,normal,depth,direct,visibility"]].concat()).ok();
+    let lamps = lamps();
+    let mut views = [0, 0];
+    let [mut checked, mut bright] = [0, 0];
+    for camera in Camera::read_transforms(Path::new(&cameras)).unwrap() {
+        let of = |what: &str| read_exr(&Path::new(&to).join(format!("{}_{what}.exr", camera.name))).unwrap().image;
+        let [alpha, normal, depth, direct, seen] = ["alpha", "normal", "depth", "direct", "visibility"].map(of);
+        for (p, n) in normal.data.as_chunks::<3>().0.iter().enumerate() {
+            let (x, y) = (p as u32 % normal.width, p as u32 / normal.width);
+            let z = f64::from(depth.data[p] / alpha.data[p]);
+            let pixel = |at: u32, c: f64, f: f64| (f64::from(at) + 0.5 - c) / f * z;
+            let view = DVec3::new(pixel(x, camera.cx, camera.fx), pixel(y, camera.cy, camera.fy), z);
+            let place = camera.rotation.transpose() * (view - camera.translation);
+            let normal = Vec3::from(*n).as_dvec3().normalize();
+            let facing = lamps.lights.iter().map(|l| {
+                let to = Vec3::from(l.position).as_dvec3() - place;
+                to.normalize().dot(normal)
+            });
+            let facing = facing.fold(-1.0, f64::max);
+            let lit = direct.data[3 * p] > 0.0;
+            // Behind its own horizon nothing is lit; before it, what the rays leave.
+            if facing < -0.01 {
+                assert!(!lit, "{} {x} {y}: {facing}", camera.name);
+            } else if facing > 0.01 {
+                assert_eq!(lit, seen.data[p] > 0.0, "{} {x} {y}: {facing}", camera.name);
+            }
+            checked += usize::from(facing.abs() > 0.01);
+            bright += usize::from(lit);
+        }
+        let lit = direct.data.iter().any(|v| *v > 0.0);
+        views[usize::from(lit)] += 1;
+    }
+    // Views of backs alone are among them.
+    assert!(views[0] > 0 && views[1] > 0, "{views:?}");
+    assert!(checked > 6000 && bright > 30, "{checked} {bright}");
 }
 
 proptest! {

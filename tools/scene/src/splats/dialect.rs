@@ -46,7 +46,7 @@ pub const ROUGHNESS_RANGE: [f32; 2] = [0.09, 0.9];
 pub(super) const OWN_ALBEDO: Code = Code::Logistic { low: 0.01, span: 0.98 };
 pub(super) const OWN_ROUGHNESS: Code = Code::Logistic { low: 0.09, span: 0.9 };
 pub(super) const OWN_METALLIC: Code = Code::Logistic { low: 0.0, span: 1.0 };
-/// The published range of albedo and roughness of SGS; R3DG, from which it comes, states none.
+/// The range of albedo and roughness of published SGS; assumed of R3DG, too.
 const PUBLISHED: Code = Code::Logistic { low: 0.09, span: 0.9 };
 
 impl Code {
