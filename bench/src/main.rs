@@ -36,6 +36,8 @@ enum Command {
     Step(commands::step::Args),
     /// How time and memory grow with Gaussians and pixels.
     Scaling(commands::scaling::Args),
+    /// What every choice that trades accuracy for speed costs and saves, and which are worth it.
+    Tradeoff(commands::tradeoff::Args),
     /// What the device can do at best: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Put reports of one device into one file.
@@ -50,6 +52,7 @@ fn main() {
         Command::Passes(a) => commands::passes::run(&cli.common, a),
         Command::Step(a) => commands::step::run(&cli.common, a),
         Command::Scaling(a) => commands::scaling::run(&cli.common, a),
+        Command::Tradeoff(a) => commands::tradeoff::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),

@@ -9,7 +9,7 @@ use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Activity, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
-use sgs_passes::scene::Gaussians;
+use sgs_passes::scene::{GaussianData, Gaussians};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_train::{Correspondence, Schedule};
 use std::sync::{Mutex, MutexGuard};
@@ -65,13 +65,28 @@ impl<'w> Trainer<'w> {
         backward: BackwardKernel,
         entry_capacity: u32,
     ) -> anyhow::Result<Self> {
+        let tuning = Tuning::for_device(device.info());
+        Trainer::with(device, workload, tuning, backward, false, entry_capacity)
+    }
+
+    /// The same with other sizes of kernels, another accuracy, or an Adam that moves Gaussians which a step did not see.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with(
+        device: &Device,
+        workload: &'w Workload,
+        tuning: Tuning,
+        backward: BackwardKernel,
+        dense_adam: bool,
+        entry_capacity: u32,
+    ) -> anyhow::Result<Self> {
         let densify = workload.settings.geometry.densify.enabled;
         let count = workload.start.len() as u32;
         // Room for what densification adds once.
         let capacity = if densify { count + count / 2 } else { count };
         let gaussians = Gaussians::with(device, workload.model, capacity, true, densify)?;
         gaussians.upload(device, &workload.start)?;
-        let tuning = Tuning::for_device(device.info());
         let masks = match &workload.correspondence {
             Some(c) => Some(locked(c)?.masks()),
             None => None,
@@ -85,7 +100,7 @@ impl<'w> Trainer<'w> {
                 depth: workload.model.normals || masks.is_some(),
             },
             statistics: densify,
-            dense_adam: false,
+            dense_adam,
             backward,
             semantic_geometry: true,
             pseudo: masks,
@@ -184,6 +199,30 @@ impl<'w> Trainer<'w> {
         self.options.entry_capacity = wanted.saturating_add(wanted / 8);
         self.rebuild()?;
         Ok(self.status.clear_flags(&self.device)?)
+    }
+
+    /// Gradients of the loss in the first view by each parameter, by group, of Gaussians that are given; they are moved by one
+    /// step. Adam's first moments are a tenth of them.
+    ///
+    /// # Errors
+    /// If the device fails, or the tile entries overflow again and again.
+    pub fn gradients(&mut self, data: &GaussianData) -> anyhow::Result<GaussianData> {
+        for _ in 0..16 {
+            self.gaussians.upload(&self.device, data)?;
+            self.submit(1)?;
+            self.exec.finish()?;
+            let report = self.status.report(1)?;
+            if report.flags != 0 {
+                self.grow(&Run { reports: vec![report], ..Run::default() })?;
+                continue;
+            }
+            let (mut moments, _) = self.gaussians.download_optimizer(&self.device)?;
+            for group in &mut moments.groups {
+                *group = group.chunks_exact(2).map(|m| 10.0 * m[0]).collect();
+            }
+            return Ok(moments);
+        }
+        anyhow::bail!("The tile entries overflow again and again.")
     }
 
     fn submit(&mut self, step: u32) -> anyhow::Result<()> {

@@ -120,3 +120,27 @@ fn everything_is_measured_by_one_script_into_one_file() {
     assert!(!command.output().unwrap().status.success());
     assert!(!folder.path().join("failing.json").exists());
 }
+
+#[test]
+fn the_trade_between_time_and_accuracy_is_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (drawing, table) = (path("front.svg"), path("front.md"));
+    let all = ["tradeoff", "--filter", "t", "--rounds", "1", "--train", "20", "--svg", &drawing, "--table", &table];
+    let report = succeeds(&[&all, &TINY[..]].concat());
+    let read = |path: &str| std::fs::read_to_string(path).unwrap();
+    assert!(read(&drawing).starts_with("<svg"));
+    let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
+    assert!(rows.len() >= 4 && rows[0].starts_with("| exact"), "{rows:?}");
+    let value = |name: &str| {
+        let row = report["values"].as_array().unwrap().iter().find(|v| v["name"] == name);
+        row.unwrap_or_else(|| panic!("no \"{name}\""))["value"]["median"].as_f64().unwrap()
+    };
+    assert!(value("mean error, exact") < 1e-5);
+    // What is left out is seen in picture and gradient; exact ones are level with themselves.
+    assert!(value("mean error, fast") > 10.0 * value("mean error, exact"));
+    assert!(value("gradient error, fast") > 1e-3 && value("gradient error, exact") == 0.0);
+    let fact =
+        |name: &str| report["facts"].as_array().unwrap().iter().find(|f| f["name"] == name).unwrap()["value"].clone();
+    assert!(fact("on the front").as_str().unwrap().len() > 3);
+}

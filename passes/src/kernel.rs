@@ -85,3 +85,17 @@ pub fn groups(count: u64, per_group: u32) -> [u32; 3] {
     let x = n.min(65535);
     [x as u32, n.div_ceil(x) as u32, 1]
 }
+
+/// Constants of a kernel that includes `splat.glsl`, with the accuracy asked for.
+macro_rules! splat_specs {
+    ($kernel:ident, $tuning:expr, { $($field:tt)* }) => {
+        $kernel::Specs {
+            $($field)*
+            alpha_min: $tuning.accuracy.alpha_min,
+            transmittance_min: $tuning.accuracy.transmittance_min,
+            fast_exp: $tuning.accuracy.fast_exp,
+            keep_last: $tuning.accuracy.keep_last,
+        }
+    };
+}
+pub(crate) use splat_specs;

@@ -2,6 +2,7 @@
 //!
 //! Knows Gaussians, lights and images; never files or the command line.
 
+mod accuracy;
 pub mod kernel;
 pub mod loss;
 pub mod optim;
@@ -13,4 +14,5 @@ pub mod shade;
 pub mod splat;
 mod tuning;
 
+pub use accuracy::Accuracy;
 pub use tuning::Tuning;

@@ -1,9 +1,10 @@
-//! Sizes that kernels are specialized with, chosen for a device.
+//! What kernels are specialized with: sizes that suit a device, and how accurate they are.
 
+use crate::Accuracy;
 use sgs_engine::DeviceInfo;
 
-/// Kernel sizes for one device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Kernel sizes for one device, and accuracy.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tuning {
     /// Subgroup size that pipelines run at.
     pub subgroup_size: u32,
@@ -16,6 +17,8 @@ pub struct Tuning {
     pub workers: u32,
     /// Rounds of all loops of an invocation together: llvmpipe leaves loops silently after 65535.
     pub rounds: u32,
+    /// What is traded for speed.
+    pub accuracy: Accuracy,
 }
 
 impl Tuning {
@@ -30,7 +33,19 @@ impl Tuning {
         // Eight pixels a lane (sixteen on narrow subgroups) keep the state of a tile in registers and share each splat's
         // fetch. On lavapipe tiles of 8 x 16 take the time of 8 x 8 and two thirds of the entries.
         let width = subgroup_size.min(16);
-        Tuning { subgroup_size, workgroup: 256, tile: [width, 16], workers: 512, rounds: u32::MAX }
+        Tuning {
+            subgroup_size,
+            workgroup: 256,
+            tile: [width, 16],
+            workers: 512,
+            rounds: u32::MAX,
+            accuracy: Accuracy::EXACT,
+        }
+    }
+
+    /// The same with another accuracy.
+    pub fn with(self, accuracy: Accuracy) -> Tuning {
+        Tuning { accuracy, ..self }
     }
 
     /// Subgroups of an ordinary workgroup.

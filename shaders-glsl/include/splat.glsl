@@ -4,9 +4,13 @@
 //   alpha = opacity * exp2(-(p*p + q*q)),  p = factor.x*dx + factor.y*dy,  q = factor.z*dy.
 // The factored form has no cancellation for needles, where the usual quadratic form loses several digits.
 
-const float ALPHA_MIN = 1.0 / 255.0;
+// What may be traded for speed (passes/src/accuracy.rs); the defaults are those of 3D Gaussian splatting.
+layout(constant_id = 20) const float ALPHA_MIN = 1.0 / 255.0;
+layout(constant_id = 21) const float TRANSMITTANCE_MIN = 1e-4;
+layout(constant_id = 22) const bool FAST_EXP = false;
+layout(constant_id = 23) const bool KEEP_LAST = false; // whether the splat that would fill a pixel is blended
+
 const float ALPHA_MAX = 0.99;
-const float TRANSMITTANCE_MIN = 1e-4;
 const float DILATION = 0.3;         // px² added to the projected covariance
 const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image center
 const float LOG_SCALE_MIN = -16.0;
@@ -18,6 +22,15 @@ struct Splat {
     vec3 factor;   // u11, u12, u22
     float opacity;
 };
+
+// 2^x for x <= 0. The fast one is a cubic between whole powers, exact at these; its relative error is below 1.3e-4.
+float splat_exp2(float x) {
+    if (!FAST_EXP) return exp2(x);
+    x = max(x, -126.0);
+    float whole = floor(x), f = x - whole;
+    float power = uintBitsToFloat(uint(int(whole) + 127) << 23);
+    return power * (1.0 + f * (0.6957 + f * (0.2252548 + f * 0.0790452)));
+}
 
 // Quaternion (w,x,y,z) to unit length; zero or not finite becomes the identity. Scaled first so that huge and tiny
 // ones neither overflow nor vanish.
@@ -117,10 +130,10 @@ struct PixelBox {
     ivec2 high;
 };
 
-// log2(255 opacity): the largest exponent at which alpha still reaches 1/255, widened by a rounding error so that
+// The largest exponent at which alpha still reaches ALPHA_MIN, widened by a rounding error so that
 // blending never finds a pixel that no tile holds.
 float exponent_limit(Splat s) {
-    precise float limit = log2(255.0 * s.opacity) * 1.00001 + 1e-5;
+    precise float limit = log2(1.0 / ALPHA_MIN * s.opacity) * 1.00001 + 1e-5;
     return limit;
 }
 

@@ -59,13 +59,13 @@ void main() {
                 float dy = py + float(k * tile.step_y) - my;
                 float p = u11 * dx + u12 * dy;
                 float q = u22 * dy;
-                float alpha = min(ALPHA_MAX, opacity * exp2(-(p * p + q * q)));
+                float alpha = min(ALPHA_MAX, opacity * splat_exp2(-(p * p + q * q)));
                 alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                 float next = T[k] - alpha * T[k];
                 bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
-                float w = stop ? 0.0 : alpha * T[k];
+                float w = stop && !KEEP_LAST ? 0.0 : alpha * T[k];
                 [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) sum[k * CHANNELS + c] += w * color[c];
-                T[k] = stop ? -T[k] : next;
+                T[k] = stop ? -(KEEP_LAST ? next : T[k]) : next;
             }
         }
     }

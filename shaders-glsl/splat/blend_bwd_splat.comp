@@ -74,7 +74,7 @@ void main() {
                     float dy = corner.y + float(i / TILE_WIDTH + k * tile.step_y) - s.mean.y;
                     float p = s.factor.x * dx + s.factor.y * dy;
                     float q = s.factor.z * dy;
-                    float raw = s.opacity * exp2(-(p * p + q * q));
+                    float raw = s.opacity * splat_exp2(-(p * p + q * q));
                     float alpha = min(ALPHA_MAX, raw);
                     alpha = alpha >= ALPHA_MIN && real ? alpha : 0.0;
                     float before = start * subgroupExclusiveMul(1.0 - alpha);
@@ -82,7 +82,7 @@ void main() {
                     uvec4 stops = subgroupBallot(stop);
                     bool stopped = any(notEqual(stops, uvec4(0u)));
                     uint first = stopped ? subgroupBallotFindLSB(stops) : SUBGROUP;
-                    float w = lane < first ? alpha * before : 0.0;
+                    float w = lane < first || KEEP_LAST && lane == first ? alpha * before : 0.0;
                     float s_dot_g = 0.0;
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
                         float gradient = subgroupShuffle(g[k * CHANNELS + c], i);

@@ -72,12 +72,12 @@ void main() {
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;
-                    float alpha = min(ALPHA_MAX, opacity * exp2(-(p * p + q * q)));
+                    float alpha = min(ALPHA_MAX, opacity * splat_exp2(-(p * p + q * q)));
                     alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                     float next = T[k] - alpha * T[k];
                     bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
-                    weight[k] = stop ? 0.0 : alpha * T[k];
-                    T[k] = stop ? -T[k] : next;
+                    weight[k] = stop && !KEEP_LAST ? 0.0 : alpha * T[k];
+                    T[k] = stop ? -(KEEP_LAST ? next : T[k]) : next;
                     shows = max(shows, weight[k]);
                 }
                 if (subgroupAny(shows > 0.0)) {

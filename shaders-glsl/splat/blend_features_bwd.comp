@@ -96,12 +96,12 @@ void main() {
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;
-                    float raw = opacity * exp2(-(p * p + q * q));
+                    float raw = opacity * splat_exp2(-(p * p + q * q));
                     float alpha = min(ALPHA_MAX, raw);
                     alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                     float next = T[k] - alpha * T[k];
                     bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
-                    float w = stop ? 0.0 : alpha * T[k];
+                    float w = stop && !KEEP_LAST ? 0.0 : alpha * T[k];
                     float s_dot_g = 0.0;
                     [[unroll]] for (uint c = 0u; c < FEATURES; ++c) {
                         sum[MOMENTS + c] += w * g[k * FEATURES + c];
@@ -118,7 +118,7 @@ void main() {
                     sum[3] += hp * dy;
                     sum[4] += hy;
                     sum[5] += hy * dy;
-                    T[k] = stop ? -T[k] : next;
+                    T[k] = stop ? -(KEEP_LAST ? next : T[k]) : next;
                     shows = max(shows, w);
                 }
                 if (subgroupAny(shows > 0.0)) {

@@ -15,6 +15,7 @@ layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint TILE_WIDTH = 16;
 layout(constant_id = 7) const uint TILE_HEIGHT = 16;
 layout(constant_id = 8) const bool HAS_COLORS = true;
+layout(constant_id = 9) const uint DEPTH_BITS = 31;  // of the keys that splats are sorted by
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -56,6 +57,15 @@ vec3 color_of(uint i, vec3 mean) {
                 color.z > 0.0 ? min(color.z, 1e6) : 0.0);
 }
 
+// Positive numbers sort as their bits do. Shorter keys count in equal parts of a power of two from the near plane on, 32
+// powers in all; splats of one key stay in the order of their numbers.
+uint depth_key(float z, float near) {
+    uint bits = floatBitsToUint(z);
+    if (DEPTH_BITS >= 31u) return bits;
+    uint above = bits - floatBitsToUint(max(near, 1e-30));
+    return min(above >> (28u - DEPTH_BITS), (1u << DEPTH_BITS) - 1u);
+}
+
 uint count_tiles(Splat s, float limit, PixelBox box) {
     int width = int(TILE_WIDTH), height = int(TILE_HEIGHT);
     uint count = 0u;
@@ -95,7 +105,7 @@ void main() {
     uint v = block_offsets[block] + subgroupBallotExclusiveBitCount(votes);
     for (uint s = 0u; s < gl_SubgroupID; ++s) v += sums[s];
     splat_ids[v] = i;
-    depth_keys[v] = floatBitsToUint(p.point.z);
+    depth_keys[v] = depth_key(p.point.z, camera.near);
     splats[v] = p.splat;
     tile_counts[v] = count_tiles(p.splat, limit, box);
     uint at = v * CHANNELS;

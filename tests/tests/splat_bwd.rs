@@ -2,8 +2,9 @@
 
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::Graph;
+use sgs_passes::Accuracy;
 use sgs_passes::pipeline::Step;
-use sgs_passes::reference::blend::render;
+use sgs_passes::reference::blend::render_at;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
@@ -24,6 +25,7 @@ struct Case {
     features: Vec<f64>,
     /// Whether features move opacities and footprints.
     features_move: bool,
+    accuracy: Accuracy,
 }
 
 /// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
@@ -45,7 +47,16 @@ impl Case {
         let wide = if gaussians.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
         let features = (0..pixels * wide).map(|i| if wants(i / wide) { single(r.between(-1.0, 1.0)) } else { 0.0 });
         let features = features.collect();
-        Case { gaussians, camera, depth, image, transmittance, features, features_move: true }
+        Case {
+            gaussians,
+            camera,
+            depth,
+            image,
+            transmittance,
+            features,
+            features_move: true,
+            accuracy: Accuracy::EXACT,
+        }
     }
 
     fn degree(&self) -> usize {
@@ -53,7 +64,7 @@ impl Case {
     }
 
     fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
-        let r = render(g, camera, self.degree(), self.depth, BACKGROUND);
+        let r = render_at(g, camera, self.degree(), self.depth, BACKGROUND, &self.accuracy);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let weights: Vec<f64> = if self.features.is_empty() {
             self.image.clone()
@@ -68,7 +79,7 @@ impl Case {
 
     /// Blended features against the twin where they are wanted; elsewhere nothing may be written.
     fn check_features(&self, found: &[f32]) {
-        let r = render(&self.gaussians, &self.camera, self.degree(), self.depth, BACKGROUND);
+        let r = render_at(&self.gaussians, &self.camera, self.degree(), self.depth, BACKGROUND, &self.accuracy);
         let (f, all) = (SEMANTIC_FEATURES as usize, r.image.len() / r.transmittance.len());
         for (p, pixel) in found.chunks_exact(f).enumerate() {
             if !wants(p) {
@@ -90,7 +101,7 @@ impl Case {
             semantics: !self.gaussians.semantics.is_empty(),
         };
         let channels = Channels { colors: true, normals: model.normals, depth: self.depth };
-        let t = gpu.tuning();
+        let t = gpu.tuning().with(self.accuracy);
         let data = scenes::data(&self.gaussians);
         // Declared by hand, since the harness owns the memory of a single run.
         let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();
@@ -277,6 +288,28 @@ fn gradients_of_both_kernels_are_those_of_the_twin() {
         check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
         check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
         check(&gpu, &Case::new(scenes::ordinary(6, 0, false, 8), [1, 1], false), which);
+    }
+}
+
+/// What is left out for speed is left out of the gradient as well, and nothing else is.
+#[test]
+fn gradients_at_other_accuracies_are_those_of_the_twin() {
+    let gpu = Gpu::new();
+    let exact = Accuracy::EXACT;
+    for accuracy in [
+        Accuracy { transmittance_min: 0.3, keep_last: true, ..exact },
+        Accuracy { transmittance_min: 0.3, ..exact },
+        Accuracy { alpha_min: 1.0 / 16.0, ..exact },
+        Accuracy { fast_exp: true, depth_bits: 24, ..exact },
+        Accuracy::FAST,
+    ] {
+        let mut case = Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false);
+        case.accuracy = accuracy;
+        for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+            check(&gpu, &case, which);
+        }
+        let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
+        check(&gpu, &Case { accuracy, ..Case::new(g, [21, 18], true) }, BackwardKernel::Pixel);
     }
 }
 

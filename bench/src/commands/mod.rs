@@ -7,3 +7,4 @@ pub mod passes;
 pub mod results;
 pub mod scaling;
 pub mod step;
+pub mod tradeoff;

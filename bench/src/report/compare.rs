@@ -118,7 +118,8 @@ fn times(r: &Report) -> Vec<(String, String, Summary, f64)> {
             "s" => 1e-9,
             "ms" => 1e-6,
             "us" => 1e-3,
-            _ => 1.0,
+            // Not a time.
+            _ => 0.0,
         };
         (v.name.clone(), v.unit.clone(), v.value, RESOLUTION * per_unit)
     });

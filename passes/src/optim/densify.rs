@@ -24,7 +24,7 @@
 //! spherical harmonics). Memory: 36 bytes for each Gaussian of the capacity, for the duration.
 
 use crate::Tuning;
-use crate::kernel::stage;
+use crate::kernel::{splat_specs, stage};
 use crate::prim::{Count, Records, ScanShape, exclusive_scan};
 use crate::scene::{Group, Handles, Model};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -238,7 +238,7 @@ fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(),
         means: a.group(Group::Means).into(),
         log_scales: a.group(Group::LogScales).into(),
     };
-    let specs = densify_split::Specs { workgroup };
+    let specs = splat_specs!(densify_split, tuning, { workgroup, });
     stage(g, "densify_split", &densify_split::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(lists.moves, 0)
 }

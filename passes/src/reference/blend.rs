@@ -1,9 +1,10 @@
 //! `blend` and the whole render: the CPU twin in double precision. No tiles: every splat is tried at every pixel of its
 //! box, nearest first.
 
+use crate::Accuracy;
 use crate::scene::SEMANTIC_FEATURES;
 
-use super::project::{Camera, Gaussians, Projected, project};
+use super::project::{Camera, Gaussians, Projected, project_at};
 use glam::DVec2;
 
 /// What blending leaves.
@@ -13,19 +14,25 @@ pub struct Blended {
     pub image: Vec<f64>,
     /// `[pixels]`
     pub transmittance: Vec<f64>,
-    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4, or two depths that single
+    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4 or others in their place, or two depths that single
     /// precision may order either way): there single and double precision may rightly differ.
     pub doubtful: Vec<bool>,
 }
 
 /// Blends projected splats, nearest first.
 pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: [f64; 3]) -> Blended {
+    blend_at(splats, size, channels, background, &Accuracy::EXACT)
+}
+
+/// The same with another accuracy. The exponential is always exact.
+pub fn blend_at(splats: &[Projected], size: [u32; 2], channels: usize, background: [f64; 3], a: &Accuracy) -> Blended {
+    let (alpha_min, transmittance_min) = (f64::from(a.alpha_min), f64::from(a.transmittance_min));
     let pixels = size[0] as usize * size[1] as usize;
     let mut image = vec![0.0; pixels * channels];
     let mut transmittance = vec![1.0; pixels];
     let mut doubtful = vec![false; pixels];
     let mut stopped = vec![false; pixels];
-    let mut last_depth = vec![f64::NEG_INFINITY; pixels];
+    let mut last: Vec<Option<&Projected>> = vec![None; pixels];
     for s in splats {
         let reach = s.reach() + 1.0;
         let low = (s.mean - reach).floor().max(DVec2::ZERO);
@@ -41,17 +48,24 @@ pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: 
                 }
                 let raw = s.alpha(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
                 let near = |a: f64, b: f64| (a - b).abs() < 2e-3 * b;
-                doubtful[at] |= near(raw, 1.0 / 255.0);
+                doubtful[at] |= near(raw, alpha_min);
                 let alpha = raw.min(0.99);
-                if alpha < 1.0 / 255.0 {
+                if alpha < alpha_min {
                     continue;
                 }
                 let t = transmittance[at];
                 let next = t * (1.0 - alpha);
-                doubtful[at] |= near(next, 1e-4) || s.depth - last_depth[at] < 1e-6 * s.depth;
-                last_depth[at] = s.depth;
-                if next < 1e-4 {
-                    stopped[at] = true;
+                let unordered = last[at].is_some_and(|before| {
+                    if a.depth_bits >= 31 {
+                        s.depth - before.depth < 1e-6 * s.depth
+                    } else {
+                        s.key - before.key <= 1 && (s.key_doubtful || before.key_doubtful)
+                    }
+                });
+                doubtful[at] |= near(next, transmittance_min) || unordered;
+                last[at] = Some(s);
+                stopped[at] = next < transmittance_min;
+                if stopped[at] && !a.keep_last {
                     continue;
                 }
                 for (c, f) in s.features.iter().enumerate().take(channels) {
@@ -71,7 +85,19 @@ pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: 
 
 /// Projects and blends.
 pub fn render(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, background: [f64; 3]) -> Blended {
+    render_at(g, camera, sh_degree, depth, background, &Accuracy::EXACT)
+}
+
+/// The same with another accuracy.
+pub fn render_at(
+    g: &Gaussians,
+    camera: &Camera,
+    sh_degree: usize,
+    depth: bool,
+    background: [f64; 3],
+    a: &Accuracy,
+) -> Blended {
     let channels = 3 + if g.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
     let channels = channels + if g.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
-    blend(&project(g, camera, sh_degree, depth), camera.size, channels, background)
+    blend_at(&project_at(g, camera, sh_degree, depth, a), camera.size, channels, background, a)
 }

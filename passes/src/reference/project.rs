@@ -3,6 +3,7 @@
 //! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the plain quadratic form, not
 //! from the kernel, so that an error in one is not repeated in the other.
 
+use crate::Accuracy;
 use crate::scene::SEMANTIC_FEATURES;
 use glam::{DMat3, DVec2, DVec3};
 
@@ -69,6 +70,12 @@ pub struct Projected {
     pub opacity: f64,
     /// rgb, then the normal if there is one, then z and z² if asked for, then semantic features.
     pub features: Vec<f64>,
+    /// What it is sorted by.
+    pub key: u32,
+    /// Whether rounding in single precision may change the key.
+    pub key_doubtful: bool,
+    /// Smallest opacity at a pixel that counts.
+    pub alpha_min: f64,
 }
 
 impl Projected {
@@ -82,25 +89,52 @@ impl Projected {
         self.opacity * (-power).exp()
     }
 
-    /// Half the width and height of the box around the region where alpha reaches 1/255.
+    /// Half the width and height of the box around the region where alpha reaches `alpha_min`.
     pub fn reach(&self) -> DVec2 {
-        let k = 2.0 * (255.0 * self.opacity).ln().max(0.0);
+        let k = 2.0 * (self.opacity / self.alpha_min).ln().max(0.0);
         DVec2::new((k * self.covariance[0]).sqrt(), (k * self.covariance[2]).sqrt())
     }
 }
 
 /// Projects every Gaussian that the camera can see, nearest first (ties in the order of the input).
 pub fn project(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool) -> Vec<Projected> {
-    let mut seen: Vec<Projected> = (0..g.len()).filter_map(|i| project_one(g, i, camera, sh_degree, depth)).collect();
-    seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    project_at(g, camera, sh_degree, depth, &Accuracy::EXACT)
+}
+
+/// The same with another accuracy.
+pub fn project_at(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, a: &Accuracy) -> Vec<Projected> {
+    let one = |i| project_one(g, i, camera, sh_degree, depth, a);
+    let mut seen: Vec<Projected> = (0..g.len()).filter_map(one).collect();
+    if a.depth_bits >= 31 {
+        seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    } else {
+        seen.sort_by_key(|s| s.key);
+    }
     seen
 }
 
-fn project_one(g: &Gaussians, i: usize, camera: &Camera, sh_degree: usize, with_depth: bool) -> Option<Projected> {
+/// Single-precision bits above those of the near plane, without the lowest ones.
+fn depth_key(z: f64, near: f64, bits: u32) -> u32 {
+    let z = (z as f32).to_bits();
+    if bits >= 31 {
+        return z;
+    }
+    (z.saturating_sub((near as f32).max(1e-30).to_bits()) >> (28 - bits)).min((1 << bits) - 1)
+}
+
+fn project_one(
+    g: &Gaussians,
+    i: usize,
+    camera: &Camera,
+    sh_degree: usize,
+    with_depth: bool,
+    a: &Accuracy,
+) -> Option<Projected> {
+    let alpha_min = f64::from(a.alpha_min);
     let mean = DVec3::from_slice(&g.means[3 * i..]);
     let p = camera.rotation * mean + camera.translation;
     let opacity = 1.0 / (1.0 + (-g.opacity_logits[i]).exp());
-    if !(p.z >= camera.near && p.z.is_finite() && opacity >= 1.0 / 255.0) {
+    if !(p.z >= camera.near && p.z.is_finite() && opacity >= alpha_min) {
         return None;
     }
     let scale = DVec3::from_slice(&g.log_scales[3 * i..]).clamp(DVec3::splat(-16.0), DVec3::splat(8.0)).map(f64::exp);
@@ -130,7 +164,18 @@ fn project_one(g: &Gaussians, i: usize, camera: &Camera, sh_degree: usize, with_
         let width = SEMANTIC_FEATURES as usize;
         features.extend(&g.semantics[width * i..width * (i + 1)]);
     }
-    let projected = Projected { id: i, depth: p.z, mean: center, covariance, opacity, features };
+    let key = |scale: f64| depth_key(p.z * scale, camera.near, a.depth_bits);
+    let projected = Projected {
+        id: i,
+        depth: p.z,
+        mean: center,
+        covariance,
+        opacity,
+        features,
+        key: key(1.0),
+        key_doubtful: key(1.0 - 1e-6) != key(1.0 + 1e-6),
+        alpha_min,
+    };
     // A box without a pixel center is not seen.
     let reach = projected.reach();
     let low = (center - reach - 0.5).ceil().max(DVec2::ZERO);

@@ -11,7 +11,7 @@
 //! as there are entries, 16 bytes of memory an entry afterwards. Leaves room for the entries to the caller.
 
 use crate::Tuning;
-use crate::kernel::{groups, stage};
+use crate::kernel::{groups, splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
 use crate::splat::{Blended, Channels, Entries, Screen, Visible, group_sizes, per_lane};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -89,7 +89,7 @@ pub fn gbuffer(
         normals: into.normals.into(),
         coverage: into.coverage.into(),
     };
-    let specs = kernel::Specs { workgroup: t.workgroup };
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup, });
     stage(g, "gbuffer", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
@@ -114,7 +114,7 @@ pub fn surface_depth(g: &mut Graph, t: &Tuning, screen: &Screen, seen: &Surfaces
         image: into.image.into(),
         transmittance: into.transmittance.into(),
     };
-    let specs = depth::Specs { workgroup: t.workgroup };
+    let specs = splat_specs!(depth, t, { workgroup: t.workgroup, });
     stage(g, "surface_depth", &depth::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))?;
     Ok(into)
@@ -212,7 +212,8 @@ fn rows(
         counts: counts.into(),
     };
     let [tile_width, tile_height] = screen.tile;
-    let specs = weights_count::Specs { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height };
+    let specs =
+        splat_specs!(weights_count, t, { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height, });
     let tiles = groups(u64::from(screen.tiles()), 1);
     stage(g, "weights_count", &weights_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
@@ -237,7 +238,7 @@ fn rows(
         weights: into.weights.into(),
         pixels: entry_pixels.into(),
     };
-    let specs = fill::Specs { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height };
+    let specs = splat_specs!(fill, t, { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height, });
     stage(g, "weights", &fill::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(tiles)?;

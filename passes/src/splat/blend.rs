@@ -7,7 +7,7 @@
 use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
-use crate::kernel::{groups, stage};
+use crate::kernel::{groups, splat_specs, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{blend as kernel, blend_debt as blend_debt_kernel};
 
@@ -51,14 +51,12 @@ pub fn blend(
         image: into.image.into(),
         transmittance: into.transmittance.into(),
     };
-    let specs = kernel::Specs {
-        subgroup: t.subgroup_size,
+    let specs = splat_specs!(kernel, t, { subgroup: t.subgroup_size,
         per_lane: per_lane(t, screen),
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         channels: visible.channels.count(),
-        has_colors: visible.channels.colors,
-    };
+        has_colors: visible.channels.colors, });
     stage(g, "blend", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(u64::from(screen.tiles()), 1))
@@ -131,14 +129,12 @@ pub fn blend_bwd(
                 debt: gradient.debt.into(),
                 entry_gradients: gradients.into(),
             };
-            let specs = $kernel::Specs {
-                subgroup: t.subgroup_size,
+            let specs = splat_specs!($kernel, t, { subgroup: t.subgroup_size,
                 per_lane: per_lane(t, screen),
                 tile_width: screen.tile[0],
                 tile_height: screen.tile[1],
                 channels,
-                weights: u32::from(weights),
-            };
+                weights: u32::from(weights), });
             stage(g, stringify!($kernel), &sgs_shaders::$kernel::KERNEL, bindings.entries(), specs.entries(), &[])
                 .subgroup_size(Some(t.subgroup_size))
                 .dispatch(groups(u64::from(screen.tiles()), 1))?

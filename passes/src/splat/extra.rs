@@ -11,7 +11,7 @@
 
 use super::{EntryFeatures, Screen, Visible};
 use crate::Tuning;
-use crate::kernel::stage;
+use crate::kernel::{splat_specs, stage};
 use crate::optim::Rows;
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -79,7 +79,7 @@ pub fn project_bwd_features(
         opacity_logits: gaussians.group(Group::OpacityLogits).into(),
         extra: into.buffer.into(),
     };
-    let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup, features: Group::Semantics.width(), });
     stage(g, "project_bwd_features", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

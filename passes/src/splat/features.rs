@@ -14,7 +14,7 @@
 
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
-use crate::kernel::{groups, stage};
+use crate::kernel::{groups, splat_specs, stage};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::features_bwd_adam as fused;
@@ -111,14 +111,12 @@ pub fn blend_features(
     let bindings = of_tiles!(forward, (screen, gaussians, visible, entries, wanted), feature_image: into.into(),);
     let per_lane = wanted.per_lane(t);
     let span = 2 * per_lane * t.subgroup_size;
-    let specs = forward::Specs {
-        subgroup: t.subgroup_size,
+    let specs = splat_specs!(forward, t, { subgroup: t.subgroup_size,
         per_lane,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
-        span,
-    };
+        span, });
     stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(u64::from(screen.tiles()) * u64::from(pixels(screen).div_ceil(span)), 1))
@@ -160,15 +158,13 @@ pub fn blend_features_bwd(
     } else {
         (pixels(screen), u32::MAX)
     };
-    let specs = backward::Specs {
-        subgroup: t.subgroup_size,
+    let specs = splat_specs!(backward, t, { subgroup: t.subgroup_size,
         per_lane,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
         span,
-        short,
-    };
+        short, });
     let tiles = groups(u64::from(screen.tiles()), 1);
     let mut needed = None;
     for first in (0..pixels(screen)).step_by(span as usize) {

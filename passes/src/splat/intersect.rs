@@ -7,7 +7,7 @@
 use super::project::group_sizes;
 use super::{Screen, Visible};
 use crate::Tuning;
-use crate::kernel::stage;
+use crate::kernel::{splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{intersect as kernel, tile_ranges};
@@ -46,8 +46,9 @@ pub fn intersect(
     let v = u64::from(visible.capacity);
     let e = u64::from(capacity);
     let count = Count::Gpu(visible.work);
-    // Depths are positive, so their bits sort as they are and the sign is no digit.
-    let order = radix_sort(g, *t, "depth_sort", visible.depth_keys, None, 0..31, false, count)?.values;
+    // Depths are positive, so their bits sort as they are and the sign is no digit; shorter keys have fewer.
+    let bits = 0..t.accuracy.depth_bits.clamp(8, 31);
+    let order = radix_sort(g, *t, "depth_sort", visible.depth_keys, None, bits, false, count)?.values;
     let offsets = g.transient("entry_offsets", 4 * v);
     let total = g.transient("entries_total", 4);
     let wanted = g.transient("entries_wanted", 4);
@@ -70,7 +71,8 @@ pub fn intersect(
         entry_splats: splats.into(),
         entry_starts: starts.into(),
     };
-    let specs = kernel::Specs { workgroup: t.workgroup, tile_width: screen.tile[0], tile_height: screen.tile[1] };
+    let specs =
+        splat_specs!(kernel, t, { workgroup: t.workgroup, tile_width: screen.tile[0], tile_height: screen.tile[1], });
     stage(g, "intersect", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     let tiles = screen.tiles();

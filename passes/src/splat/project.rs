@@ -6,7 +6,7 @@
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen};
 use crate::Tuning;
-use crate::kernel::{groups, stage};
+use crate::kernel::{groups, splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -58,7 +58,7 @@ pub fn project(
         opacity_logits: gaussians.group(Group::OpacityLogits).into(),
         block_counts: block_counts.into(),
     };
-    let specs = project_count::Specs { workgroup: t.workgroup, subgroups: t.subgroups() };
+    let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroups: t.subgroups(), });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(n, t.workgroup))?;
     exclusive_scan(g, *t, "project_scan", block_counts, None, block_offsets, total, Count::Host(blocks as u32))?;
@@ -99,17 +99,16 @@ pub fn project(
         features: visible.features.into(),
         tile_counts: visible.tile_counts.into(),
     };
-    let specs = kernel::Specs {
-        workgroup: t.workgroup,
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
         subgroups: t.subgroups(),
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
         has_normals: channels.normals,
         has_depth: channels.depth,
+        depth_bits: t.accuracy.depth_bits,
         tile_width: screen.tile[0],
-        tile_height: screen.tile[1],
-    };
+        tile_height: screen.tile[1], });
     stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
     Ok(visible)
 }
@@ -184,8 +183,7 @@ pub fn project_bwd(
         grad_means2d: into.means2d.into(),
         pose_partials: partials.into(),
     };
-    let specs = bwd::Specs {
-        workgroup: t.workgroup,
+    let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
         subgroups: t.subgroups(),
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
@@ -193,8 +191,7 @@ pub fn project_bwd(
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
         pose: into.pose.is_some(),
-        features: feature_width(entries),
-    };
+        features: feature_width(entries), });
     stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     if let Some(pose) = into.pose {
@@ -279,8 +276,7 @@ pub fn project_bwd_adam(
         skipped: adam.skipped.into(),
         seen: seen.into(),
     };
-    let specs = fused::Specs {
-        workgroup: t.workgroup,
+    let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -289,8 +285,7 @@ pub fn project_bwd_adam(
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),
         features: feature_width(entries),
-        extra: adam.extra.is_some(),
-    };
+        extra: adam.extra.is_some(), });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

@@ -56,7 +56,7 @@ pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
-    Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
+    AccuracySettings, Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
     IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, PRESETS,
     Preset, ProviderSettings, Rates, Settings, VisibilityKind, VisibilitySettings, overlay,
 };

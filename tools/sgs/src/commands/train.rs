@@ -8,7 +8,7 @@ use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Backward, Geometry, Preset, Progress, RunDirectory, Settings, StepLog, overlay};
+use sgs_train::{AccuracySettings, Backward, Geometry, Preset, Progress, RunDirectory, Settings, StepLog, overlay};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -45,6 +45,9 @@ pub struct Options {
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
     #[arg(long, value_name = "NAME")]
     pub preset: Option<String>,
+    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/TRADEOFF.md); sets all of accuracy.*.
+    #[arg(long, value_name = "NAME")]
+    pub accuracy: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -83,6 +86,7 @@ pub enum Stage {
 /// Settings from preset, then from file, then from `--set`, then from the options of their own.
 pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = preset_of(o)?;
+    overlay(&mut table, accuracy_of(o)?);
     overlay(&mut table, file_of(o)?);
     settings_over(table, scene, o)
 }
@@ -93,6 +97,15 @@ fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
         None => Ok(toml::Table::new()),
         Some(name) => Ok(Preset::find(name)?.table()?),
     }
+}
+
+/// What `--accuracy` says.
+fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
+    let Some(name) = &o.accuracy else { return Ok(toml::Table::new()) };
+    let settings = Settings { accuracy: AccuracySettings::named(name)?, ..Settings::default() };
+    let mut table = settings.to_table()?;
+    table.retain(|key, _| key == "accuracy");
+    Ok(table)
 }
 
 /// What `--config` says.
@@ -113,6 +126,7 @@ fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Resul
         over.retain(|key, _| key == "intrinsic");
         overlay(&mut table, over);
     }
+    overlay(&mut table, accuracy_of(o)?);
     settings_over(table, scene, o)
 }
 

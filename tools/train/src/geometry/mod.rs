@@ -133,7 +133,7 @@ impl Geometry {
         let most = most_gaussians(device, model, settings, &inputs, data.largest);
         let wanted = most.min(g.densify.max_gaussians);
         let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
-        let tuning = Tuning::for_device(device.info());
+        let tuning = Tuning::for_device(device.info()).with(settings.accuracy.into());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         // Regions are carried to pseudo-views by depth.
         let depth = depth || (wants_views && maps.is_some());

@@ -124,7 +124,7 @@ impl Intrinsic {
             Metallic::On => true,
             Metallic::Off => false,
         };
-        let tuning = Tuning::for_device(device.info());
+        let tuning = Tuning::for_device(device.info()).with(settings.accuracy.into());
         let model = Model { sh_degree: 0, normals: true, semantics: false };
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;

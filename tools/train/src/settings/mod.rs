@@ -1,9 +1,11 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
+mod accuracy;
 mod intrinsic;
 mod names;
 mod presets;
 
+pub use accuracy::AccuracySettings;
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
     Metallic, VisibilityKind, VisibilitySettings,
@@ -37,6 +39,8 @@ pub struct Settings {
     pub random_points: usize,
     /// Memory of the device.
     pub memory: MemorySettings,
+    /// What is traded for speed.
+    pub accuracy: AccuracySettings,
     /// A network that is asked while training.
     pub provider: ProviderSettings,
     /// The geometry stage.
@@ -56,6 +60,7 @@ impl Default for Settings {
             masks: true,
             random_points: 20_000,
             memory: MemorySettings::default(),
+            accuracy: AccuracySettings::default(),
             provider: ProviderSettings::default(),
             geometry: GeometrySettings::default(),
             intrinsic: IntrinsicSettings::default(),
@@ -377,6 +382,7 @@ impl Settings {
         if i64::try_from(self.memory.budget).is_err() {
             return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
         }
+        self.accuracy.check()?;
         for (name, value) in
             [("start_seconds", self.provider.start_seconds), ("answer_seconds", self.provider.answer_seconds)]
         {

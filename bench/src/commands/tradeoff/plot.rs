@@ -1,0 +1,59 @@
+//! Time against error, as a drawing.
+
+use super::Point;
+use anyhow::anyhow;
+use plotters::prelude::*;
+
+/// Errors below this are drawn here: exact ones would be at minus infinity.
+const LEAST: f64 = 1e-8;
+
+/// Step time by the exact one's to the right, mean error of the picture upwards in powers of ten. Choices on the front are
+/// filled, and joined by a line.
+pub fn svg(points: &[Point], title: &str) -> anyhow::Result<String> {
+    let mut out = String::new();
+    draw(points, title, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;
+    Ok(out)
+}
+
+fn draw(points: &[Point], title: &str, out: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+    let first = points.first().ok_or("there is nothing to draw")?.step.least;
+    let at = |p: &Point| (p.step.least / first, p.mean.max(LEAST));
+    let low = points.iter().map(|p| at(p).0).fold(f64::INFINITY, f64::min) - 0.05;
+    let high = points.iter().map(|p| at(p).0).fold(0.0, f64::max) + 0.2;
+    let top = points.iter().map(|p| at(p).1).fold(LEAST, f64::max) * 4.0;
+    let root = SVGBackend::with_string(out, (960, 600)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .caption(title, ("sans-serif", 18))
+        .margin(16)
+        .x_label_area_size(44)
+        .y_label_area_size(72)
+        .build_cartesian_2d(low..high, (LEAST / 2.0..top).log_scale())?;
+    chart
+        .configure_mesh()
+        .x_desc("time of a training step, of exact")
+        .y_desc("mean error of a picture")
+        .y_label_formatter(&|v| format!("{v:.0e}"))
+        .light_line_style(WHITE)
+        .draw()?;
+    let mut front: Vec<(f64, f64)> = points.iter().filter(|p| p.front).map(at).collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    chart.draw_series(LineSeries::new(front, BLUE.mix(0.5).stroke_width(2)))?;
+    let mut names: Vec<(i32, i32, i32)> = Vec::new();
+    for p in points {
+        let style = if p.front { BLUE.filled() } else { BLACK.mix(0.5).stroke_width(1) };
+        chart.draw_series([Circle::new(at(p), 5, style)])?;
+        // Names move down until they lie on no other's: 6 pixels a letter, 12 a line.
+        let (x, y) = chart.backend_coord(&at(p));
+        let width = 6 * p.name.len() as i32;
+        let mut down = -6;
+        while names.iter().any(|&(a, b, w)| (b - y - down).abs() < 12 && a < x + width && x < a + w) {
+            down += 12;
+        }
+        names.push((x, y + down, width));
+        let name = EmptyElement::at(at(p)) + Text::new(p.name.clone(), (8, down), ("sans-serif", 12));
+        chart.draw_series([name])?;
+    }
+    root.present()?;
+    Ok(())
+}

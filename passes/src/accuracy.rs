@@ -1,0 +1,49 @@
+//! What may be traded for speed, by name: the choices of a whole plan.
+//!
+//! `engine-bench tradeoff` measures what each is worth (docs/TRADEOFF.md). Measures of quality are taken with
+//! [`Accuracy::EXACT`] whatever a scene was trained with.
+
+/// Choices that buy speed with accuracy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Accuracy {
+    /// Bits of the keys that splats are sorted by along the view: 31, 24 or 16. Each eight bits less save one pass of the
+    /// sort. Shorter keys leave splats in the order of their numbers whose depths differ by less than one part in 2^19 (24
+    /// bits) or 2^11 (16 bits) of a power of two.
+    pub depth_bits: u32,
+    /// Smallest opacity of a splat at a pixel that counts: it bounds splats' footprints. 1/255 in 3D Gaussian splatting.
+    /// A color channel of a pixel is off by at most this times the largest color, for each splat that is left out.
+    pub alpha_min: f32,
+    /// A pixel stops where less than this would be left to be seen behind it: 1e-4 in 3D Gaussian splatting.
+    pub transmittance_min: f32,
+    /// Whether the splat with which a pixel stops is blended. If it is, whatever is left out changes the pixel by at most
+    /// `transmittance_min` times the largest color; if not, as in 3D Gaussian splatting, by up to a hundred times as much,
+    /// since that splat may hide 99 % of what is behind it.
+    pub keep_last: bool,
+    /// Whether a cubic stands in for the exponential in splats' opacities: 1.3e-4 off, relatively. For processors, where
+    /// exponentials are computed; GPUs have them in hardware.
+    pub fast_exp: bool,
+}
+
+impl Accuracy {
+    /// As 3D Gaussian splatting is defined. Pictures agree with double precision within 2e-3 of the largest color at pixels
+    /// that do not meet a threshold.
+    pub const EXACT: Accuracy =
+        Accuracy { depth_bits: 31, alpha_min: 1.0 / 255.0, transmittance_min: 1e-4, keep_last: false, fast_exp: false };
+}
+
+impl Accuracy {
+    /// Nearly as good: pixels end at a transmittance of 1e-3, the last splat kept, so that nothing left out is worth more than
+    /// 1e-3 of the largest color; 24 bits of depth.
+    pub const BALANCED: Accuracy =
+        Accuracy { depth_bits: 24, transmittance_min: 1e-3, keep_last: true, ..Accuracy::EXACT };
+
+    /// For looking and for drafts: footprints end at an opacity of 1/64, pixels at a transmittance of 1e-2, sixteen bits of depth.
+    pub const FAST: Accuracy =
+        Accuracy { depth_bits: 16, alpha_min: 1.0 / 64.0, transmittance_min: 1e-2, keep_last: true, fast_exp: true };
+}
+
+impl Default for Accuracy {
+    fn default() -> Self {
+        Accuracy::EXACT
+    }
+}
