@@ -35,9 +35,12 @@ float splat_exp2(float x) {
 // Quaternion (w,x,y,z) to unit length; zero or not finite becomes the identity. Scaled first so that huge and tiny
 // ones neither overflow nor vanish.
 vec4 unit_quaternion(vec4 q, out float inverse_norm) {
-    float m = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
+    // As whole numbers, what is not finite is larger than what is; max() of numbers may pass over a NaN.
+    uvec4 bits = floatBitsToUint(q) & 0x7fffffffu;
+    uint top = max(max(bits.x, bits.y), max(bits.z, bits.w));
+    float m = uintBitsToFloat(top);
     inverse_norm = 0.0;
-    if (!(m > 0.0) || isinf(m)) return vec4(1.0, 0.0, 0.0, 0.0);
+    if (top >= 0x7f800000u || !(m > 0.0)) return vec4(1.0, 0.0, 0.0, 0.0);
     q /= m;
     float n = inversesqrt(dot(q, q));
     inverse_norm = n / m;

@@ -20,6 +20,7 @@ pub mod rooms;
 pub mod runs;
 pub mod scenes;
 pub mod splats;
+pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};

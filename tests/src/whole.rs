@@ -1,0 +1,88 @@
+//! A picture, and whole training steps, of Gaussians that a test makes.
+
+use crate::{Gpu, scenes};
+use sgs_engine::Location;
+use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Renderer, Status, StepReport};
+use sgs_passes::reference::project::{Camera, Gaussians as Twin};
+use sgs_passes::scene::{GaussianData, Gaussians, Model};
+use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_train::{Schedule, Settings};
+
+/// What is behind everything.
+pub const BACKGROUND: [f64; 3] = [0.2, 0.5, 0.8];
+
+/// Highest band that all Gaussians have.
+pub fn degree(g: &Twin) -> u32 {
+    (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32
+}
+
+fn upload(gpu: &Gpu, g: &Twin, training: bool) -> sgs_engine::Result<Gaussians> {
+    let model = Model { sh_degree: degree(g), normals: false, semantics: false };
+    let gaussians = Gaussians::new(gpu.device(), model, (g.len() as u32).max(1), training)?;
+    gaussians.upload(gpu.device(), &scenes::data(g))?;
+    Ok(gaussians)
+}
+
+/// Colors and transmittance of one view.
+///
+/// # Errors
+/// What the engine says.
+pub fn picture(gpu: &Gpu, g: &Twin, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
+    let gaussians = upload(gpu, g, false)?;
+    let mut renderer = Renderer::new(
+        gpu.device(),
+        gpu.tuning(),
+        &gaussians,
+        camera.size,
+        Channels { colors: true, ..Default::default() },
+    )?;
+    let background = BACKGROUND.map(|b| b as f32);
+    let picture = renderer.render(&gaussians, &scenes::gpu_camera(camera), degree(g), background)?;
+    Ok((picture.image, picture.transmittance))
+}
+
+/// Some training steps towards a gray photograph, in one view; what each reported, and what the parameters became.
+///
+/// # Errors
+/// What the engine says.
+pub fn steps(gpu: &Gpu, g: &Twin, camera: &Camera, count: u32) -> sgs_engine::Result<(Vec<StepReport>, GaussianData)> {
+    let device = gpu.device();
+    let gaussians = upload(gpu, g, true)?;
+    let pixels = camera.size[0] as usize * camera.size[1] as usize;
+    let targets = device.buffer("targets", 4 * pixels as u64, Location::Device)?;
+    device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels]))?;
+    let inputs = Inputs { targets: &targets, normals: None, semantics: None, regions: None, pseudo_regions: None };
+    let mut options = GeometryOptions {
+        largest: camera.size,
+        entry_capacity: 1 << 14,
+        channels: Channels { colors: true, ..Default::default() },
+        statistics: false,
+        dense_adam: false,
+        backward: BackwardKernel::Pixel,
+        semantic_geometry: false,
+        pseudo: None,
+        timestamps: false,
+        frames_in_flight: 1,
+    };
+    let schedule = Schedule::new(&Settings::default(), 1.0, 1);
+    let camera = scenes::gpu_camera(camera);
+    let status = Status::new(device)?;
+    let mut exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options)?;
+    let mut reports = Vec::new();
+    while (reports.len() as u32) < count {
+        let step = reports.len() as u32 + 1;
+        exec.submit(&schedule.step(step, &camera, 0))?;
+        exec.finish()?;
+        let report = status.report(step)?;
+        if report.flags != 0 {
+            // As training does: room for what was wanted, and the same step again.
+            assert!(report.entries > options.entry_capacity, "a flag without reason: {report:?}");
+            options.entry_capacity = report.entries;
+            exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options)?;
+            status.clear_flags(device)?;
+            continue;
+        }
+        reports.push(report);
+    }
+    Ok((reports, gaussians.download(device)?))
+}
