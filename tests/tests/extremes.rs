@@ -67,8 +67,11 @@ fn one(mean: [f64; 3], log_scale: [f64; 3], rotation: [f64; 4], logit: f64) -> G
     g
 }
 
+/// Mean, logarithms of scales, quaternion, logit of opacity.
+type One = ([f64; 3], [f64; 3], [f64; 4], f64);
+
 /// Ordinary ones with others among them.
-fn among(others: &[([f64; 3], [f64; 3], [f64; 4], f64)]) -> Line {
+fn among(others: &[One]) -> Line {
     let mut g = ordinary();
     for (mean, scale, rotation, logit) in others {
         add(&mut g, *mean, *scale, *rotation, *logit, BLUE);
