@@ -12,6 +12,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool MSG = true;    // which of them there are
 layout(constant_id = 3) const uint PICTURES = 3;  // of the loss across views: 0 if there is none
 layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
+layout(constant_id = 5) const uint GRAY_ESTIMATES = 0; // likewise, of roughness
 
 #define SUM_T vec3
 #include "group_sum.glsl"
@@ -19,6 +20,7 @@ layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
 layout(push_constant, scalar) uniform Push {
     uint compose_count; // workgroups that left sums
     uint edge_count;
+    float roughness_share; // of estimates of roughness, beside those of albedo
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -30,6 +32,8 @@ IN(MsgLevels, msg);
 IN(CrossRegion, regions);
 IN(MsgLevels, relight_first);
 IN(MsgLevels, relight_second);
+IN(MsgLevels, roughness_first);
+IN(MsgLevels, roughness_second);
 OUT(MaterialStats, stats);
 
 void main() {
@@ -58,6 +62,10 @@ void main() {
         r.relight_count += uint(relight_second[0].pixels > 0.0);
     }
     r.relight /= float(max(ESTIMATES, 1u));
+    float gray = 0.0;
+    if (GRAY_ESTIMATES > 0u) gray += roughness_first[0].square + roughness_first[0].albedo;
+    if (GRAY_ESTIMATES > 1u) gray += roughness_second[0].square + roughness_second[0].albedo;
+    r.relight += push.roughness_share / float(max(GRAY_ESTIMATES, 1u)) * gray;
     MaterialWeights w = given.weights;
     r.total = w.albedo_msg * r.albedo_msg + w.roughness_msg * r.roughness_msg + w.albedo_edge * r.albedo_edge
             + w.roughness_edge * r.roughness_edge + w.cross_view * r.cross_view + w.relight * r.relight;

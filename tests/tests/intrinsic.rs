@@ -213,6 +213,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         gradients: true,
         cross_view: false,
         relight: false,
+        relight_roughness: 0.0,
         returning: false,
         rates,
         timestamps: false,

@@ -6,6 +6,7 @@ use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::Gpu;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::place::Place;
+use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_train::{Geometry, Intrinsic, Progress, Settings, TrainError, VisibilityKind};
 
@@ -99,15 +100,17 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
     let splats = Splats::from_points(&scene.points, 1).unwrap();
     let used = || gpu.device().memory_use().0;
-    for field in [true, false] {
+    for (field, asked) in [(true, false), (true, true), (false, false)] {
         if !field {
             s.intrinsic.visibility.kind = VisibilityKind::None;
         }
+        s.intrinsic.relight.provider = if asked { provider("misbehave=nothing") } else { "own".into() };
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         training.train(12, |_| {}, || true).unwrap();
         let needs = *training.needs();
         assert_eq!(training.compares(), [true, true]);
         assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
+        assert_eq!(needs.relit > 0 && needs.estimates > 0, asked, "{needs:?}");
         let (taken, reckoned) = (used(), needs.total() - needs.staging);
         println!("{taken} bytes taken, {reckoned} reckoned");
         assert!(taken == reckoned, "{taken} bytes taken, {reckoned} reckoned: {needs:?}");

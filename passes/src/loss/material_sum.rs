@@ -22,6 +22,10 @@ pub struct MaterialLosses {
     pub cross_view: Option<CrossView>,
     /// Albedo against estimates under other light; the first ones that there are.
     pub relight: [Option<MsgLoss>; 2],
+    /// The same of roughness, which counts with `roughness_share` of what albedo does.
+    pub relight_roughness: [Option<MsgLoss>; 2],
+    /// See there.
+    pub roughness_share: f32,
 }
 
 /// Adds the pass that writes `stats` (a `MaterialStats`). `weights`: uniform `MaterialWeights`.
@@ -37,7 +41,8 @@ pub fn material_sum(
     stats: Buffer,
 ) -> Result<(), GraphError> {
     // What is absent is bound to something that the specialized kernel never touches.
-    let results: Vec<Buffer> = of.relight.iter().flatten().map(|r| r.result).collect();
+    let results_of = |all: &[Option<MsgLoss>]| all.iter().flatten().map(|r| r.result).collect::<Vec<Buffer>>();
+    let (results, gray) = (results_of(&of.relight), results_of(&of.relight_roughness));
     let parts = [
         of.saturated.map(|s| s.sums),
         of.edge.map(|e| e.sums),
@@ -56,6 +61,8 @@ pub fn material_sum(
         regions,
         relight_first,
         relight_second: results.get(1).copied().unwrap_or(any).into(),
+        roughness_first: gray.first().copied().unwrap_or(any).into(),
+        roughness_second: gray.get(1).copied().unwrap_or(any).into(),
         stats: stats.into(),
     };
     let specs = kernel::Specs {
@@ -63,9 +70,13 @@ pub fn material_sum(
         msg: of.msg.is_some(),
         pictures: of.cross_view.map_or(0, |c| c.pictures),
         estimates: results.len() as u32,
+        gray_estimates: gray.len() as u32,
     };
-    let push =
-        kernel::Push { compose_count: of.saturated.map_or(0, |s| s.count), edge_count: of.edge.map_or(0, |e| e.count) };
+    let push = kernel::Push {
+        compose_count: of.saturated.map_or(0, |s| s.count),
+        edge_count: of.edge.map_or(0, |e| e.count),
+        roughness_share: of.roughness_share,
+    };
     stage(g, "material_sum", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])
 }

@@ -58,7 +58,7 @@ pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     AccuracySettings, Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
     IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, PRESETS,
-    Preset, ProviderSettings, Rates, Settings, VisibilityKind, VisibilitySettings, overlay,
+    Preset, ProviderSettings, Rates, RelightSettings, Settings, VisibilityKind, VisibilitySettings, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

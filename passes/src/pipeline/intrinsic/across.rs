@@ -1,5 +1,6 @@
 //! What other views, and other light, ask of albedo in a region.
 
+use super::COPIES;
 use super::build::Frame;
 use super::priors::Asked;
 use crate::loss::{
@@ -9,7 +10,7 @@ use crate::loss::{
 use crate::pipeline::SurfaceHandles;
 use crate::shade::{PixelMaterials, SURFACE_DEPTH, Weights, materials, surface_depth};
 use crate::splat::{Screen, wanted_words};
-use sgs_engine::graph::{Graph, GraphError};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
 
 /// A pseudo-view whose albedo has been compared.
 pub(super) struct Other {
@@ -35,19 +36,8 @@ pub(super) fn across_views(
         }
         _ => None,
     };
-    if let (Some(mask), Some(priors), true) = (region, f.inputs.albedo_priors, f.o.relight) {
-        let estimate = Msg {
-            step: f.steps.shaded,
-            weights: f.steps.weights,
-            pictures: MaterialPictures { roughness: None, ..asked.pictures },
-            coverage: f.seen.coverage,
-            albedo_prior: priors,
-            roughness_prior: None,
-            all_views: true,
-            mask: Some(mask),
-            largest: f.o.shape.largest,
-        };
-        asked.losses.relight[0] = Some(relight(g, *f.t, &estimate, 0, 1.0, asked.by_picture.albedo)?);
+    if let (Some(mask), true) = (region, f.o.relight) {
+        under_other_lights(g, f, mask, asked)?;
     }
     let mut others = Vec::new();
     // Pseudo-views are about albedo alone.
@@ -91,4 +81,41 @@ pub(super) fn across_views(
         asked.losses.cross_view = Some(cross_view(g, *f.t, f.steps.weights, &compared)?);
     }
     Ok(others)
+}
+
+/// Compares materials of the step's region with what is said of them under other lights.
+fn under_other_lights(g: &mut Graph, f: &Frame<'_>, mask: Buffer, asked: &mut Asked) -> Result<(), GraphError> {
+    let (mut albedo, mut roughness) = (f.inputs.estimates[..COPIES].to_vec(), f.inputs.estimates[COPIES..].to_vec());
+    if albedo.iter().all(Option::is_none) {
+        // Whatever the light, its prior says the same.
+        (albedo, roughness) = (vec![f.inputs.albedo_priors], Vec::new());
+    }
+    let share = |of: &[Option<Buffer>]| 1.0 / of.iter().flatten().count().max(1) as f32;
+    let (by_albedo, by_roughness) = (share(&albedo), f.o.relight_roughness * share(&roughness));
+    let gray = asked.pictures.roughness.zip(asked.by_picture.roughness).filter(|_| by_roughness > 0.0);
+    let all = albedo.iter().flatten().map(|e| (*e, asked.pictures.albedo, asked.by_picture.albedo, by_albedo));
+    // Gray pictures have three channels as well.
+    let rough = roughness.iter().flatten();
+    let rough = rough.filter_map(|e| gray.map(|(picture, gradient)| (*e, picture, gradient, by_roughness)));
+    let all: Vec<_> = all.map(|e| (e, true)).chain(rough.map(|e| (e, false))).collect();
+    for (number, ((estimate, picture, gradient, share), of_albedo)) in all.into_iter().enumerate() {
+        let compared = Msg {
+            step: f.steps.shaded,
+            weights: f.steps.weights,
+            pictures: MaterialPictures { albedo: picture, roughness: None },
+            coverage: f.seen.coverage,
+            albedo_prior: estimate,
+            roughness_prior: None,
+            all_views: true,
+            mask: Some(mask),
+            largest: f.o.shape.largest,
+        };
+        let loss = relight(g, *f.t, &compared, number as u32, share, gradient)?;
+        let into = if of_albedo { &mut asked.losses.relight } else { &mut asked.losses.relight_roughness };
+        if let Some(free) = into.iter_mut().find(|l| l.is_none()) {
+            *free = Some(loss);
+        }
+    }
+    asked.losses.roughness_share = f.o.relight_roughness;
+    Ok(())
 }

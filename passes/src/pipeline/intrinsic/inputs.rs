@@ -58,7 +58,16 @@ pub struct IntrinsicInputs<'a> {
     pub metallic: Option<&'a DeviceBuffer>,
     /// Ids of regions of the training views ([`crate::loss::pack_regions`]).
     pub regions: Option<&'a DeviceBuffer>,
+    /// What is said of the training views under other lights, packed as priors are: albedo, then roughness, of each copy of
+    /// the lights.
+    pub estimates: [Option<&'a DeviceBuffer>; 2 * COPIES],
 }
+
+/// Most copies of the lights that a step compares with.
+pub const COPIES: usize = 2;
+
+/// Names of the estimates.
+const ESTIMATES: [&str; 2 * COPIES] = ["relit_albedo0", "relit_albedo1", "relit_roughness0", "relit_roughness1"];
 
 /// The tables of an environment in device memory.
 #[derive(Debug)]
@@ -111,6 +120,8 @@ pub struct IntrinsicSizes {
     pub metallic: Option<u64>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
+    /// Bytes of the estimates.
+    pub estimates: [Option<u64>; 2 * COPIES],
 }
 
 impl IntrinsicInputs<'_> {
@@ -122,6 +133,7 @@ impl IntrinsicInputs<'_> {
             roughness: self.roughness.map(DeviceBuffer::bytes),
             metallic: self.metallic.map(DeviceBuffer::bytes),
             regions: self.regions.map(DeviceBuffer::bytes),
+            estimates: self.estimates.map(|e| e.map(DeviceBuffer::bytes)),
         }
     }
 
@@ -155,6 +167,7 @@ pub(super) struct Declared {
     pub roughness_priors: Option<Buffer>,
     pub metallic_priors: Option<Buffer>,
     pub regions: Option<Buffer>,
+    pub estimates: [Option<Buffer>; 2 * COPIES],
 }
 
 impl Declared {
@@ -198,6 +211,7 @@ impl Declared {
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
             metallic_priors: sizes.metallic.map(|bytes| g.input("metallic_priors", bytes)),
             regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
+            estimates: std::array::from_fn(|i| sizes.estimates[i].map(|bytes| g.input(ESTIMATES[i], bytes))),
         }
     }
 
@@ -231,7 +245,10 @@ impl Declared {
             (self.roughness_priors, inputs.roughness),
             (self.metallic_priors, inputs.metallic),
             (self.regions, inputs.regions),
-        ] {
+        ]
+        .into_iter()
+        .chain(self.estimates.into_iter().zip(inputs.estimates))
+        {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;
             }

@@ -7,8 +7,10 @@ mod across;
 mod build;
 mod inputs;
 mod priors;
+mod relit;
 
-pub use inputs::{EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
+pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
+pub use relit::{RelitOptions, RelitView};
 
 use self::build::{Words, build};
 use self::inputs::Declared as Inputs;
@@ -54,9 +56,11 @@ pub struct IntrinsicOptions {
     pub gradients: bool,
     /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
     pub cross_view: bool,
-    /// Whether albedo in the region is compared with what is said of it under other lights, for which its prior stands in; needs
-    /// the prior and regions.
+    /// Whether albedo in the region is compared with what is said of it under other lights: estimates of the view, or where
+    /// there are none its prior, which stands in. Needs one of both, and regions.
     pub relight: bool,
+    /// What roughness in the region weighs beside albedo, where there are estimates of it under other lights.
+    pub relight_roughness: f32,
     /// Pixels that are too bright keep the gradients that lead them back.
     pub returning: bool,
     /// Learning rates.

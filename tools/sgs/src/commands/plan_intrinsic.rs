@@ -20,6 +20,8 @@ pub struct IntrinsicPlan {
     compares: [bool; 2],
     kept: bool,
     interval: u32,
+    /// Whether a network says what albedo is under other lights.
+    asked: bool,
     needs: IntrinsicNeeds,
     /// A plain step.
     pub graph: Arc<Plan>,
@@ -42,6 +44,7 @@ impl IntrinsicPlan {
             compares: training.compares(),
             kept: training.keeps_surfaces(),
             interval: s.intrinsic.consistency_interval,
+            asked: s.intrinsic.relight.command().is_some(),
             needs: *training.needs(),
             graph,
         })
@@ -64,6 +67,7 @@ impl IntrinsicPlan {
             "priors": {"albedo": albedo, "roughness": roughness, "metallic": metallic},
             "cross_view": self.compares[0],
             "relight": self.compares[1],
+            "relight_asked": self.compares[1] && self.asked,
             "surfaces_kept": self.kept,
             "needs": self.needs,
             "needs_bytes": self.needs.total(),
@@ -108,7 +112,9 @@ impl IntrinsicPlan {
             if due { every.clone() } else { "never: switched off, or regions or priors are missing".into() }
         };
         println!("cross view  {} (albedo in pseudo-views)", said(cross_view));
-        println!("relight     {} (albedo under other lights)", said(relight));
+        let who = if self.asked { "asked of intrinsic.relight.provider" } else { "of its prior" };
+        let who = if relight { format!(", {who}") } else { String::new() };
+        println!("relight     {} (albedo under other lights{who})", said(relight));
         println!(
             "surfaces    {}",
             if self.kept { "kept for all training views" } else { "worked out anew in each step: memory is short" }

@@ -64,7 +64,8 @@ impl MaterialPriors {
     }
 }
 
-fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> Vec<u32> {
+/// A map as it lies among priors.
+pub(super) fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> Vec<u32> {
     let channels = map.image.channels as usize;
     let rgb: Vec<f32> = map
         .image

@@ -9,13 +9,16 @@ mod data;
 mod files;
 mod modeled;
 mod needs;
+mod relit;
 mod start;
 mod state;
 mod surfaces;
+mod values;
 
 pub(crate) use files::raw_lobe;
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub use needs::IntrinsicNeeds;
+pub(crate) use values::field_box;
 
 use crate::convert::gaussian_data;
 use crate::data::{Packed, TrainingData};
@@ -27,13 +30,13 @@ use crate::shadows::{Rays, traced};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use needs::Sizes;
+use relit::Relit;
 use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, FieldStep, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates,
-    IntrinsicReport, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, MaterialWeights, Step,
-    SurfaceBuilder,
+    COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
+    IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
@@ -42,6 +45,7 @@ use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
 use sgs_scene::{Scene, Splats};
 use surfaces::Surfaces;
+use values::light_scale;
 
 /// Replays in flight.
 const IN_FLIGHT: usize = 2;
@@ -76,6 +80,8 @@ pub struct Intrinsic {
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
+    /// Who says what albedo is under other lights, where it is not the prior.
+    relit: Option<Relit>,
     /// By [`StepKind`], made when they are first due.
     execs: [Option<IntrinsicStep>; StepKind::ALL.len()],
     submitted: u32,
@@ -165,6 +171,7 @@ impl Intrinsic {
             environment_smooth: s.losses.environment_smooth,
             cross_view: false,
             relight: false,
+            relight_roughness: s.relight.roughness,
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
             returning: s.returning,
@@ -181,6 +188,16 @@ impl Intrinsic {
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
+        // Nothing is asked where nothing would be compared.
+        let due = (1..=s.steps).any(|step| StepKind::of(s, step) == StepKind::Relight);
+        let command = s.relight.command().filter(|_| due && consistency.is_some());
+        let relit = match command {
+            Some(command) => {
+                let first = packed.views().iter().map(|v| v.1).collect();
+                Relit::start(device, scene, settings, command, &bounds, first, packed.image_bytes() / 4)?
+            }
+            None => None,
+        };
         let sizes = Sizes {
             inputs: IntrinsicSizes {
                 targets: packed.image_bytes(),
@@ -188,7 +205,9 @@ impl Intrinsic {
                 roughness: roughness.as_ref().map(MaterialPriors::bytes),
                 metallic: told.as_ref().map(MaterialPriors::bytes),
                 regions: consistency.as_ref().map(|c| c.ids.bytes()),
+                estimates: relit.as_ref().map_or([None; 2 * COPIES], |r| r.bound().map(|e| e.map(DeviceBuffer::bytes))),
             },
+            relit: relit.as_ref().map(|_| Relit::options(settings, &bounds)),
             environment: environment.as_ref(),
             options: &options,
             geometry: gaussians.bytes(),
@@ -197,7 +216,8 @@ impl Intrinsic {
             // Beside the parameters Gaussians have their count.
             surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
             kinds: StepKind::ALL.map(|kind| {
-                let can = consistency.is_some() && (kind != StepKind::Relight || albedo.is_some());
+                let estimated = if command.is_some() { relit.is_some() } else { albedo.is_some() };
+                let can = consistency.is_some() && (kind != StepKind::Relight || estimated);
                 kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)
             }),
         };
@@ -307,6 +327,7 @@ impl Intrinsic {
             status,
             options,
             consistency,
+            relit,
             execs: [None, None, None],
             submitted: 0,
             done: 0,
@@ -357,10 +378,13 @@ impl Intrinsic {
         while self.submitted < last && go_on() {
             let step = self.submitted + 1;
             let view = self.schedule.view(step);
-            let kind = self.kind(step);
+            let mut kind = self.kind(step);
             let mut values = self.values(step, view);
             if let (Some(c), true) = (&self.consistency, kind != StepKind::Plain) {
                 c.fill(self.settings.seed, view, &mut values);
+            }
+            if kind == StepKind::Relight && !self.estimated(view, &values)? {
+                kind = StepKind::Plain;
             }
             let pseudo = kind == StepKind::CrossView;
             // Graphs order their own replays, not each other's.
@@ -380,59 +404,6 @@ impl Intrinsic {
         }
         self.finish()?;
         self.look(self.submitted, &mut heard)
-    }
-
-    /// The uniforms of a step: weights of photographs and priors, whose offsets are the same.
-    fn values(&self, step: u32, view: usize) -> IntrinsicStepValues {
-        let s = &self.settings.intrinsic;
-        let (camera, offset) = self.data.views[view];
-        let share = self.share(step);
-        let whole = Step { lr_share: share, ..self.schedule.step(step, &camera, offset) };
-        let with =
-            |factor: f32| Step { weight_l1: factor * s.losses.l1, weight_dssim: factor * s.losses.dssim, ..whole };
-        IntrinsicStepValues {
-            shaded: with(1.0),
-            albedo: with(s.losses.albedo),
-            roughness: with(s.losses.roughness),
-            metallic: with(s.losses.metallic),
-            weights: MaterialWeights {
-                albedo_msg: s.losses.albedo * s.losses.gradients,
-                roughness_msg: s.losses.roughness * s.losses.gradients,
-                albedo_edge: s.losses.albedo_smooth,
-                roughness_edge: s.losses.roughness_smooth,
-                cross_view: s.losses.cross_view,
-                relight: s.losses.relight,
-            },
-            field: self.field_step(&whole),
-            ..Default::default()
-        }
-    }
-
-    /// What is left of the learning rates of materials at a step: all until the middle, then ever less.
-    fn share(&self, step: u32) -> f32 {
-        let s = &self.settings.intrinsic;
-        let done = f64::from(step) / f64::from(s.steps.max(1));
-        f64::from(s.rates.materials_last).powf((2.0 * done - 1.0).clamp(0.0, 1.0)) as f32
-    }
-
-    /// The uniform of the visibility field.
-    fn field_step(&self, step: &Step) -> FieldStep {
-        let s = &self.settings.intrinsic;
-        let [low, high] = self.bounds;
-        let size: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
-        let pixels = step.camera.size[0] * step.camera.size[1];
-        let pairs = f64::from(pixels) * f64::from(self.light_model.lights);
-        FieldStep {
-            jitter: s.visibility.jitter * 0.5 * size.iter().fold(0.0_f32, |m, v| m.max(*v)),
-            regularizer: (f64::from(s.losses.visibility_jitter) / pairs.max(1.0)) as f32,
-            pixels,
-            lights: self.light_model.lights,
-            seed: step.seed,
-            rate: s.rates.visibility,
-            correction1: step.correction1,
-            correction2: step.correction2,
-            ..field_box(low, high)
-        }
     }
 
     /// Looks at the reports up to a step that is known to be done.
@@ -458,9 +429,30 @@ impl Intrinsic {
     fn kind(&self, step: u32) -> StepKind {
         match StepKind::of(&self.settings.intrinsic, step) {
             _ if self.consistency.is_none() => StepKind::Plain,
-            StepKind::Relight if self.priors.albedo.is_none() => StepKind::Plain,
+            StepKind::Relight => match self.settings.intrinsic.relight.command() {
+                Some(_) if self.relit.is_some() => StepKind::Relight,
+                None if self.priors.albedo.is_some() => StepKind::Relight,
+                _ => StepKind::Plain,
+            },
             kind => kind,
         }
+    }
+
+    /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
+    fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
+        let step = values.shaded.step;
+        let Some(mut relit) = self.relit.take() else { return Ok(self.settings.intrinsic.relight.command().is_none()) };
+        // Without a region there is nothing to compare.
+        if values.shaded.region == 0 || !relit.is_due(view, step) {
+            self.relit = Some(relit);
+            return Ok(true);
+        }
+        self.finish()?;
+        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
+        let inputs = self.inputs(StepKind::Plain);
+        let answered = relit.ask(&self.device, &self.tuning, &inputs, &self.options, &surface, view, values)?;
+        self.relit = answered.then_some(relit);
+        Ok(answered)
     }
 
     /// Makes the graph of a kind of step, if it is not there yet.
@@ -469,7 +461,14 @@ impl Intrinsic {
             return Ok(());
         }
         let options = kind.options(&self.options);
-        let inputs = IntrinsicInputs {
+        let step = IntrinsicStep::new(&self.device, &self.tuning, &self.inputs(kind), &self.status, options)?;
+        self.execs[kind as usize] = Some(step);
+        Ok(())
+    }
+
+    /// What a kind of step is bound to.
+    fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
+        IntrinsicInputs {
             parameters: &self.parameters,
             gains: Some(&self.gains),
             environment: self.environment.as_ref().map(|(e, m)| (e, m)),
@@ -479,10 +478,11 @@ impl Intrinsic {
             roughness: self.priors.roughness.as_ref(),
             metallic: self.priors.metallic.as_ref(),
             regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
-        };
-        let step = IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, options)?;
-        self.execs[kind as usize] = Some(step);
-        Ok(())
+            estimates: match (kind, &self.relit) {
+                (StepKind::Relight, Some(relit)) => relit.bound(),
+                _ => [None; 2 * COPIES],
+            },
+        }
     }
 
     /// Waits for everything submitted.
@@ -520,17 +520,4 @@ impl Intrinsic {
 
 fn gone() -> TrainError {
     TrainError::Memory("There is no step any more: memory ran out when it was made.".into())
-}
-
-/// The box of a field in its uniform.
-pub(crate) fn field_box(low: [f32; 3], high: [f32; 3]) -> FieldStep {
-    let inverse = std::array::from_fn(|i| 1.0 / (high[i] - low[i]).max(1e-20));
-    FieldStep { box_min: low, box_max: high, box_inverse: inverse, ..FieldStep::default() }
-}
-
-/// By how much lights are brighter than the published start, which is for boxes of side 3: light falls off with the square
-/// of the distance, so that the same picture in a larger unit needs as much more.
-fn light_scale(bounds: &[[f32; 3]; 2]) -> f32 {
-    let side = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max);
-    (side / 3.0).powi(2).max(1e-12)
 }

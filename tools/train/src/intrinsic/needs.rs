@@ -11,7 +11,8 @@ use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, IntrinsicOptions, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, PSEUDO_VIEWS,
+    EnvironmentMemory, IntrinsicOptions, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, PSEUDO_VIEWS, RelitOptions,
+    RelitView,
 };
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::environment::Environment;
@@ -24,6 +25,8 @@ pub struct IntrinsicNeeds {
     pub photographs: u64,
     /// Priors of materials.
     pub priors: u64,
+    /// What a network says of materials under other lights.
+    pub estimates: u64,
     /// Regions that are compared between views.
     pub regions: u64,
     /// The Gaussians' geometry.
@@ -48,6 +51,8 @@ pub struct IntrinsicNeeds {
     pub cross_view_arena: u64,
     /// Those of steps that compare it under other lights.
     pub relight_arena: u64,
+    /// Pictures of views under other lights, and transients of them, where a network is shown some.
+    pub relit: u64,
     /// Uniforms and reports.
     pub small: u64,
     /// Staging memory of a checkpoint.
@@ -59,6 +64,8 @@ pub(super) struct Sizes<'a> {
     pub inputs: IntrinsicSizes,
     pub environment: Option<&'a Environment>,
     pub options: &'a IntrinsicOptions,
+    /// Under which other lights a network is shown views, if it is.
+    pub relit: Option<RelitOptions>,
     /// Bytes of the Gaussians' geometry.
     pub geometry: u64,
     /// Training views whose surfaces are kept; 1 where they are worked out anew.
@@ -80,6 +87,7 @@ impl IntrinsicNeeds {
         let mut needs = IntrinsicNeeds {
             photographs: s.inputs.targets,
             priors: [s.inputs.albedo, s.inputs.roughness, s.inputs.metallic].into_iter().flatten().sum(),
+            estimates: s.inputs.estimates.into_iter().flatten().sum(),
             regions: s.inputs.regions.unwrap_or(0),
             geometry: s.geometry,
             materials: learned(3 * n) + learned(n) + if o.metallic { learned(n) } else { 0 },
@@ -110,8 +118,9 @@ impl IntrinsicNeeds {
                 continue;
             }
             let regions = s.inputs.regions.filter(|_| kind != StepKind::Plain);
-            let plan =
-                IntrinsicStep::plan(tuning, &IntrinsicSizes { regions, ..s.inputs }, s.environment, &kind.options(o))?;
+            let estimates = if kind == StepKind::Relight { s.inputs.estimates } else { Default::default() };
+            let inputs = IntrinsicSizes { regions, estimates, ..s.inputs };
+            let plan = IntrinsicStep::plan(tuning, &inputs, s.environment, &kind.options(o))?;
             needs.small += uniform_bytes(device, &plan, o.frames_in_flight);
             match kind {
                 StepKind::Plain => needs.arena = plan.arena_bytes,
@@ -122,6 +131,12 @@ impl IntrinsicNeeds {
                 StepKind::Relight => needs.relight_arena = plan.arena_bytes,
             }
         }
+        if let (Some(relit), true) = (&s.relit, s.kinds[StepKind::Relight as usize]) {
+            let inputs = IntrinsicSizes { regions: None, estimates: Default::default(), ..s.inputs };
+            let (plan, outputs) = RelitView::plan(tuning, &inputs, s.environment, o, relit)?;
+            needs.relit = plan.arena_bytes + outputs;
+            needs.small += uniform_bytes(device, &plan, 1);
+        }
         Ok(needs)
     }
 
@@ -131,10 +146,11 @@ impl IntrinsicNeeds {
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 16] {
+    pub fn parts(&self) -> [(&'static str, u64); 18] {
         [
             ("photographs", self.photographs),
             ("priors of materials", self.priors),
+            ("estimates under other lights", self.estimates),
             ("regions", self.regions),
             ("geometry", self.geometry),
             ("materials", self.materials),
@@ -147,6 +163,7 @@ impl IntrinsicNeeds {
             ("arena", self.arena),
             ("arena of pseudo-views", self.cross_view_arena),
             ("arena of other lights", self.relight_arena),
+            ("pictures under other lights", self.relit),
             ("uniforms and reports", self.small),
             ("staging", self.staging),
         ]

@@ -2,16 +2,21 @@
 
 use super::{Intrinsic, LightFile, write_lights};
 use crate::error::{Result, TrainError};
-use crate::floats::Floats;
+use crate::floats::{Floats, Numbers};
 use crate::run::RunDirectory;
 use crate::visibility::VisibilityFile;
 use safetensors::{Dtype, SafeTensors};
+use sgs_engine::DeviceBuffer;
 use sgs_passes::shade::environment::latlong;
 use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
 
 const FORMAT: &str = "sgs-intrinsic-1";
+
+/// Tensors of what is said of views under other lights, and of the steps at which that was.
+const ESTIMATES: &str = "relit_estimates";
+const ASKED_AT: &str = "relit_asked_at";
 
 /// Tensors of the visibility field.
 const FIELD: [&str; 4] = ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
@@ -36,7 +41,17 @@ impl Intrinsic {
                 values.push(((*name).to_owned(), v));
             }
         }
-        let tensors = values.iter().map(|(name, v)| (name.clone(), Floats(v, vec![v.len()])));
+        // What has been said of views, and when: asking again would be about other parameters.
+        let mut words = Vec::new();
+        if let Some(relit) = &self.relit {
+            for (i, buffer) in relit.estimates.iter().enumerate() {
+                words.push((format!("{ESTIMATES}{i}"), self.device.download_as(buffer, buffer.bytes() as usize / 4)?));
+            }
+            words.push((ASKED_AT.to_owned(), relit.asked_at.clone()));
+        }
+        let tensors = values.iter().map(|(name, v)| (name.clone(), Numbers::Floats(Floats(v, vec![v.len()]))));
+        let words = words.iter().map(|(name, v)| (name.clone(), Numbers::Words(v, vec![v.len()])));
+        let tensors: Vec<_> = tensors.chain(words).collect();
         let meta = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("step".to_owned(), self.done.to_string()),
@@ -87,6 +102,20 @@ impl Intrinsic {
             read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
         }
         let gains = floats("light_gains", self.light_model.lights as usize)?;
+        // Of a run without a provider there is nothing, and everything is asked anew.
+        let mut estimates = None;
+        if let (Some(relit), true) = (&self.relit, tensors.tensor(ASKED_AT).is_ok()) {
+            let words = |name: &str, count: usize| -> Result<Vec<u32>> {
+                let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
+                if t.dtype() != Dtype::U32 || t.data().len() != 4 * count {
+                    return Err(file(path, format!("\"{name}\" does not hold {count} 32-bit words")));
+                }
+                Ok(t.data().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+            };
+            let of = |(i, b): (usize, &DeviceBuffer)| words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
+            let all = relit.estimates.iter().enumerate().map(of).collect::<Result<Vec<_>>>()?;
+            estimates = Some((all, words(ASKED_AT, relit.asked_at.len())?));
+        }
         let field = match &self.parameters.visibility {
             Some(f) => {
                 let (table, mlp) = (2 * f.config().entries() as usize, f.config().weights());
@@ -106,6 +135,12 @@ impl Intrinsic {
             p.upload_moments(&self.device, moments)?;
         }
         self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
+        if let (Some(relit), Some((all, asked_at))) = (&mut self.relit, estimates) {
+            for (buffer, words) in relit.estimates.iter().zip(&all) {
+                self.device.upload(buffer, 0, bytemuck::cast_slice(words))?;
+            }
+            relit.asked_at = asked_at;
+        }
         self.submitted = step;
         self.done = step;
         Ok(())

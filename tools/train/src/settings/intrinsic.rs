@@ -32,6 +32,8 @@ pub struct IntrinsicSettings {
     pub cross_view_from: u32,
     /// The first step that compares albedo under other lights.
     pub relight_from: u32,
+    /// Who says what albedo is under other lights.
+    pub relight: RelightSettings,
     /// Most bytes for what views see of the geometry; beyond that it is worked out anew in each step. 0 for what fits.
     pub surface_bytes: u64,
     /// Steps between checkpoints; 0 keeps only the last.
@@ -53,9 +55,39 @@ impl Default for IntrinsicSettings {
             consistency_interval: 3,
             cross_view_from: 1,
             relight_from: 1000,
+            relight: RelightSettings::default(),
             surface_bytes: 0,
             checkpoint_interval: 500,
         }
+    }
+}
+
+/// Who says what materials are under other lights.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RelightSettings {
+    /// `own`: the prior of the view, which says the same under any light. Anything else is the command line of a provider of
+    /// materials: it is shown the view under perturbed lights.
+    pub provider: String,
+    /// What it has said of a view serves for so many steps. 1 asks each time, as published.
+    pub every: u32,
+    /// Copies of the lights, each perturbed in its own way: 1 or 2.
+    pub copies: u32,
+    /// What its roughness weighs beside its albedo. Published: 0, which asks for albedo alone.
+    pub roughness: f32,
+}
+
+impl RelightSettings {
+    /// The provider's command line, if there is to be one.
+    pub fn command(&self) -> Option<&str> {
+        let command = self.provider.trim();
+        (command != "own").then_some(command)
+    }
+}
+
+impl Default for RelightSettings {
+    fn default() -> Self {
+        RelightSettings { provider: "own".into(), every: 500, copies: 2, roughness: 0.0 }
     }
 }
 
@@ -306,6 +338,21 @@ impl IntrinsicSettings {
         }
         if let Some(Err(e)) = v.config().map(|c| c.check()) {
             return fail(format!("intrinsic.visibility cannot be: {e}"));
+        }
+        let r = &self.relight;
+        if r.provider.trim().is_empty() {
+            return fail("intrinsic.relight.provider is empty, but must be \"own\" or a command line.".into());
+        }
+        if r.every == 0 {
+            return fail("intrinsic.relight.every is 0, but must be at least 1.".into());
+        }
+        if !(1..=2).contains(&r.copies) {
+            return fail(format!("intrinsic.relight.copies is {}, but must be 1 or 2.", r.copies));
+        }
+        if r.command().is_some() && !self.lights.enabled && self.losses.relight > 0.0 {
+            return fail(
+                "intrinsic.relight.provider is to see other lights, but intrinsic.lights.enabled is false.".into(),
+            );
         }
         if self.consistency_interval < 3 {
             return fail(format!(

@@ -8,7 +8,7 @@ mod presets;
 pub use accuracy::AccuracySettings;
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
-    Metallic, VisibilityKind, VisibilitySettings,
+    Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
 };
 pub(crate) use names::{distance, one_line};
 pub use presets::{PRESETS, Preset, overlay};

@@ -1,0 +1,187 @@
+//! A training view under other lights, as a network is shown it: lights moved, dimmed and switched off at random, everything
+//! else as it is before the step.
+//!
+//! Promises: what comes out is a function of parameters, seed and view; nothing is changed. Each copy of the lights costs a
+//! forward pass of shading; the surroundings are shaded once. The host waits.
+
+use super::inputs::Declared as Inputs;
+use super::{COPIES, IntrinsicInputs, IntrinsicOptions, IntrinsicSizes, IntrinsicStepValues, Step};
+use crate::Tuning;
+use crate::pipeline::{Surface, SurfaceHandles};
+use crate::shade::environment::{Environment, EnvironmentView, environment as ambient_light, environment_filter};
+use crate::shade::lights::{LightParameters, Lights, Perturbation, Shape, lights, lights_prepare};
+use crate::shade::traced::lights_traced;
+use crate::shade::visibility::lights_field;
+use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
+use crate::splat::Screen;
+use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use std::sync::Arc;
+
+/// Whose light, and how different.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelitOptions {
+    /// Copies of the lights: at most [`COPIES`].
+    pub copies: u32,
+    /// How far apart lights started, or what else is the unit of the distance that they move.
+    pub spacing: f32,
+}
+
+/// Shades views under perturbed lights.
+pub struct RelitView {
+    exec: Executor,
+    step: Buffer,
+    field: Option<Buffer>,
+    surface: SurfaceHandles,
+    tile: [u32; 2],
+    /// Light of lamps of each copy, then that of the surroundings if there are any.
+    outputs: Vec<DeviceBuffer>,
+    copies: usize,
+}
+
+struct Built {
+    plan: Arc<Plan>,
+    step: Buffer,
+    surface: SurfaceHandles,
+    inputs: Inputs,
+    outputs: Vec<Buffer>,
+}
+
+impl RelitView {
+    /// Builds the graph and binds what is learned. There must be lights.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(
+        device: &Device,
+        tuning: &Tuning,
+        inputs: &IntrinsicInputs<'_>,
+        options: &IntrinsicOptions,
+        relit: &RelitOptions,
+    ) -> Result<RelitView> {
+        let made = declare(tuning, &inputs.sizes(), inputs.environment(), options, relit)?;
+        let bytes = output_bytes(options);
+        let outputs: Vec<DeviceBuffer> =
+            made.outputs.iter().map(|_| device.buffer("relit", bytes, Location::Device)).collect::<Result<_>>()?;
+        let mut exec = Executor::new(device, made.plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        made.inputs.bind(&mut exec, inputs)?;
+        for (handle, buffer) in made.outputs.iter().zip(&outputs) {
+            exec.bind(*handle, buffer)?;
+        }
+        Ok(RelitView {
+            exec,
+            step: made.step,
+            field: made.inputs.visibility.map(|v| v.field.step),
+            surface: made.surface,
+            tile: tuning.tile,
+            copies: copies_of(relit) as usize,
+            outputs,
+        })
+    }
+
+    /// What one would take that does not exist yet: its plan, and bytes beside that.
+    ///
+    /// # Errors
+    /// If the sizes make no graph.
+    pub fn plan(
+        tuning: &Tuning,
+        sizes: &IntrinsicSizes,
+        environment: Option<&Environment>,
+        options: &IntrinsicOptions,
+        relit: &RelitOptions,
+    ) -> Result<(Arc<Plan>, u64)> {
+        let made = declare(tuning, sizes, environment, options, relit)?;
+        Ok((made.plan, made.outputs.len() as u64 * output_bytes(options)))
+    }
+
+    /// Linear light that the surfaces of a view send to its camera under each copy of the lights that the step's seed draws,
+    /// `[pixels * 3]` floats, not yet over any background (waits for the device).
+    ///
+    /// # Errors
+    /// If the device fails, or the surface has another shape than this was made for.
+    pub fn shade(&mut self, device: &Device, surface: &Surface, values: &IntrinsicStepValues) -> Result<Vec<Vec<f32>>> {
+        surface.bind(&mut self.exec, &self.surface)?;
+        let mut step = values.shaded;
+        let size = step.camera.size;
+        step.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
+        let mut uniforms = vec![(self.step, bytemuck::bytes_of(&step))];
+        if let Some(field) = self.field {
+            uniforms.push((field, bytemuck::bytes_of(&values.field)));
+        }
+        self.exec.submit(&uniforms)?;
+        self.exec.finish()?;
+        let floats = 3 * size[0] as usize * size[1] as usize;
+        let read = |b: &DeviceBuffer| device.download_as::<f32>(b, floats);
+        let around = self.outputs.get(self.copies).map(read).transpose()?;
+        let mut pictures = self.outputs[..self.copies].iter().map(read).collect::<Result<Vec<_>>>()?;
+        if let Some(around) = around {
+            pictures.iter_mut().for_each(|p| p.iter_mut().zip(&around).for_each(|(v, a)| *v += a));
+        }
+        Ok(pictures)
+    }
+}
+
+fn copies_of(relit: &RelitOptions) -> u32 {
+    relit.copies.clamp(1, COPIES as u32)
+}
+
+fn output_bytes(o: &IntrinsicOptions) -> u64 {
+    12 * u64::from(o.shape.largest[0]) * u64::from(o.shape.largest[1])
+}
+
+fn declare(
+    t: &Tuning,
+    sizes: &IntrinsicSizes,
+    environment: Option<&Environment>,
+    o: &IntrinsicOptions,
+    relit: &RelitOptions,
+) -> Result<Built> {
+    let mut g = Graph::new("relit_view");
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let surface = o.shape.declare(&mut g, "", false);
+    let tables = environment.map(|e| (e.declare(&mut g), e.floats()));
+    let inputs = Inputs::declare(&mut g, sizes, tables, o);
+    let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
+    let pixels = screen.pixels();
+    let raw = RawMaterials {
+        albedo: inputs.albedo.parameters,
+        roughness: inputs.roughness.parameters,
+        metallic: inputs.metallic.map(|m| m.parameters),
+    };
+    let of_gaussians = values(&mut g, t, &raw, o.shape.gaussians)?;
+    let of_pixels = PixelMaterials {
+        materials: g.transient("materials", 16 * pixels),
+        metallic: raw.metallic.map(|_| g.transient("pixel_metallic", 4 * pixels)),
+    };
+    materials(&mut g, t, &screen, &of_gaussians, &surface.weights, &of_pixels)?;
+    let shaded = Pixels { screen, surfaces: surface.surfaces, materials: of_pixels };
+    let mut outputs = Vec::new();
+    for copy in 0..copies_of(relit) {
+        let direct = g.external(format!("relit{copy}"), 12 * pixels);
+        outputs.push(direct);
+        let Some(l) = &inputs.lights else {
+            g.fill(format!("no_lights{copy}"), direct, 0)?;
+            continue;
+        };
+        let parameters =
+            LightParameters { positions: l.positions.parameters, lobes: l.lobes.parameters, gains: l.gains };
+        let other = Perturbation::published(copy, relit.spacing);
+        let name = format!("lights_prepare{copy}");
+        let prepared = lights_prepare(&mut g, *t, &name, step, l.model, &parameters, Some(&other))?;
+        let lit = Lights { pixels: shaded, prepared, normalizer: l.normalizer, shape: Shape::for_device(*t) };
+        match (&inputs.visibility, &inputs.traced) {
+            (Some(v), _) => lights_field(&mut g, *t, &lit, &v.field, direct)?,
+            (None, Some(traced)) => lights_traced(&mut g, &lit, traced, direct)?,
+            (None, None) => lights(&mut g, &lit, direct)?,
+        }
+    }
+    if let (Some(e), Some((texels, tables))) = (environment, &inputs.environment) {
+        let ambient = g.external("relit_ambient", 12 * pixels);
+        outputs.push(ambient);
+        let filtered = environment_filter(&mut g, t, e, tables, texels.parameters)?;
+        ambient_light(&mut g, t, e, tables, &EnvironmentView::from(&shaded), &filtered, ambient)?;
+    }
+    let plan = Arc::new(g.compile(&CompileOptions::default())?);
+    Ok(Built { plan, step, surface, inputs, outputs })
+}
