@@ -38,6 +38,8 @@ enum Command {
     Scaling(commands::scaling::Args),
     /// What every choice that trades accuracy for speed costs and saves, and which are worth it.
     Tradeoff(commands::tradeoff::Args),
+    /// What each saving of the intrinsic stage is worth, against the same without it.
+    Savings(commands::savings::Args),
     /// What the device can do at best: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Put reports of one device into one file.
@@ -53,6 +55,7 @@ fn main() {
         Command::Step(a) => commands::step::run(&cli.common, a),
         Command::Scaling(a) => commands::scaling::run(&cli.common, a),
         Command::Tradeoff(a) => commands::tradeoff::run(&cli.common, a),
+        Command::Savings(a) => commands::savings::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),

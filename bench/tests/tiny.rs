@@ -144,3 +144,28 @@ fn the_trade_between_time_and_accuracy_is_measured() {
         |name: &str| report["facts"].as_array().unwrap().iter().find(|f| f["name"] == name).unwrap()["value"].clone();
     assert!(fact("on the front").as_str().unwrap().len() > 3);
 }
+
+#[test]
+fn savings_are_measured_against_the_same_without() {
+    let report = succeeds(&[
+        "savings",
+        "--size",
+        "50x30",
+        "--repeats",
+        "2",
+        "--warmup",
+        "1",
+        "--steps",
+        "2",
+        "--cull-error",
+        "0.05",
+    ]);
+    let rows: Vec<&str> = report["values"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
+    assert!(rows.len() == 18 && rows.iter().filter(|r| r.ends_with(": without")).count() == 9, "{rows:?}");
+    let faster = |f: &&Value| f["name"].as_str().unwrap().ends_with("times faster");
+    let facts = report["facts"].as_array().unwrap();
+    assert!(facts.iter().filter(faster).all(|f| f["value"].as_f64().unwrap() > 0.0));
+    assert_eq!(report["checks"].as_array().unwrap().len(), 5);
+    let alone = succeeds(&["savings", "--size", "20x10", "--repeats", "1", "--warmup", "1", "--steps", "0"]);
+    assert_eq!(alone["values"].as_array().unwrap().len(), 14);
+}

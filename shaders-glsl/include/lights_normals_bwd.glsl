@@ -3,6 +3,9 @@
 
 layout(push_constant, scalar) uniform Push {
     float normalizer; // 1 / lights at the start
+#ifdef BY_STRETCH
+    uint block; // first of the stretch
+#endif
 } push;
 
 IN(vec3, radiance_gradient);
@@ -23,6 +26,9 @@ vec3 by_normal(Surface s, vec3 l, Lit r, Wanted w, vec3 emitted) {
 
 void main() {
     uint block = folded_workgroup();
+#ifdef BY_STRETCH
+    block += push.block;
+#endif
     uint pixels = pixel_count();
     Wanted wanted[PER_LANE];
     vec3 sum[PER_LANE];

@@ -5,8 +5,8 @@ use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{
-    Geometry, Intrinsic, RunDirectory, Settings, Shading, VisibilityFile, displayed, light_of, read_lights,
-    shaded_scene,
+    Geometry, Intrinsic, RunDirectory, Settings, Shading, VisibilityFile, VisibilityKind, displayed, light_of,
+    read_lights, shaded_scene,
 };
 
 /// Albedo of each wall, sRGB.
@@ -197,6 +197,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         lights: 0.05,
         environment: 0.05,
         visibility: 4e-3,
+        normals: 0.0,
     };
     let options = IntrinsicOptions {
         shape,
@@ -208,6 +209,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         visibility_sample: 1,
         light_regularizers: [1e-6, 1e-4],
         light_prune: 0.0,
+        cull_error: 0.0,
         environment_smooth: 0.0,
         edge_aware: true,
         gradients: true,
@@ -240,4 +242,36 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     let without = sizes_of(&IntrinsicOptions { visibility: None, ..options });
     let traced = sizes_of(&IntrinsicOptions { visibility: None, traced: Some(tree), ..options });
     assert!(traced <= without + room + (8 << 20), "{traced} bytes, {without} without shadows");
+}
+
+/// Leaving nothing out changes nothing; lights that are left out are only those that are allowed to be.
+#[test]
+fn culling_is_off_at_zero_and_changes_little_at_little() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let first = |kind: VisibilityKind, cull_error: f32| {
+        let mut s = settings(1);
+        (s.intrinsic.visibility.kind, s.intrinsic.cull_error) = (kind, cull_error);
+        s.intrinsic.environment.enabled = false;
+        // From far off, lights are faint.
+        s.intrinsic.lights.start = 0.3;
+        let mut loss = 0.0;
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        training.train(1, |r| loss = r.shaded, || true).unwrap();
+        (loss, training.lights().unwrap().unwrap(), training.splats().unwrap())
+    };
+    for kind in [VisibilityKind::Field, VisibilityKind::Traced, VisibilityKind::None] {
+        let exact = first(kind, 0.0);
+        assert!(first(kind, 1e-9) == exact, "{kind:?}: what reaches everywhere was left out");
+        let short = first(kind, 0.5);
+        assert!(short.1 != exact.1 && short.0.is_finite(), "{kind:?}: nothing was left out");
+        // What was left out moves no light: a light of no pixel keeps its lobes.
+        assert!(short.1.lights.len() == exact.1.lights.len());
+    }
+    let mut s = settings(1);
+    s.intrinsic.cull_error = f32::INFINITY;
+    let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
+    assert!(error.contains("intrinsic.cull_error is inf"), "{error}");
 }

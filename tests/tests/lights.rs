@@ -436,7 +436,7 @@ fn culling_keeps_within_its_bound() {
         let full = run(&gpu, shape, &case, [48, 9], None);
         for missing in [1e-3_f32, 1e-2, 1.0] {
             let less = run_culled(&gpu, shape, &case, [48, 9], None, missing);
-            let mut most = 0.0_f64;
+            let (mut most, mut by_albedo) = (0.0_f64, 0.0_f64);
             for (i, pixel) in case.pixels.iter().enumerate() {
                 for c in 0..3 {
                     let d = f64::from(full.split[1][3 * i + c]) - f64::from(less.split[1][3 * i + c]);
@@ -447,8 +447,25 @@ fn culling_keeps_within_its_bound() {
                     let d = f64::from(full.direct[3 * i + c]) - f64::from(less.direct[3 * i + c]);
                     let shine = f64::from(missing) * case.normalizer() / std::f64::consts::TAU;
                     assert!(d <= bound + shine + 1e-6);
+                    // Of albedo, what is asked times the irradiance over pi, so that the bound is that of white.
+                    let at = |f: &Found| f64::from(f.materials[4 * i + c]);
+                    let white = f64::from(missing) * case.normalizer() / std::f64::consts::PI;
+                    let asked = case.gradient[3 * i + c].abs();
+                    let off = (at(&full) - at(&less)).abs();
+                    assert!(off <= asked * white + 1e-5 * (1.0 + at(&full).abs()), "{missing}: {off} of {white}");
+                    by_albedo = by_albedo.max(off);
                 }
             }
+            // Of a light's logarithmic amplitudes, all together: what is asked of a pixel times what it is short of.
+            let amplitudes = |f: &Found| -> Vec<f64> {
+                f.lobes.chunks(row).map(|r| r[row - 3..].iter().map(|x| f64::from(*x)).sum()).collect()
+            };
+            let off: f64 = amplitudes(&full).iter().zip(amplitudes(&less)).map(|(a, b)| (a - b).abs()).sum();
+            let most_of =
+                f64::from(missing) * case.normalizer() * (1.0 / std::f64::consts::PI + 1.0 / std::f64::consts::TAU);
+            let asked: f64 = case.gradient.iter().map(|g| g.abs()).sum();
+            assert!(off <= 1.001 * asked * most_of + 1e-4, "{missing}: {off} of {}", asked * most_of);
+            assert!(off > 0.0 && by_albedo > 0.0, "{missing}: gradients are the same");
             let dark = |f: &Found| f.positions.chunks(3).filter(|g| g.iter().all(|x| *x == 0.0)).count();
             assert!(dark(&less) > dark(&full), "{missing} leaves out {} lights", dark(&less));
             // The bound is one, not a rule of thumb: it is no more than some hundred times too careful here.

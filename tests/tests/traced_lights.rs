@@ -7,7 +7,9 @@ use sgs_passes::reference::traced::{self as rays, Splat};
 use sgs_passes::shade::lights::{
     Axes, LightModel, LightParameterGradients, Lights, Shape, lights_materials_bwd, lights_prepare, lights_prepare_bwd,
 };
-use sgs_passes::shade::traced::{TracedTree, lights_bwd_traced, lights_split_traced, lights_train_traced};
+use sgs_passes::shade::traced::{
+    TracedTree, lights_bwd_traced, lights_normals_bwd_traced, lights_split_traced, lights_train_traced,
+};
 use sgs_tests::lit::{Lit, SPARE, narrow};
 use sgs_tests::splats::{doubt, random_splats, splat_data};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
@@ -27,6 +29,7 @@ struct Found {
     metallic: Vec<f32>,
     positions: Vec<f32>,
     lobes: Vec<f32>,
+    normals: Vec<f32>,
     /// Mean over the lights that are on.
     visibility: Vec<f32>,
     /// By light and pixel, as shading read it; empty where it was not kept.
@@ -69,6 +72,8 @@ fn run(gpu: &Gpu, case: &Lit, splats: &[Splat], largest: [u32; 2], shape: Shape,
     };
     let gradients = lights_bwd_traced(&mut g, tuning, &what, &traced, &sight, bound.gradient).unwrap();
     lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, None, &into).unwrap();
+    let normals = g.external("normals_gradient", 12 * many);
+    lights_normals_bwd_traced(&mut g, &what, &traced, &sight, bound.gradient, normals).unwrap();
     let out = gpu.run(g, &bound.inputs);
     let of = |buffer, width: usize| {
         let all: Vec<f32> = out.get(buffer);
@@ -88,6 +93,7 @@ fn run(gpu: &Gpu, case: &Lit, splats: &[Splat], largest: [u32; 2], shape: Shape,
         metallic: out.get::<f32>(metallic)[..n].to_vec(),
         positions: out.get(into.positions),
         lobes: out.get(into.lobes),
+        normals: of(normals, 3),
         visibility: of(visibility, 1),
         seen: if kept.is_some() { pairs.map(|(l, i)| byte(l, i)).collect() } else { vec![] },
     }
@@ -129,6 +135,7 @@ fn check(case: &Lit, found: &Found, relative: f64) {
     let (mut diffuse, mut whole) = (vec![0.0; 3 * n], vec![0.0; 3 * n]);
     let mut materials = vec![[0.0; 5]; n];
     let (mut positions, mut lobes, mut mean) = (vec![], vec![], vec![0.0; n]);
+    let mut normals = vec![0.0; 3 * n];
     let on = lights.iter().flatten().count().max(1) as f64;
     let row = case.raw.lobes.len() / lights.len();
     for (l, light) in lights.iter().enumerate() {
@@ -143,6 +150,10 @@ fn check(case: &Lit, found: &Found, relative: f64) {
         let gradient: Vec<f64> = case.gradient.iter().enumerate().map(|(i, g)| g * seen(i / 3)).collect();
         let part = twin::lights_materials_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient);
         materials.iter_mut().zip(&part).for_each(|(sum, p)| (0..5).for_each(|k| sum[k] += p[k]));
+        let part = twin::lights_normals_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient).concat();
+        // Without a normal differences see lights that a step in any direction would face.
+        let there = |i: usize| case.pixels[i / 3].normal != [0.0; 3];
+        (0..3 * n).filter(|i| there(*i)).for_each(|i| normals[i] += part[i]);
         let mut raw = case.raw.clone();
         raw.gains.iter_mut().enumerate().for_each(|(i, g)| *g *= f64::from(i == l));
         let bwd = twin::lights_bwd(&raw, &case.pixels, case.camera, case.normalizer(), &gradient);
@@ -165,6 +176,8 @@ fn check(case: &Lit, found: &Found, relative: f64) {
         let expected: Vec<f64> = materials.iter().map(|m| m[4]).collect();
         close("gradient of metallic", &expected, &found.metallic, relative);
     }
+    let t = Tolerance::new(1e-4 * scale(&normals) + 1e-20, 1e-3);
+    assert_close("gradient of normals", &normals, &found.normals, t);
     close("positions", &positions, &found.positions, 1e-3);
     let width = case.raw.model.row() as usize;
     for k in 0..width {
@@ -212,6 +225,7 @@ fn stretches_change_nothing() {
         assert!(cut.seen.is_empty());
         assert_eq!([&cut.direct, &cut.whole, &cut.diffuse], [&whole.direct, &whole.whole, &whole.diffuse]);
         assert_eq!((&cut.materials, &cut.visibility), (&whole.materials, &whole.visibility));
+        assert_eq!(cut.normals, whole.normals);
         for (a, b) in [(&cut.positions, &whole.positions), (&cut.lobes, &whole.lobes)] {
             let wide: Vec<f64> = b.iter().map(|x| f64::from(*x)).collect();
             assert_close("sums", &wide, a, Tolerance::new(1e-5 * scale(&wide), 1e-5));

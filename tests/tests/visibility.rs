@@ -81,6 +81,35 @@ fn values_are_finite_at_the_edges() {
     assert!(found[..3].iter().all(|v| *v == 0.0) && found[3..].iter().all(|v| v.to_bits() == u32::MAX));
 }
 
+/// What 16-bit operands of the second layer cost, as cooperative matrices take them: with layers as they start, and with such as
+/// leave nothing but black and white.
+#[test]
+fn half_operands_cost_little() {
+    for (scale, most) in [(1.0_f32, 1e-3), (4.0, 1e-2), (1e5, 1.0)] {
+        let mut case = Case::random(SMALL, 500, 6, 9);
+        let (inputs, width) = (case.config.inputs(), 32);
+        case.mlp[width * inputs..].iter_mut().for_each(|w| *w *= scale);
+        let field = case.twin();
+        let (mut worst, mut sum, mut wrong) = (0.0_f64, 0.0, 0);
+        for point in &case.points {
+            for light in &case.lights {
+                let (point, light) = (Case::wide(*point), Case::wide(*light));
+                let (exact, half) = (field.visibility(point, light), field.visibility_half(point, light));
+                let off = (half - exact).abs();
+                assert!((0.0..=1.0).contains(&half));
+                (worst, sum) = (worst.max(off), sum + off);
+                wrong += usize::from((half > 0.5) != (exact > 0.5));
+            }
+        }
+        let mean = sum / 3000.0;
+        println!(
+            "layers times {scale}: off by {worst:.2e} at most, {mean:.2e} in the mean, {wrong} of 3000 on another side"
+        );
+        assert!(worst > 0.0 && worst <= most && mean < 0.1 * most, "{worst} {mean}");
+        assert!(wrong < 30, "{wrong} of 3000 are on another side");
+    }
+}
+
 /// The comparison would notice a weight that is not used, and an entry.
 #[test]
 #[should_panic(expected = "mean: element")]

@@ -3,11 +3,12 @@
 
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::shade::lights::{
-    LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_prepare, lights_prepare_bwd,
+    LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_normals_bwd, lights_prepare,
+    lights_prepare_bwd,
 };
 use sgs_passes::shade::visibility::{
-    BackwardOptions, Gradients, VisibilityField, lights_bwd_field, lights_field, lights_train_field,
-    visibility_lights_bwd,
+    BackwardOptions, Gradients, VisibilityField, lights_bwd_field, lights_field, lights_normals_bwd_field,
+    lights_train_field, visibility_lights_bwd,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -237,4 +238,39 @@ fn lights_learn_as_far_as_they_are_seen() {
     }
     let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
     assert_close("amplitudes", &expected, &sums, Tolerance::new(1e-5 * largest, 1e-4));
+}
+
+/// What is asked of normals is what each light alone would ask, times how far it is seen.
+#[test]
+fn normals_learn_as_far_as_lights_are_seen() {
+    let gpu = Gpu::new();
+    let scene = Scene::new();
+    let run = |gains: &[f32], hidden: bool| {
+        let mut g = Graph::new("lights_normals_bwd_field");
+        let (what, mut inputs) = scene.declare(&gpu, &mut g, true, gains);
+        let gradient = g.input("gradient", 12 * PIXELS as u64);
+        inputs.push((gradient, bytes(&scene.gradient)));
+        let normals = g.external("normals_gradient", 12 * PIXELS as u64);
+        if hidden {
+            let field = scene.field(&mut g, &mut inputs);
+            lights_normals_bwd_field(&mut g, gpu.tuning(), &what, &field, gradient, normals).unwrap();
+        } else {
+            lights_normals_bwd(&mut g, &what, gradient, normals).unwrap();
+        }
+        gpu.run(g, &inputs).get::<f32>(normals)
+    };
+    let reference = scene.case.twin();
+    let mut expected = vec![0.0; 3 * PIXELS];
+    for j in 0..LIGHTS {
+        let gains: Vec<f32> = (0..LIGHTS).map(|i| f32::from(i == j)).collect();
+        let alone = run(&gains, false);
+        for (i, e) in expected.iter_mut().enumerate() {
+            let point = Case::wide(scene.case.points[i / 3]);
+            *e += reference.visibility(point, Case::wide(scene.case.lights[j])) * f64::from(alone[i]);
+        }
+    }
+    let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
+    assert!(largest > 0.0);
+    let found = run(&[1.0; LIGHTS], true);
+    assert_close("normals", &expected, &found, Tolerance::new(1e-5 * largest, 1e-4));
 }

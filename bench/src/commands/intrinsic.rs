@@ -61,6 +61,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("environment", settings.intrinsic.environment.resolution);
     report.setting("visibility", format!("{:?}", settings.intrinsic.visibility.kind).to_lowercase());
 
+    report.setting("cull error", settings.intrinsic.cull_error);
+
     let mut done = 0;
     let mut losses = Vec::new();
     let mut train = |training: &mut Intrinsic, count: u32, each: bool| -> anyhow::Result<Vec<f64>> {

@@ -5,6 +5,7 @@ pub mod compile;
 pub mod intrinsic;
 pub mod passes;
 pub mod results;
+pub mod savings;
 pub mod scaling;
 pub mod step;
 pub mod tradeoff;

@@ -55,7 +55,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let sums = (s.push)(0) * (s.push)(1);
             (4.0 * sums, sums)
         }
-        "lights_normals_bwd" => {
+        "lights_normals_bwd" | "lights_normals_bwd_traced" => {
             let facing = 0.5 * (LOBE * lobes + SURFACE_BWD);
             ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p)
         }

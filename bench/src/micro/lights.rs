@@ -103,14 +103,14 @@ struct Case {
 }
 
 /// Buffers of a room in a graph, and what they hold.
-pub(super) struct Bound {
+pub struct Bound {
     pub pixels: Pixels,
     pub parameters: LightParameters,
     pub gradient: Buffer,
     pub inputs: Vec<(Buffer, Vec<u8>)>,
 }
 
-pub(super) fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
+pub fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Bound {
     let n = lit.points.len() as u64;
     let mut values = Step::default();
     values.camera.size = size;

@@ -6,7 +6,7 @@ mod blend;
 mod blend_bwd;
 pub mod densify;
 mod environment;
-mod lights;
+pub mod lights;
 mod masks;
 mod materials;
 mod photometric;

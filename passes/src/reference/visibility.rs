@@ -109,6 +109,11 @@ impl Field {
     }
 
     fn trace(&self, point: [f64; 3], light: [f64; 3]) -> Trace {
+        self.trace_with(point, light, |x| x)
+    }
+
+    /// `operand`: what becomes of the numbers that the second layer multiplies.
+    fn trace_with(&self, point: [f64; 3], light: [f64; 3], operand: impl Fn(f64) -> f64) -> Trace {
         let corners = self.corners(point);
         let mut inputs = vec![0.0; self.inputs()];
         for (c, (entry, weight)) in corners.iter().enumerate() {
@@ -131,7 +136,8 @@ impl Field {
         let (one, rest) = self.mlp.split_at(FIELD_WIDTH * inputs.len());
         let (two, three) = rest.split_at(FIELD_WIDTH * FIELD_WIDTH);
         let first = rectified(&layer(one, &inputs));
-        let second = rectified(&layer(two, &first));
+        let operands = |v: &[f64]| v.iter().map(|x| operand(*x)).collect::<Vec<f64>>();
+        let second = rectified(&layer(&operands(two), &operands(&first)));
         let logit = layer(three, &second)[0];
         let e = (-logit.abs()).exp();
         let slope = e / (1.0 + e).powi(2);
@@ -141,6 +147,12 @@ impl Field {
     /// How much of a light a point sees; both in the world.
     pub fn visibility(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
         self.trace(point, light).value
+    }
+
+    /// The same if the second layer's operands have 16 bits, as on cooperative matrices; sums are exact.
+    pub fn visibility_half(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
+        let most = half::f16::MAX.to_f64();
+        self.trace_with(point, light, |x| half::f16::from_f64(x.clamp(-most, most)).to_f64()).value
     }
 
     /// Gradients of nothing yet.

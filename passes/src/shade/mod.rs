@@ -8,6 +8,7 @@ pub mod environment;
 mod gbuffer;
 pub mod lights;
 mod materials;
+mod normals;
 mod pixels;
 pub mod traced;
 pub mod visibility;
@@ -17,4 +18,5 @@ pub use gbuffer::{
     weight_rows, weights,
 };
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
+pub use normals::{LearnedNormals, normals, normals_bwd};
 pub use pixels::Pixels;

@@ -15,14 +15,17 @@ use crate::shade::environment::{
     environment_filter_bwd, environment_smoothness,
 };
 use crate::shade::lights::{
-    LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_prepare,
-    lights_prepare_bwd, lights_prune, lights_regularize, lights_train,
+    LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_normals_bwd,
+    lights_prepare_bwd, lights_prepare_culled, lights_prune, lights_regularize, lights_train,
 };
-use crate::shade::traced::{lights_bwd_traced, lights_train_traced};
+use crate::shade::traced::{lights_bwd_traced, lights_normals_bwd_traced, lights_train_traced};
 use crate::shade::visibility::{
-    BackwardOptions, Gradients, lights_bwd_field, lights_train_field, visibility_adam, visibility_lights_bwd,
+    BackwardOptions, Gradients, lights_bwd_field, lights_normals_bwd_field, lights_train_field, visibility_adam,
+    visibility_lights_bwd,
 };
-use crate::shade::{PixelMaterials, Pixels, RawMaterials, Surfaces, materials, materials_bwd, values};
+use crate::shade::{
+    PixelMaterials, Pixels, RawMaterials, Surfaces, materials, materials_bwd, normals, normals_bwd, values,
+};
 use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::intrinsic_report as report;
@@ -66,8 +69,10 @@ pub(super) fn build(
     let step = steps.shaded;
     let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
     let pixels = screen.pixels();
-    let (seen, weights) = (&surface.surfaces, &surface.weights);
+    let weights = &surface.weights;
     let n = o.shape.gaussians;
+    let learned = inputs.normals.map(|l| normals(g, t, &screen, l.parameters, weights)).transpose()?;
+    let seen = &learned.map_or(surface.surfaces, |l| l.of(&surface.surfaces));
 
     // What the pixels are made of.
     let raw = RawMaterials {
@@ -96,7 +101,8 @@ pub(super) fn build(
         Some(l) => {
             let parameters =
                 LightParameters { positions: l.positions.parameters, lobes: l.lobes.parameters, gains: l.gains };
-            let prepared = lights_prepare(g, *t, "lights_prepare", step, l.model, &parameters, None)?;
+            let missing = o.missing(l.normalizer);
+            let prepared = lights_prepare_culled(g, *t, "lights_prepare", step, l.model, &parameters, None, missing)?;
             let shape = Shape::for_device(*t);
             let lights = Lights { pixels: shaded, prepared, normalizer: l.normalizer, shape };
             let direct = g.transient("direct", 12 * pixels);
@@ -181,6 +187,20 @@ pub(super) fn build(
             };
             visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
             visibility_adam(g, *t, &v.field, &gradients, &moments)?;
+        }
+        if let (Some(learned), Some(of_gaussians)) = (&learned, inputs.normals) {
+            // The surroundings take normals as they are, as published.
+            let by_pixel = g.transient("normals_gradient", 12 * pixels);
+            match (&inputs.visibility, sight) {
+                (Some(v), _) => lights_normals_bwd_field(g, *t, lights, &v.field, radiance_gradient, by_pixel)?,
+                (None, Some((traced, sight))) => {
+                    lights_normals_bwd_traced(g, lights, traced, sight, radiance_gradient, by_pixel)?;
+                }
+                (None, None) => lights_normals_bwd(g, lights, radiance_gradient, by_pixel)?,
+            }
+            let gradient = of_gaussians.gradient(g);
+            normals_bwd(g, t, learned, weights, n, by_pixel, gradient)?;
+            moves.push((of_gaussians, gradient, Rate::Share(o.rates.normals), EPSILON));
         }
         moves.push((l.positions, into.positions, Rate::Constant(o.rates.light_positions), EPSILON));
         moves.push((l.lobes, into.lobes, Rate::Constant(o.rates.lights), EPSILON));

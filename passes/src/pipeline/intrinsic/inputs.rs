@@ -25,6 +25,8 @@ pub struct IntrinsicParameters {
     pub environment: Option<Trainable>,
     /// What lights see.
     pub visibility: Option<VisibilityField>,
+    /// Normals, 3 a Gaussian, where they are learned.
+    pub normals: Option<Trainable>,
 }
 
 impl IntrinsicParameters {
@@ -34,6 +36,7 @@ impl IntrinsicParameters {
         all.extend(&self.metallic);
         all.extend(self.lights.iter().flatten());
         all.extend(&self.environment);
+        all.extend(&self.normals);
         all
     }
 }
@@ -161,6 +164,7 @@ pub(super) struct Declared {
     pub lights: Option<LightHandles>,
     pub environment: Option<(TrainableHandles, EnvironmentTables)>,
     pub visibility: Option<FieldHandles>,
+    pub normals: Option<TrainableHandles>,
     pub traced: Option<Traced>,
     pub targets: Buffer,
     pub albedo_priors: Option<Buffer>,
@@ -187,6 +191,7 @@ impl Declared {
         let lights = o.lights.map(|(model, _)| {
             (learned("light_positions", model.position_bytes() / 4), learned("light_lobes", model.lobe_bytes() / 4))
         });
+        let normals = o.learns_normals().then(|| learned("gaussian_normals", 3 * u64::from(n)));
         let environment = tables.map(|(tables, floats)| (learned("environment", floats.into()), tables));
         let lights = o.lights.zip(lights).map(|((model, normalizer), (positions, lobes))| LightHandles {
             model,
@@ -204,6 +209,7 @@ impl Declared {
             metallic,
             lights,
             environment,
+            normals,
             visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true)),
             traced: o.traced.map(|shape| Traced::declare(g, &shape)),
             targets: g.input("targets", sizes.targets),
@@ -232,6 +238,9 @@ impl Declared {
         {
             texels.bind(exec, handles)?;
             memory.bind(exec, environment, tables)?;
+        }
+        if let (Some(memory), Some(handles)) = (&p.normals, &self.normals) {
+            memory.bind(exec, handles)?;
         }
         if let (Some(field), Some(handles)) = (&p.visibility, &self.visibility) {
             field.bind(exec, handles)?;

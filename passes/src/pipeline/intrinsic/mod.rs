@@ -48,6 +48,10 @@ pub struct IntrinsicOptions {
     pub light_regularizers: [f32; 2],
     /// Lights whose amplitudes are all below this share of the largest are switched off for good; 0 keeps all.
     pub light_prune: f32,
+    /// What lamps' diffuse radiance may be short of, each channel, because lights too faint to matter are left out of blocks of
+    /// pixels; 0 leaves none out. Specular radiance is short of `1 / (2 roughness^6)` times that at most
+    /// ([`crate::shade::lights::lights_prepare_culled`]).
+    pub cull_error: f32,
     /// Weight of the environment's smoothness; the environment itself is an input.
     pub environment_smooth: f32,
     /// Whether albedo and roughness are to be smooth where the photograph is.
@@ -71,7 +75,7 @@ pub struct IntrinsicOptions {
     pub frames_in_flight: usize,
 }
 
-/// Learning rates of Adam. Those of materials count times `lr_share` of the step.
+/// Learning rates of Adam. Those of materials and normals count times `lr_share` of the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntrinsicRates {
     /// Of albedo.
@@ -88,6 +92,20 @@ pub struct IntrinsicRates {
     pub environment: f32,
     /// Of the visibility field.
     pub visibility: f32,
+    /// Of the Gaussians' normals, through the light of lamps; 0 leaves them as they are.
+    pub normals: f32,
+}
+
+impl IntrinsicOptions {
+    /// What irradiance may miss before the normalizer, for [`Self::cull_error`]: no albedo is above 1.
+    fn missing(&self, normalizer: f32) -> f32 {
+        self.cull_error * std::f32::consts::PI / normalizer.max(f32::MIN_POSITIVE)
+    }
+
+    /// Whether normals are learned.
+    pub fn learns_normals(&self) -> bool {
+        self.rates.normals > 0.0 && self.lights.is_some()
+    }
 }
 
 /// The uniforms of a step: what the shaded picture is compared with, and the priors, each with weights and offset of its

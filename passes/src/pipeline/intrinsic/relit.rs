@@ -12,7 +12,7 @@ use crate::shade::environment::{Environment, EnvironmentView, environment as amb
 use crate::shade::lights::{LightParameters, Lights, Perturbation, Shape, lights, lights_prepare};
 use crate::shade::traced::lights_traced;
 use crate::shade::visibility::lights_field;
-use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
+use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, normals, values};
 use crate::splat::Screen;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
@@ -155,7 +155,9 @@ fn declare(
         metallic: raw.metallic.map(|_| g.transient("pixel_metallic", 4 * pixels)),
     };
     materials(&mut g, t, &screen, &of_gaussians, &surface.weights, &of_pixels)?;
-    let shaded = Pixels { screen, surfaces: surface.surfaces, materials: of_pixels };
+    let learned = inputs.normals.map(|l| normals(&mut g, t, &screen, l.parameters, &surface.weights)).transpose()?;
+    let seen = learned.map_or(surface.surfaces, |l| l.of(&surface.surfaces));
+    let shaded = Pixels { screen, surfaces: seen, materials: of_pixels };
     let mut outputs = Vec::new();
     for copy in 0..copies_of(relit) {
         let direct = g.external(format!("relit{copy}"), 12 * pixels);

@@ -16,8 +16,8 @@ use crate::shade::lights::backward::{OWN, cut_blocks, sum_rows};
 use crate::shade::lights::{LightGradients, Lights, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    lights_bwd_traced as backward, lights_seen as mean, lights_split_traced as split, lights_trace as trace,
-    lights_train_traced as train,
+    lights_bwd_traced as backward, lights_normals_bwd_traced as normals, lights_seen as mean,
+    lights_split_traced as split, lights_trace as trace, lights_train_traced as train,
 };
 
 type Built<T> = Result<T, GraphError>;
@@ -251,4 +251,51 @@ pub fn lights_bwd_traced(
         row += of(s);
     }
     sum_rows(g, t, partials, width, rows)
+}
+
+/// As [`crate::shade::lights::lights_normals_bwd`], each light as far as it is seen; visibility is held where it was found.
+/// `sight`: of the forward pass of the same step.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_normals_bwd_traced(
+    g: &mut Graph,
+    a: &Lights,
+    traced: &Traced,
+    sight: &Sight,
+    radiance_gradient: Buffer,
+    normals_gradient: Buffer,
+) -> Built<()> {
+    let (p, shape) = (&a.pixels, a.shape);
+    for s in &stretches(a, traced) {
+        let seen = found(g, a, traced, s, sight.seen)?;
+        let bindings = normals::Bindings {
+            params: p.screen.step.into(),
+            prepared: a.prepared.lights.into(),
+            prepared_floats: a.prepared.lights.into(),
+            light_list: a.prepared.list.into(),
+            points: p.surfaces.points.into(),
+            normals: p.surfaces.normals.into(),
+            coverage: p.surfaces.coverage.into(),
+            materials: p.materials.materials.into(),
+            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+            seen: seen.into(),
+            radiance_gradient: radiance_gradient.into(),
+            normals_gradient: normals_gradient.into(),
+        };
+        let specs = normals::Specs {
+            subgroup: shape.subgroup,
+            lobes: a.prepared.model.lobes,
+            metallic: p.materials.metallic.is_some(),
+            per_lane: shape.per_lane,
+            spread: shape.spread,
+            stretch: s.stretch,
+        };
+        let push = normals::Push { normalizer: a.normalizer, block: s.blocks[0] };
+        let name = "lights_normals_bwd_traced";
+        stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+            .subgroup_size(Some(shape.subgroup))
+            .dispatch([s.blocks[1] - s.blocks[0], 1, 1])?;
+    }
+    Ok(())
 }

@@ -15,7 +15,7 @@
 
 mod lights;
 
-pub use lights::{Sight, lights_bwd_traced, lights_split_traced, lights_train_traced};
+pub use lights::{Sight, lights_bwd_traced, lights_normals_bwd_traced, lights_split_traced, lights_train_traced};
 
 use super::Surfaces;
 use super::lights::Lights;

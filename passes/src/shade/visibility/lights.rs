@@ -13,8 +13,8 @@ use crate::shade::lights::backward::{OWN, cut, sum_rows};
 use crate::shade::lights::{LightGradients, Lights, Shape, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    lights_bwd_field as lights_kernel, lights_field as render, lights_split_field as split,
-    lights_train_field as train, visibility_lights_bwd as pairs,
+    lights_bwd_field as lights_kernel, lights_field as render, lights_normals_bwd_field as normals,
+    lights_split_field as split, lights_train_field as train, visibility_lights_bwd as pairs,
 };
 
 /// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Of `a.shape` only what lanes fetch for one another matters.
@@ -207,6 +207,53 @@ pub fn lights_bwd_field(
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(u64::from(workgroups), 1))?;
     sum_rows(g, tuning, partials, width, workgroups)
+}
+
+/// As [`crate::shade::lights::lights_normals_bwd`], for lights that are seen as the field says, which does not depend on normals.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn lights_normals_bwd_field(
+    g: &mut Graph,
+    tuning: Tuning,
+    a: &Lights,
+    field: &Field,
+    radiance_gradient: Buffer,
+    normals_gradient: Buffer,
+) -> Result<(), GraphError> {
+    let p = &a.pixels;
+    let shape = Shape { per_lane: 1, ..a.shape };
+    let bindings = normals::Bindings {
+        params: p.screen.step.into(),
+        prepared: a.prepared.lights.into(),
+        prepared_floats: a.prepared.lights.into(),
+        light_list: a.prepared.list.into(),
+        points: p.surfaces.points.into(),
+        normals: p.surfaces.normals.into(),
+        coverage: p.surfaces.coverage.into(),
+        materials: p.materials.materials.into(),
+        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        field_params: field.step.into(),
+        field_levels: field.levels.into(),
+        tables: field.tables.into(),
+        mlp: field.mlp.into(),
+        radiance_gradient: radiance_gradient.into(),
+        normals_gradient: normals_gradient.into(),
+    };
+    let specs = normals::Specs {
+        subgroup: shape.subgroup,
+        lobes: a.prepared.model.lobes,
+        metallic: p.materials.metallic.is_some(),
+        per_lane: shape.per_lane,
+        spread: shape.spread,
+        levels: field.config.levels,
+        field_spread: field_spread(tuning),
+    };
+    let push = normals::Push { normalizer: a.normalizer };
+    let name = "lights_normals_bwd_field";
+    stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .subgroup_size(Some(shape.subgroup))
+        .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
 /// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field.

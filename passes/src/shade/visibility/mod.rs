@@ -19,7 +19,10 @@ mod memory;
 pub use adam::{Moments, visibility_adam};
 pub use bwd::{BackwardOptions, Constant, Gradients, visibility_bwd};
 pub use config::{FIELD_FEATURES, FIELD_LEVELS, FIELD_WIDTH, FieldConfig, FieldError};
-pub use lights::{lights_bwd_field, lights_field, lights_split_field, lights_train_field, visibility_lights_bwd};
+pub use lights::{
+    lights_bwd_field, lights_field, lights_normals_bwd_field, lights_split_field, lights_train_field,
+    visibility_lights_bwd,
+};
 pub use memory::{FieldHandles, VisibilityField};
 
 use crate::Tuning;

@@ -31,12 +31,11 @@ use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use needs::Sizes;
 use relit::Relit;
-use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
-    IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, SurfaceBuilder,
+    IntrinsicSizes, IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
@@ -168,6 +167,7 @@ impl Intrinsic {
             visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
             light_prune: s.lights.prune,
+            cull_error: s.cull_error,
             environment_smooth: s.losses.environment_smooth,
             cross_view: false,
             relight: false,
@@ -184,6 +184,7 @@ impl Intrinsic {
                 lights: r.lights,
                 environment: r.environment,
                 visibility: r.visibility,
+                normals: r.normals,
             },
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
@@ -301,6 +302,10 @@ impl Intrinsic {
             },
             visibility: match s.visibility.config().filter(|_| s.lights.enabled) {
                 Some(config) => Some(VisibilityField::new(device, config, seed, true)?),
+                None => None,
+            },
+            normals: match splats.normals.as_ref().filter(|_| options.learns_normals()) {
+                Some(normals) => Some(Trainable::new(device, "gaussian_normals", normals.as_flattened(), true)?),
                 None => None,
             },
         };
@@ -438,23 +443,6 @@ impl Intrinsic {
         }
     }
 
-    /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
-    fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
-        let step = values.shaded.step;
-        let Some(mut relit) = self.relit.take() else { return Ok(self.settings.intrinsic.relight.command().is_none()) };
-        // Without a region there is nothing to compare.
-        if values.shaded.region == 0 || !relit.is_due(view, step) {
-            self.relit = Some(relit);
-            return Ok(true);
-        }
-        self.finish()?;
-        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
-        let inputs = self.inputs(StepKind::Plain);
-        let answered = relit.ask(&self.device, &self.tuning, &inputs, &self.options, &surface, view, values)?;
-        self.relit = answered.then_some(relit);
-        Ok(answered)
-    }
-
     /// Makes the graph of a kind of step, if it is not there yet.
     fn make(&mut self, kind: StepKind) -> Result<()> {
         if self.execs[kind as usize].is_some() {
@@ -488,33 +476,6 @@ impl Intrinsic {
     /// Waits for everything submitted.
     fn finish(&mut self) -> Result<()> {
         self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
-    }
-
-    /// Times every pass from now on, or no more.
-    ///
-    /// # Errors
-    /// If the device fails.
-    pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
-        if self.options.timestamps != on {
-            self.finish()?;
-            self.options.timestamps = on;
-            self.execs = [None, None, None];
-        }
-        Ok(())
-    }
-
-    /// The times of all passes of plain steps since they are taken.
-    pub fn take_times(&mut self) -> Vec<PassTime> {
-        self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
-    }
-
-    /// A plain step, for its plan.
-    ///
-    /// # Errors
-    /// If memory runs out.
-    pub fn executor(&mut self) -> Result<&mut IntrinsicStep> {
-        self.make(StepKind::Plain)?;
-        self.execs[0].as_mut().ok_or_else(gone)
     }
 }
 

@@ -1,8 +1,10 @@
-//! What an intrinsic stage models, for those who only want to know.
+//! What an intrinsic stage models and how long its passes take, for those who only want to know.
 
 use super::consistency::StepKind;
-use super::{Intrinsic, IntrinsicNeeds};
-use sgs_passes::pipeline::IntrinsicOptions;
+use super::{Intrinsic, IntrinsicNeeds, gone};
+use crate::error::Result;
+use sgs_engine::graph::exec::PassTime;
+use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicStep};
 
 impl Intrinsic {
     /// What training was reckoned to take of the device's memory.
@@ -30,5 +32,32 @@ impl Intrinsic {
     pub fn compares(&self) -> [bool; 2] {
         let due = |kind| (1..=self.settings.intrinsic.steps).any(|step| self.kind(step) == kind);
         [due(StepKind::CrossView), due(StepKind::Relight)]
+    }
+
+    /// Times every pass from now on, or no more.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn set_timestamps(&mut self, on: bool) -> Result<()> {
+        if self.options.timestamps != on {
+            self.finish()?;
+            self.options.timestamps = on;
+            self.execs = [None, None, None];
+        }
+        Ok(())
+    }
+
+    /// The times of all passes of plain steps since they are taken.
+    pub fn take_times(&mut self) -> Vec<PassTime> {
+        self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
+    }
+
+    /// A plain step, for its plan.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn executor(&mut self) -> Result<&mut IntrinsicStep> {
+        self.make(StepKind::Plain)?;
+        self.execs[0].as_mut().ok_or_else(gone)
     }
 }

@@ -31,7 +31,7 @@ pub struct IntrinsicNeeds {
     pub regions: u64,
     /// The Gaussians' geometry.
     pub geometry: u64,
-    /// Their materials, with moments.
+    /// Their materials, with moments, and their normals if they are learned.
     pub materials: u64,
     /// Lights, with moments.
     pub lights: u64,
@@ -90,7 +90,10 @@ impl IntrinsicNeeds {
             estimates: s.inputs.estimates.into_iter().flatten().sum(),
             regions: s.inputs.regions.unwrap_or(0),
             geometry: s.geometry,
-            materials: learned(3 * n) + learned(n) + if o.metallic { learned(n) } else { 0 },
+            materials: learned(3 * n)
+                + learned(n)
+                + if o.metallic { learned(n) } else { 0 }
+                + if o.learns_normals() { learned(3 * n) } else { 0 },
             surfaces: s.kept * o.shape.bytes(),
             surface_arena: s.surface_arena,
             small: IntrinsicStatus::BYTES + s.surface_small,

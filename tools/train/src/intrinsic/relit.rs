@@ -5,6 +5,8 @@
 //! too old, and goes into checkpoints. Asking waits for the steps before. What the provider does not know is compared with
 //! nothing.
 
+use super::Intrinsic;
+use super::consistency::StepKind;
 use super::data::{Material, pack};
 use crate::error::{Result, TrainError};
 use crate::settings::Settings;
@@ -181,6 +183,25 @@ impl Relit {
         }
         self.asked_at[view] = values.shaded.step;
         Ok(true)
+    }
+}
+
+impl Intrinsic {
+    /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
+    pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
+        let step = values.shaded.step;
+        let Some(mut relit) = self.relit.take() else { return Ok(self.settings.intrinsic.relight.command().is_none()) };
+        // Without a region there is nothing to compare.
+        if values.shaded.region == 0 || !relit.is_due(view, step) {
+            self.relit = Some(relit);
+            return Ok(true);
+        }
+        self.finish()?;
+        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
+        let inputs = self.inputs(StepKind::Plain);
+        let answered = relit.ask(&self.device, &self.tuning, &inputs, &self.options, &surface, view, values)?;
+        self.relit = answered.then_some(relit);
+        Ok(answered)
     }
 }
 

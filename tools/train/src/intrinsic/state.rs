@@ -159,6 +159,9 @@ impl Intrinsic {
             Some(m) => Some(m.download(&self.device)?),
             None => None,
         };
+        if let Some(n) = &self.parameters.normals {
+            splats.normals = Some(n.download(&self.device)?.as_chunks::<3>().0.to_vec());
+        }
         Ok(splats)
     }
 

@@ -24,6 +24,9 @@ pub struct IntrinsicSettings {
     pub rates: IntrinsicRates,
     /// Weights of the losses.
     pub losses: IntrinsicLosses,
+    /// What diffuse light of lamps may be short of, in units of the picture's white: lights too faint to matter to a block of pixels
+    /// are left out there. 0 leaves none out.
+    pub cull_error: f32,
     /// Pixels that are too bright for the picture keep the gradients that lead them back.
     pub returning: bool,
     /// Of how many steps one compares albedo with pseudo-views, and the next one under other lights.
@@ -51,6 +54,7 @@ impl Default for IntrinsicSettings {
             visibility: VisibilitySettings::default(),
             rates: IntrinsicRates::default(),
             losses: IntrinsicLosses::default(),
+            cull_error: 0.0,
             returning: false,
             consistency_interval: 3,
             cross_view_from: 1,
@@ -240,7 +244,9 @@ pub struct IntrinsicRates {
     pub environment: f32,
     /// Of hash tables and network.
     pub visibility: f32,
-    /// What is left of those of materials at the last step; they fall from the middle of the stage on, evenly in their
+    /// Of normals, through what lamps shade; 0, as published, leaves them as they came.
+    pub normals: f32,
+    /// What is left of those of materials and normals at the last step; they fall from the middle of the stage on, evenly in their
     /// logarithm. Published: 1. Albedo then follows the noise of the view that it saw last.
     pub materials_last: f32,
 }
@@ -254,6 +260,7 @@ impl Default for IntrinsicRates {
             lights: 0.05,
             environment: 0.05,
             visibility: 4e-3,
+            normals: 0.0,
             materials_last: 0.05,
         }
     }

@@ -1,0 +1,288 @@
+//! `engine-bench savings`: what each exact saving of the intrinsic stage is worth, against the same computation without it.
+//!
+//! Both forms are timed on the same data and must agree. What is measured: the split first layer of the visibility network,
+//! irradiance and Fresnel's factor out of the sum over lights, lights behind the surface, lights that are off, and views' weights
+//! kept from step to step. And two that are not exact, at stated errors: faint lights left out, and pairs that teach the field.
+
+use super::ceiling::Ceiling;
+use super::step::Args as StepArgs;
+use crate::common::{Common, parse_size};
+use crate::harness::{Rig, bytes};
+use crate::micro::lights::{Bound, Lit, bind};
+use crate::report::Report;
+use crate::stats::Summary;
+use anyhow::ensure;
+use sgs_engine::Device;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::Tuning;
+use sgs_passes::kernel::{groups, stage};
+use sgs_passes::shade::lights::{LightModel, Lights, Shape, lights_prepare, lights_prepare_culled, lights_train};
+use sgs_passes::shade::visibility::{FieldConfig, View, VisibilityField, visibility};
+use sgs_scene::{Scene, Splats};
+use sgs_shaders::lights_savings as kernel;
+use sgs_shaders::structs::FieldStep;
+use sgs_train::{Intrinsic, Settings};
+use std::time::Instant;
+
+/// Options of the command.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Size of the view; 320x240 on a processor, 1920x1080 elsewhere.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    pub size: Option<[u32; 2]>,
+    /// Steps of training that are measured, of each form; 0 leaves these out.
+    #[arg(long, value_name = "N", default_value_t = 12)]
+    pub steps: u32,
+    /// Largest share by which faint lights may darken white, where they are left out.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.002)]
+    pub cull_error: f32,
+}
+
+/// A form of a computation: its times, its result.
+struct Form {
+    times: Summary,
+    result: Vec<f32>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the device fails, or two forms of the same disagree.
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let device = common.open_device()?;
+    let mut report = common.report("savings", &device);
+    let (_, size) = StepArgs::sizes(&device, None, a.size);
+    let model = LightModel::default();
+    report.setting("size", format!("{}x{}", size[0], size[1]));
+    report.setting("lights", model.lights);
+    report.setting("lobes", model.lobes);
+    report.setting("cull error", a.cull_error);
+    report.ceiling = Some(Ceiling::measure(&device)?);
+    let lit = Lit::room(size, model);
+    let bench = Bench { common, device: &device, tuning: Tuning::for_device(device.info()), lit: &lit, size, model };
+    bench.first_layer(&mut report)?;
+    bench.sums(&mut report)?;
+    bench.off(&mut report)?;
+    bench.culled(&mut report, a.cull_error)?;
+    if a.steps > 0 {
+        steps(common, a, size, &mut report)?;
+    }
+    common.finish(&report, &device)
+}
+
+/// Adds both forms, and by how much the saving is faster.
+fn add(report: &mut Report, name: &str, plain: Summary, saved: Summary) {
+    report.time(&format!("{name}: without"), "ms", plain.scaled(1e-6));
+    report.time(&format!("{name}: with"), "ms", saved.scaled(1e-6));
+    report.fact(&format!("{name}: times faster"), (100.0 * plain.median / saved.median.max(1.0)).round() / 100.0);
+}
+
+/// That two results are the same but for rounding.
+fn same(name: &str, a: &[f32], b: &[f32], relative: f32) -> anyhow::Result<()> {
+    let scale = a.iter().map(|x| x.abs()).sum::<f32>() / a.len().max(1) as f32;
+    ensure!(a.len() == b.len() && scale > 0.0, "{name}: there is nothing to compare.");
+    for (i, (x, y)) in a.iter().zip(b).enumerate() {
+        ensure!((x - y).abs() <= relative * (x.abs() + 0.1 * scale), "{name}: number {i} is {x} without and {y} with.");
+    }
+    Ok(())
+}
+
+struct Bench<'a> {
+    common: &'a Common,
+    device: &'a Device,
+    tuning: Tuning,
+    lit: &'a Lit,
+    size: [u32; 2],
+    model: LightModel,
+}
+
+impl Bench<'_> {
+    /// Measures the passes whose names begin with `pass`, and reads a result.
+    fn measure(&self, g: Graph, inputs: Vec<(Buffer, Vec<u8>)>, pass: &str, result: Buffer) -> anyhow::Result<Form> {
+        let mut rig = Rig::new(self.device, g, inputs, true)?;
+        let (times, _) = rig.measure(self.common.warmup, self.common.repeats)?;
+        let mine: Vec<_> = times.into_iter().filter(|t| t.name.starts_with(pass)).collect();
+        ensure!(!mine.is_empty(), "No pass is called {pass}.");
+        let samples = mine.iter().map(|t| t.nanoseconds.len()).min().unwrap_or(0);
+        let sums: Vec<f64> = (0..samples).map(|i| mine.iter().map(|t| t.nanoseconds[i]).sum()).collect();
+        Ok(Form { times: Summary::of(&sums), result: rig.get(result)? })
+    }
+
+    /// The network's first layer: what it makes of a point worked out once, or for each light.
+    fn first_layer(&self, report: &mut Report) -> anyhow::Result<()> {
+        let config = FieldConfig::default();
+        let n = self.lit.points.len() as u64;
+        let mut forms = Vec::new();
+        for split in [false, true] {
+            let mut g = Graph::new("first_layer");
+            let f = VisibilityField::handles(&mut g, config, false).field;
+            let view = View {
+                pixels: n as u32,
+                points: g.input("points", 12 * n),
+                coverage: g.input("coverage", 4 * n),
+                lights: g.input("lights", 12 * u64::from(self.model.lights)),
+            };
+            let seen = g.external("seen", 4 * n);
+            visibility(&mut g, self.tuning, &f, &view, None, split, seen)?;
+            let tables: Vec<f32> = config.initial_tables(1).iter().map(|t| 5e3 * t).collect();
+            let step = FieldStep {
+                box_min: [-1.6; 3],
+                box_max: [1.6; 3],
+                box_inverse: [1.0 / 3.2; 3],
+                pixels: n as u32,
+                lights: self.model.lights,
+                ..FieldStep::default()
+            };
+            let inputs = vec![
+                (f.step, bytes(&[step])),
+                (f.levels, bytes(&config.table_levels())),
+                (f.tables, bytes(&tables)),
+                (f.mlp, bytes(&config.initial_weights(1))),
+                (view.points, bytes(&self.lit.points)),
+                (view.coverage, bytes(&vec![1.0_f32; n as usize])),
+                (view.lights, bytes(&self.lit.positions)),
+            ];
+            forms.push(self.measure(g, inputs, "visibility", seen)?);
+        }
+        same("first layer", &forms[0].result, &forms[1].result, 1e-4)?;
+        add(report, "first layer split", forms[0].times, forms[1].times);
+        report.check("the split first layer gives the visibility that the whole one gives");
+        Ok(())
+    }
+
+    /// What is taken out of the sum over lights, each by itself and all together.
+    fn sums(&self, report: &mut Report) -> anyhow::Result<()> {
+        let form = |irradiance: bool, fresnel: bool, facing: bool| {
+            let mut g = Graph::new("sums");
+            let b = bind(&mut g, self.lit, self.size, self.model);
+            let step = b.pixels.screen.step;
+            let prepared =
+                lights_prepare(&mut g, self.tuning, "lights_prepare", step, self.model, &b.parameters, None)?;
+            let direct = g.external("direct", 12 * self.lit.points.len() as u64);
+            let bindings = kernel::Bindings {
+                params: step.into(),
+                prepared: prepared.lights.into(),
+                points: b.pixels.surfaces.points.into(),
+                normals: b.pixels.surfaces.normals.into(),
+                materials: b.pixels.materials.materials.into(),
+                direct: direct.into(),
+            };
+            let lanes = self.tuning.subgroup_size;
+            let specs = kernel::Specs { workgroup: lanes, lobes: self.model.lobes, irradiance, fresnel, facing };
+            let push = kernel::Push { normalizer: 1.0 / self.model.lights as f32, lights: self.model.lights };
+            let bytes = bytemuck::bytes_of(&push);
+            stage(&mut g, "lights_savings", &kernel::KERNEL, bindings.entries(), specs.entries(), bytes)
+                .subgroup_size(Some(lanes))
+                .dispatch(groups(b.pixels.screen.pixels(), lanes))?;
+            self.measure(g, b.inputs, "lights_savings", direct)
+        };
+        let plain = form(false, false, false)?;
+        for (name, chosen) in [
+            ("irradiance factored out", [true, false, false]),
+            ("Fresnel's factor as two sums", [false, true, false]),
+            ("lights behind the surface skipped", [false, false, true]),
+            ("all three", [true; 3]),
+        ] {
+            let saved = form(chosen[0], chosen[1], chosen[2])?;
+            same(name, &plain.result, &saved.result, 1e-4)?;
+            add(report, name, plain.times, saved.times);
+        }
+        report.check("radiance is the same with each saving and with all");
+        Ok(())
+    }
+
+    /// Shading for training under lights of these gains, lights that are too faint left out.
+    fn shaded(&self, gains: &[f32], missing: f32) -> anyhow::Result<Form> {
+        let mut g = Graph::new("shaded");
+        let mut b: Bound = bind(&mut g, self.lit, self.size, self.model);
+        for (buffer, data) in &mut b.inputs {
+            if *buffer == b.parameters.gains {
+                *data = bytes(gains);
+            }
+        }
+        let step = b.pixels.screen.step;
+        let prepared = lights_prepare_culled(
+            &mut g,
+            self.tuning,
+            "lights_prepare",
+            step,
+            self.model,
+            &b.parameters,
+            None,
+            missing,
+        )?;
+        let normalizer = 1.0 / self.model.lights as f32;
+        let what = Lights { pixels: b.pixels, prepared, normalizer, shape: Shape::for_device(self.tuning) };
+        let direct = g.external("direct", 12 * self.lit.points.len() as u64);
+        lights_train(&mut g, &what, direct)?;
+        self.measure(g, b.inputs, "lights_train", direct)
+    }
+
+    /// Three of ten lights switched off, as where views are shown under other lights.
+    fn off(&self, report: &mut Report) -> anyhow::Result<()> {
+        let gains: Vec<f32> = (0..self.model.lights).map(|i| f32::from(u8::from(i % 10 >= 3))).collect();
+        let faint: Vec<f32> = gains.iter().map(|g| g.max(1e-20)).collect();
+        let (plain, saved) = (self.shaded(&faint, 0.0)?, self.shaded(&gains, 0.0)?);
+        same("lights off", &plain.result, &saved.result, 1e-4)?;
+        add(report, "three of ten lights off, skipped", plain.times, saved.times);
+        report.check("lights that are skipped give what dark ones give");
+        Ok(())
+    }
+
+    /// Faint lights left out of blocks of pixels.
+    fn culled(&self, report: &mut Report, error: f32) -> anyhow::Result<()> {
+        let gains = vec![1.0; self.model.lights as usize];
+        // The share is of the brightest diffuse white there is.
+        let plain = self.shaded(&gains, 0.0)?;
+        let white = plain.result.iter().fold(0.0_f32, |a, b| a.max(*b));
+        let missing = error * white * std::f32::consts::PI * self.model.lights as f32;
+        let saved = self.shaded(&gains, missing)?;
+        let worst = plain.result.iter().zip(&saved.result).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        // Specular light is short of 1 / (2 roughness^6) times the bound at most; materials here are 0.3 rough and more.
+        let most = error * white * (1.0 + 0.5 / 0.3_f32.powi(6));
+        ensure!(worst <= most, "Culling changed radiance by {worst}, but may by {most}.");
+        add(report, "faint lights left out (not exact)", plain.times, saved.times);
+        report.fact("faint lights left out: largest change of radiance, share of the brightest", worst / white);
+        report.check("what culling takes is within its bound");
+        Ok(())
+    }
+}
+
+/// Steps of training with views' weights kept and worked out anew, and with one pair of 16 teaching the field.
+fn steps(common: &Common, a: &Args, [width, height]: [u32; 2], report: &mut Report) -> anyhow::Result<()> {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("room");
+    let [width, height] = [width, height].map(|n| n as usize);
+    let options = sgs_synth::SynthOptions { views: 4, width, height, ..Default::default() };
+    sgs_synth::generate(&path, &options, &|_, _| {})?;
+    let mut base = Settings::default();
+    base.scene.clone_from(&path);
+    (base.intrinsic.losses.cross_view, base.intrinsic.losses.relight) = (0.0, 0.0);
+    let scene = Scene::open(&path, &base.scene_options())?;
+    let mut splats = Splats::from_points(&scene.points, 0)?;
+    splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
+    let form = |change: &dyn Fn(&mut Settings)| -> anyhow::Result<Form> {
+        let mut settings = base.clone();
+        change(&mut settings);
+        let device = common.open_device()?;
+        let mut training = Intrinsic::new(&device, &scene, &settings, &splats)?;
+        let (mut done, mut losses, mut wall) = (common.warmup.max(1), Vec::new(), Vec::new());
+        training.train(done, |_| {}, || true)?;
+        for _ in 0..a.steps {
+            done += 1;
+            let begin = Instant::now();
+            training.train(done, |r| losses.push(r.shaded), || true)?;
+            wall.push(begin.elapsed().as_nanos() as f64);
+        }
+        Ok(Form { times: Summary::of(&wall), result: losses })
+    };
+    let kept = form(&|_| {})?;
+    let anew = form(&|s| s.intrinsic.surface_bytes = 1)?;
+    ensure!(kept.result == anew.result, "Steps with weights that are kept and with new ones differ.");
+    add(report, "a step, weights of views kept", anew.times, kept.times);
+    let sampled = form(&|s| s.intrinsic.visibility.sample = 16)?;
+    ensure!(sampled.result.iter().all(|l| l.is_finite()), "A loss is not finite.");
+    add(report, "a step, one pair of 16 teaching the field (not exact)", kept.times, sampled.times);
+    report.check("weights that are kept give the losses of new ones, bit by bit");
+    Ok(())
+}
