@@ -80,7 +80,8 @@ fn classes_are_learned_and_regions_correspond() {
     let head = training.head().unwrap().unwrap();
     let views = &scene.split.test;
     let evaluation =
-        evaluate_classes(&device, &scene, training.gaussians(), views, [0.0; 3], Some(&head), |_, _| Ok(())).unwrap();
+        evaluate_classes(&device, &scene, training.gaussians(), views, [0.0; 3], Some(&head), None, |_, _| Ok(()))
+            .unwrap();
     // Nine in ten samples of the training views are right.
     let accuracy = evaluation.mean.semantic.unwrap().accuracy;
     assert!(accuracy > 0.9, "{accuracy}");

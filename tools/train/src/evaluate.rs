@@ -5,7 +5,7 @@ use crate::convert::camera;
 use crate::error::Result;
 use crate::evaluate_shaded::ShadedMetrics;
 use crate::head::SemanticHead;
-use crate::metrics;
+use crate::metrics::{self, Lpips, LpipsAbout};
 use serde::Serialize;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
@@ -45,15 +45,19 @@ pub struct Nvs {
     pub ssim: f64,
     /// FLIP, the mean difference that somebody sees who flips between the two: 0 none, 1 the most ([`metrics::flip`]).
     pub flip: f64,
+    /// LPIPS, where there are weights ([`metrics::Lpips`]).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
 }
 
 impl Nvs {
     /// Measures a picture against the truth where the mask says that it counts; both display-referred.
-    pub(crate) fn of(ours: &Image, theirs: &Image, mask: Option<&Image>) -> Result<Nvs> {
+    pub(crate) fn of(ours: &Image, theirs: &Image, mask: Option<&Image>, lpips: Option<&Lpips>) -> Result<Nvs> {
         Ok(Nvs {
             psnr: metrics::psnr(ours, theirs, mask)?,
             ssim: metrics::ssim(ours, theirs, mask)?,
             flip: metrics::flip(ours, theirs, mask)?,
+            lpips: lpips.map(|l| l.distance(ours, theirs, mask)).transpose()?,
         })
     }
 }
@@ -89,6 +93,9 @@ pub struct Means {
 pub struct Evaluation {
     /// Means over its views.
     pub mean: Means,
+    /// Which LPIPS was measured, if it was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<LpipsAbout>,
     /// One entry a view.
     pub views: Vec<ViewMetrics>,
 }
@@ -118,10 +125,10 @@ pub fn evaluate(
     background: [f32; 3],
     look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    evaluate_classes(device, scene, gaussians, views, background, None, look)
+    evaluate_classes(device, scene, gaussians, views, background, None, None, look)
 }
 
-/// As [`evaluate`], and classifies every pixel by the head, if the Gaussians have features.
+/// As [`evaluate`], and classifies every pixel by the head, if the Gaussians have features; measures LPIPS, if it is given.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -132,6 +139,7 @@ pub fn evaluate_classes(
     views: &[usize],
     background: [f32; 3],
     head: Option<&SemanticHead>,
+    lpips: Option<&Lpips>,
     mut look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
     let truth = GroundTruth::of(scene);
@@ -158,7 +166,7 @@ pub fn evaluate_classes(
         let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
-        let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref())?;
+        let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
         // Without normals of their own the Gaussians still have a surface: its normals come from depth.
         let surface;
         let shown = match &rendered.normal {
@@ -196,13 +204,18 @@ pub fn evaluate_classes(
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
     let mean = Means {
-        nvs: Nvs { psnr: mean(&|v| v.nvs.psnr), ssim: mean(&|v| v.nvs.ssim), flip: mean(&|v| v.nvs.flip) },
+        nvs: Nvs {
+            psnr: mean(&|v| v.nvs.psnr),
+            ssim: mean(&|v| v.nvs.ssim),
+            flip: mean(&|v| v.nvs.flip),
+            lpips: some(&|v| v.nvs.lpips),
+        },
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         depth_rel: some(&|v| v.depth_rel),
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
         shaded: None,
     };
-    Ok(Evaluation { mean, views: out })
+    Ok(Evaluation { mean, lpips: lpips.map(Lpips::about), views: out })
 }
 
 /// Under which id ground truth knows each class: its place in the list of ground truth, or in its own where there is no

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::evaluate::{Evaluation, Nvs, known};
-use crate::metrics;
+use crate::metrics::{self, Lpips};
 use crate::shaded::{ShadedView, Shading, displayed};
 use serde::Serialize;
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
@@ -37,6 +37,9 @@ pub struct AlbedoMetrics {
     pub ssim: f64,
     /// dB after one gain a channel.
     pub psnr_scaled: f64,
+    /// LPIPS, where there are weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
 }
 
 /// Metrics of a picture under other lights, display-referred.
@@ -59,6 +62,7 @@ pub fn evaluate_shaded(
     scene: &Scene,
     views: &[usize],
     background: [f32; 3],
+    lpips: Option<&Lpips>,
     into: &mut Evaluation,
     mut look: impl FnMut(&str, &ShadedView) -> Result<()>,
 ) -> Result<()> {
@@ -66,10 +70,10 @@ pub fn evaluate_shaded(
     for (&i, metrics) in views.iter().zip(&mut into.views) {
         let view = &scene.views[i];
         let shaded = shading.shade(&view.camera)?;
-        let mut found = measure_materials(&shaded, &truth, i)?;
+        let mut found = measure_materials(&shaded, &truth, i, lpips)?;
         let picture = displayed(&shaded.radiance(background));
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref())?);
+        found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref(), lpips)?);
         look(&view.camera.name, &shaded)?;
         metrics.shaded = Some(found);
     }
@@ -78,7 +82,12 @@ pub fn evaluate_shaded(
     Ok(())
 }
 
-fn measure_materials(shaded: &ShadedView, truth: &GroundTruth<'_>, view: usize) -> Result<ShadedMetrics> {
+fn measure_materials(
+    shaded: &ShadedView,
+    truth: &GroundTruth<'_>,
+    view: usize,
+    lpips: Option<&Lpips>,
+) -> Result<ShadedMetrics> {
     let mask = truth.load(GroundTruthKind::Mask, view)?;
     let mask = mask.as_ref();
     let mut found = ShadedMetrics::default();
@@ -89,6 +98,7 @@ fn measure_materials(shaded: &ShadedView, truth: &GroundTruth<'_>, view: usize) 
                 psnr,
                 ssim: metrics::ssim(&ours, &theirs, mask)?,
                 psnr_scaled: metrics::psnr_scaled(&ours, &theirs, mask)?,
+                lpips: lpips.map(|l| l.distance(&ours, &theirs, mask)).transpose()?,
             });
         }
     }
@@ -145,8 +155,13 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
         Some((name.clone(), RelitMetrics { psnr, ssim, psnr_scaled }))
     });
     ShadedMetrics {
-        pbr: pbr.map(|((psnr, ssim), flip)| Nvs { psnr, ssim, flip }),
-        albedo: albedo.map(|((psnr, ssim), psnr_scaled)| AlbedoMetrics { psnr, ssim, psnr_scaled }),
+        pbr: pbr.map(|((psnr, ssim), flip)| Nvs { psnr, ssim, flip, lpips: some(&|m| m.pbr?.lpips) }),
+        albedo: albedo.map(|((psnr, ssim), psnr_scaled)| AlbedoMetrics {
+            psnr,
+            ssim,
+            psnr_scaled,
+            lpips: some(&|m| m.albedo?.lpips),
+        }),
         roughness_mse: some(&|m| m.roughness_mse),
         metallic_mse: some(&|m| m.metallic_mse),
         relit: relit.collect(),

@@ -134,7 +134,7 @@ fn come_to(
     }
     let (splats, _) = splats_of(root)?;
     let run = RunDirectory::open(root)?;
-    measure(&device, &scene, &run, &splats, &asked, Split::Test, None)?;
+    measure(&device, &scene, &run, &splats, &asked, Split::Test, None, None)?;
     validated(&device)?;
     match Measures::read(&run) {
         Some(measures) => Ok(Came::To(trained_on(root), measures)),

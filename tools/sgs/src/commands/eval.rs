@@ -7,6 +7,7 @@ use crate::common::Common;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Image, Scene, Splats, write_png};
+use sgs_train::metrics::{Lpips, LpipsRange};
 use sgs_train::{
     Evaluation, Nvs, RunDirectory, Semantic, Settings, ShadedMetrics, Shading, displayed, evaluate_classes,
     evaluate_relit, evaluate_shaded, light_of, shaded_scene,
@@ -26,6 +27,14 @@ pub struct Args {
     /// Also write every view as PNG into this directory: color, normals, depth, classes, and truth beside them.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
+    /// Weights of LPIPS, of VGG or AlexNet, which is measured, too; tools/priors/sgs_priors/lpips_weights.py makes the file of
+    /// published ones.
+    #[arg(long, value_name = "FILE.safetensors")]
+    lpips: Option<PathBuf>,
+    /// Let LPIPS see pictures between -1 and 1, for which it is made, not between 0 and 1, as evaluations of 3DGS and tables of
+    /// papers have it.
+    #[arg(long, requires = "lpips")]
+    lpips_signed: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -41,9 +50,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(scene) = &a.scene {
         settings.scene.clone_from(scene);
     }
+    let range = if a.lpips_signed { LpipsRange::Signed } else { LpipsRange::Plain };
+    let lpips = a.lpips.as_deref().map(|file| Lpips::load(file, range)).transpose()?;
     let scene = open_scene(&settings)?;
     let device = common.open_device()?;
-    let result = measure(&device, &scene, &run, &splats, &settings, a.split, a.images.as_deref())?;
+    let result = measure(&device, &scene, &run, &splats, &settings, a.split, lpips.as_ref(), a.images.as_deref())?;
     if !common.answer(&result)? {
         print_table(&result);
     }
@@ -58,6 +69,7 @@ pub fn measure(
     splats: &Splats,
     settings: &Settings,
     split: Split,
+    lpips: Option<&Lpips>,
     images: Option<&Path>,
 ) -> anyhow::Result<Evaluation> {
     let views = if split == Split::Test { &scene.split.test } else { &scene.split.train };
@@ -74,7 +86,7 @@ pub fn measure(
     }
     let background = settings.geometry.background;
     let mut result =
-        evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), |name, rendered| {
+        evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), lpips, |name, rendered| {
             let Some(dir) = images else { return Ok(()) };
             write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
             let view = scene.views.iter().position(|v| v.camera.name == name);
@@ -102,7 +114,7 @@ pub fn measure(
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
         let shaded = shaded_scene(device, splats, lights, environment, &light.visibility)?;
         let mut shading = Shading::new(device, shaded)?;
-        evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, shaded| {
+        evaluate_shaded(&mut shading, scene, views, background, lpips, &mut result, |name, shaded| {
             let Some(dir) = images else { return Ok(()) };
             let view = scene.views.iter().position(|v| v.camera.name == name);
             let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
@@ -153,15 +165,28 @@ fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize
 }
 
 fn print_table(e: &Evaluation) {
-    let row = |name: &str, [a, b, c, d, e, f]: [String; 6]| {
-        println!("{name:<20} {a:>8} {b:>8} {c:>8} {d:>10} {e:>10} {f:>8}")
+    let learned = e.lpips.is_some();
+    let row = |name: &str, [a, b, c, l, d, e, f]: [String; 7]| {
+        let l = if learned { format!(" {l:>8}") } else { String::new() };
+        println!("{name:<20} {a:>8} {b:>8} {c:>8}{l} {d:>10} {e:>10} {f:>8}")
     };
     let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     let line = |name: &str, nvs: &Nvs, normal: Option<f64>, depth: Option<f64>, semantic: Option<Semantic>| {
         let (psnr, ssim, flip) = (cell(Some(nvs.psnr), 2), cell(Some(nvs.ssim), 4), cell(Some(nvs.flip), 4));
-        row(name, [psnr, ssim, flip, cell(normal, 2), cell(depth, 4), cell(semantic.map(|s| s.accuracy), 4)]);
+        row(
+            name,
+            [
+                psnr,
+                ssim,
+                flip,
+                cell(nvs.lpips, 4),
+                cell(normal, 2),
+                cell(depth, 4),
+                cell(semantic.map(|s| s.accuracy), 4),
+            ],
+        );
     };
-    row("view", ["PSNR", "SSIM", "FLIP", "normal °", "depth rel", "labels"].map(str::to_owned));
+    row("view", ["PSNR", "SSIM", "FLIP", "LPIPS", "normal °", "depth rel", "labels"].map(str::to_owned));
     for v in &e.views {
         line(&v.name, &v.nvs, v.normal_mae_deg, v.depth_rel, v.semantic);
     }
@@ -173,12 +198,15 @@ fn print_table(e: &Evaluation) {
 
 /// Means of what shading comes to.
 fn print_shaded(m: &ShadedMetrics) {
+    let learned = |v: Option<f64>| v.map_or_else(String::new, |v| format!(" {v:>8.4} LPIPS"));
     println!();
     if let Some(v) = &m.pbr {
-        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.4} FLIP", "shaded picture", v.psnr, v.ssim, v.flip);
+        let lpips = learned(v.lpips);
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.4} FLIP{lpips}", "shaded picture", v.psnr, v.ssim, v.flip);
     }
     if let Some(v) = &m.albedo {
-        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled", "albedo", v.psnr, v.ssim, v.psnr_scaled);
+        let lpips = learned(v.lpips);
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled{lpips}", "albedo", v.psnr, v.ssim, v.psnr_scaled);
     }
     for (name, value) in [("roughness MSE", m.roughness_mse), ("metallic MSE", m.metallic_mse)] {
         if let Some(v) = value {

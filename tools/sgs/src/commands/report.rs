@@ -158,7 +158,7 @@ fn metrics(
     if known.is_object() && changed("metrics.json") >= changed("scene.ply") {
         return Ok(known.clone());
     }
-    Ok(serde_json::to_value(measure(device, scene, run, splats, settings, split, None)?)?)
+    Ok(serde_json::to_value(measure(device, scene, run, splats, settings, split, None, None)?)?)
 }
 
 fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, device: &str) -> String {

@@ -58,7 +58,7 @@ pub fn html(
     let mut done = 0;
     let mut all: BTreeMap<String, Figures> = BTreeMap::new();
     let mut next = views.iter();
-    let mut result = evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), |name, r| {
+    let mut result = evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), None, |name, r| {
         let Some(&view) = next.next() else { return Ok(()) };
         let psnr = noted(metrics, name, "nvs");
         let photo = scene.load_image(view)?;
@@ -74,7 +74,7 @@ pub fn html(
         let mut shading = Shading::new(device, shaded)?;
         let mut next = views.iter();
         let lit = lights.is_some() || environment.is_some();
-        evaluate_shaded(&mut shading, scene, views, background, &mut result, |name, s| {
+        evaluate_shaded(&mut shading, scene, views, background, None, &mut result, |name, s| {
             let Some(&view) = next.next() else { return Ok(()) };
             let figures = all.entry(name.to_owned()).or_default();
             let has =

@@ -7,6 +7,7 @@
 mod depth;
 mod flip;
 mod label;
+mod lpips;
 mod normal;
 mod psnr;
 mod ssim;
@@ -14,6 +15,7 @@ mod ssim;
 pub use depth::depth_rel;
 pub use flip::flip;
 pub use label::label_accuracy;
+pub use lpips::{Lpips, LpipsAbout, LpipsNet, LpipsRange};
 pub use normal::normal_mae_deg;
 pub use psnr::{mse, psnr, psnr_scaled};
 pub use ssim::ssim;
@@ -32,6 +34,16 @@ pub enum MetricError {
         a: (u32, u32, u32),
         /// Width, height and channels of the second image or of the mask.
         b: (u32, u32, u32),
+    },
+    /// The images are too small for the measure.
+    #[error("{measure} needs images of at least {least} × {least} pixels, but these have {} × {}", size.0, size.1)]
+    Small {
+        /// The measure.
+        measure: &'static str,
+        /// Width and height.
+        size: (u32, u32),
+        /// Least width and height.
+        least: u32,
     },
     /// No pixel counts.
     #[error("{measure} has no pixel to measure: the images are empty, or the mask or the valid values exclude all")]
