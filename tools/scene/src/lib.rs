@@ -19,6 +19,7 @@ mod ground_truth;
 mod image;
 mod json;
 mod maps;
+mod noise;
 mod ply;
 mod points;
 mod priors;
@@ -40,6 +41,7 @@ pub use image::{
     write_npy_f16, write_npy_f32, write_png,
 };
 pub use maps::{MaskedMap, NormalFrame, RegionMap};
+pub use noise::Noise;
 pub use points::{Pcg, PointCloud, RandomBox};
 pub use priors::{FeatureMap, TextEmbeddings, UnknownClass};
 pub use reader::Layout;

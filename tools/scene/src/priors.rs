@@ -105,14 +105,16 @@ impl Scene {
     /// The normal prior of a view: unit vectors in the world at the size of the view's camera, zero where the prior is
     /// invalid; `None` where there is no prior.
     pub fn normal_prior(&self, view: usize) -> Result<Option<Image>> {
-        let view = self.view(view)?;
+        let (number, view) = (view, self.view(view)?);
         let Some(path) = self.prior_path("normal", view, &NORMAL_EXTENSIONS) else {
             return Ok(None);
         };
         let Some(NormalSettings { frame }) = self.prior_settings.normal else {
             return Err(SceneError::image(&path, "the frame of the normals is unknown; name it in priors/priors.json"));
         };
-        maps::load_normals(&path, view, frame).map(Some)
+        let mut normals = maps::load_normals(&path, view, frame)?;
+        self.noise.turn_normals(number, &mut normals);
+        Ok(Some(normals))
     }
 
     /// The albedo prior of a view: linear RGB.
@@ -160,7 +162,12 @@ impl Scene {
     /// The semantic features of a view, at the size they are stored with. Distortion is undone cell by cell: features
     /// are directions, which cannot be averaged. Cells may hold what is not finite, or zeros: they say nothing.
     pub fn semantic_prior(&self, view: usize) -> Result<Option<FeatureMap>> {
-        let view = self.view(view)?;
+        let mut map = self.stored_features(self.view(view)?)?;
+        map.iter_mut().for_each(|map| self.noise.mix_features(view, map));
+        Ok(map)
+    }
+
+    fn stored_features(&self, view: &View) -> Result<Option<FeatureMap>> {
         let Some(path) = self.prior_path("semantic", view, &["npy"]) else {
             return Ok(None);
         };

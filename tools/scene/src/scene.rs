@@ -11,6 +11,7 @@ use crate::depth::DepthDefinition;
 use crate::error::{Result, SceneError};
 use crate::exposure;
 use crate::image::Image;
+use crate::noise::Noise;
 use crate::points::{PointCloud, RandomBox};
 use crate::priors::PriorSettings;
 use crate::reader::{self, Layout};
@@ -91,6 +92,7 @@ pub struct Scene {
     pub options: SceneOptions,
     pub(crate) prior_settings: PriorSettings,
     pub(crate) depth_definition: OnceLock<Option<DepthDefinition>>,
+    pub(crate) noise: Noise,
     extent: f64,
 }
 
@@ -157,6 +159,7 @@ impl Scene {
             options,
             prior_settings: PriorSettings::read(path)?,
             depth_definition: OnceLock::new(),
+            noise: Noise::default(),
             extent,
         })
     }

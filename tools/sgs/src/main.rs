@@ -45,6 +45,8 @@ enum Command {
     Relight(commands::relight::Args),
     /// Train variants of the method and write a table of what each part is worth.
     Ablate(commands::ablate::Args),
+    /// Train from noisy points, priors and poses, and write a table of what the noise does.
+    Robustness(commands::robustness::Args),
     /// Write one page that shows a run: pictures side by side, tables, curves, lights, profile, settings.
     Report(commands::report::Args),
     /// Write Gaussians, materials and light for other programs: PLY, glTF.
@@ -87,6 +89,7 @@ fn main() {
         Command::Render(a) => commands::render::run(&cli.common, a),
         Command::Relight(a) => commands::relight::run(&cli.common, a),
         Command::Ablate(a) => commands::ablate::run(&cli.common, a),
+        Command::Robustness(a) => commands::robustness::run(&cli.common, a),
         Command::Report(a) => commands::report::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
         Command::Devices => commands::devices::run(&cli.common),

@@ -12,6 +12,8 @@ pub mod pseudo;
 pub mod relight;
 pub mod render;
 pub mod report;
+pub mod robustness;
+pub mod series;
 pub mod shell;
 pub mod synth;
 pub mod train;

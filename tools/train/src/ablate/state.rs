@@ -1,5 +1,6 @@
-//! How far a run of an ablation is, and what it came to.
+//! How far a run of a table is, and what it came to.
 
+use crate::metrics::LpipsAbout;
 use crate::run::RunDirectory;
 use crate::settings::{Backward, Settings};
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -13,15 +14,26 @@ pub enum State {
     Absent,
     /// It was begun and can be gone on with.
     Begun,
+    /// Its geometry is trained, but not the materials that are wanted, too.
+    Formed,
     /// It is trained, but not measured.
     Trained,
     /// All is known.
-    Measured(Measures),
+    Measured(Box<Measures>),
+}
+
+/// What a run is wanted for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Goal {
+    /// Whether materials and lights are trained, too.
+    pub materials: bool,
+    /// Which LPIPS is measured, if it is.
+    pub lpips: Option<LpipsAbout>,
 }
 
 impl State {
     /// Looks into a directory.
-    pub fn of(root: &Path, asked: &Settings) -> State {
+    pub fn of(root: &Path, asked: &Settings, goal: &Goal) -> State {
         let Ok(run) = RunDirectory::open(root) else { return State::Absent };
         let Ok(began) = run.settings() else { return State::Absent };
         let mut asked = asked.clone();
@@ -33,10 +45,17 @@ impl State {
         if asked != began {
             return State::Absent;
         }
-        match (Measures::read(&run), run.path("scene.ply").is_file() && run.path("training.json").is_file()) {
-            (_, false) => State::Begun,
-            (None, true) => State::Trained,
-            (Some(measures), true) => State::Measured(measures),
+        if !(run.path("scene.ply").is_file() && run.path("training.json").is_file()) {
+            return State::Begun;
+        }
+        if goal.materials && json(&run, "training.json").get("intrinsic").is_none() {
+            return State::Formed;
+        }
+        let wanted = goal.lpips.and_then(|about| serde_json::to_value(about).ok());
+        let measured = |all: &Value| wanted.as_ref().is_none_or(|about| all.pointer("/test/lpips") == Some(about));
+        match Measures::read(&run) {
+            Some(measures) if measured(&json(&run, "metrics.json")) => State::Measured(Box::new(measures)),
+            _ => State::Trained,
         }
     }
 }
@@ -54,9 +73,18 @@ pub(super) struct Measure {
 }
 
 /// All measures, in the order of the table.
-pub(super) const MEASURES: [Measure; 7] = [
+pub(super) const MEASURES: [Measure; 16] = [
     measure("psnr", "PSNR, dB ↑", 2, "/test/mean/nvs/psnr"),
     measure("ssim", "SSIM ↑", 4, "/test/mean/nvs/ssim"),
+    measure("lpips", "LPIPS ↓", 4, "/test/mean/nvs/lpips"),
+    measure("pbr_psnr", "shaded PSNR, dB ↑", 2, "/test/mean/pbr/psnr"),
+    measure("pbr_ssim", "shaded SSIM ↑", 4, "/test/mean/pbr/ssim"),
+    measure("pbr_lpips", "shaded LPIPS ↓", 4, "/test/mean/pbr/lpips"),
+    measure("albedo_psnr", "albedo PSNR, dB ↑", 2, "/test/mean/albedo/psnr"),
+    measure("albedo_ssim", "albedo SSIM ↑", 4, "/test/mean/albedo/ssim"),
+    measure("albedo_lpips", "albedo LPIPS ↓", 4, "/test/mean/albedo/lpips"),
+    measure("roughness_mse", "roughness MSE ↓", 5, "/test/mean/roughness_mse"),
+    measure("metallic_mse", "metallic MSE ↓", 5, "/test/mean/metallic_mse"),
     measure("normal_mae_deg", "normals, ° ↓", 2, "/test/mean/normal_mae_deg"),
     measure("depth_rel", "depth, relative ↓", 4, "/test/mean/depth_rel"),
     measure("accuracy", "labels right ↑", 4, "/test/mean/semantic/accuracy"),
@@ -75,10 +103,7 @@ pub struct Measures(pub(super) [Option<f64>; MEASURES.len()]);
 impl Measures {
     /// What the evaluation of a run left, if it is there and whole.
     pub fn read(run: &RunDirectory) -> Option<Measures> {
-        let text = std::fs::read_to_string(run.path("metrics.json")).ok()?;
-        let all: Value = serde_json::from_str(&text).ok()?;
-        let training = std::fs::read_to_string(run.path("training.json")).unwrap_or_default();
-        let training: Value = serde_json::from_str(&training).unwrap_or_default();
+        let (all, training) = (json(run, "metrics.json"), json(run, "training.json"));
         let whole = training["resumed_from"] == 0;
         let number = |m: &Measure| {
             let value = all.pointer(m.place).and_then(Value::as_f64);
@@ -89,11 +114,17 @@ impl Measures {
         found.get("psnr").map(|_| found)
     }
 
-    /// A measure by its name in JSON: `psnr` (dB), `ssim`, `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step`,
-    /// `gaussians`. Seconds are those of runs that were not interrupted.
+    /// A measure by its name in JSON: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`,
+    /// `metallic_mse`, `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of geometry), `gaussians`. Seconds are those of runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
+}
+
+/// A file of a run; null where there is none, or it is damaged.
+fn json(run: &RunDirectory, name: &str) -> Value {
+    let text = std::fs::read_to_string(run.path(name)).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or_default()
 }
 
 impl Serialize for Measures {
@@ -118,33 +149,47 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("run");
         let mut asked = Settings { seed: 2, ..Settings::default() };
-        assert_eq!(State::of(&root, &asked), State::Absent);
+        let state = |asked: &Settings| State::of(&root, asked, &Goal::default());
+        assert_eq!(state(&asked), State::Absent);
         let run = RunDirectory::create(&root).unwrap();
-        assert_eq!(State::of(&root, &asked), State::Absent);
+        assert_eq!(state(&asked), State::Absent);
         let mut began = asked.clone();
         (began.geometry.backward, began.memory.budget) = (Backward::Splat, 1 << 30);
         run.write_settings(&began).unwrap();
-        assert_eq!(State::of(&root, &asked), State::Begun);
+        assert_eq!(state(&asked), State::Begun);
         std::fs::write(run.path("scene.ply"), "").unwrap();
-        assert_eq!(State::of(&root, &asked), State::Begun);
+        assert_eq!(state(&asked), State::Begun);
         run.write_json("training.json", &json!({"resumed_from": 0})).unwrap();
-        assert_eq!(State::of(&root, &asked), State::Trained);
+        assert_eq!(state(&asked), State::Trained);
         // A file of another split, and one that is no JSON.
         run.write_json("metrics.json", &json!({"train": {"mean": {"nvs": {"psnr": 30.0}}}})).unwrap();
-        assert_eq!(State::of(&root, &asked), State::Trained);
+        assert_eq!(state(&asked), State::Trained);
         std::fs::write(run.path("metrics.json"), "{").unwrap();
-        assert_eq!(State::of(&root, &asked), State::Trained);
+        assert_eq!(state(&asked), State::Trained);
         let test = json!({"mean": {"nvs": {"psnr": 30.0, "ssim": 0.9}, "semantic": {"accuracy": 0.5}}});
-        run.write_json("metrics.json", &json!({"test": test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
-        let State::Measured(measures) = State::of(&root, &asked) else { panic!("measures are there") };
+        run.write_json("metrics.json", &json!({"test": &test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
+        let State::Measured(measures) = state(&asked) else { panic!("measures are there") };
         let all = json!({"psnr": 30.0, "ssim": 0.9, "accuracy": 0.5, "seconds_per_step": 0.25, "gaussians": 12.0});
-        assert_eq!(serde_json::to_value(measures).unwrap(), all);
+        assert_eq!(serde_json::to_value(*measures).unwrap(), all);
         assert_eq!((measures.get("accuracy"), measures.get("depth_rel")), (Some(0.5), None));
         run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
+        // Materials and LPIPS are wanted, too.
+        let goal = |materials: bool, net: Option<&'static str>| {
+            let lpips = net.map(|net| LpipsAbout { net, version: "0.1", range: [0, 1] });
+            State::of(&root, &asked, &Goal { materials, lpips })
+        };
+        assert_eq!((goal(true, None), goal(false, Some("vgg"))), (State::Formed, State::Trained));
+        run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
+        let mut with = json!({"test": &test});
+        with["test"]["lpips"] = json!({"net": "vgg", "version": "0.1", "range": [0, 1]});
+        run.write_json("metrics.json", &with).unwrap();
+        assert!(matches!(goal(true, Some("vgg")), State::Measured(_)));
+        assert_eq!(goal(true, Some("alex")), State::Trained);
+        run.write_json("metrics.json", &json!({"test": &test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
         let timed = |state| matches!(state, State::Measured(m) if m.get("seconds_per_step").is_some());
-        assert!(!timed(State::of(&root, &asked)), "the time of a part was taken for the whole");
+        assert!(!timed(state(&asked)), "the time of a part was taken for the whole");
         // Any other setting is another run.
         asked.geometry.losses.l1 = 0.7;
-        assert_eq!(State::of(&root, &asked), State::Absent);
+        assert_eq!(state(&asked), State::Absent);
     }
 }

@@ -1,8 +1,26 @@
-//! What an ablation came to: means and spreads over seeds, as JSON and as a table to read.
+//! What trainings came to: means and spreads over seeds, as JSON and as a table to read.
 
 use super::state::{MEASURES, Measures};
-use super::variant::{Variant, place};
+use crate::metrics::LpipsAbout;
 use serde::Serialize;
+
+/// What a row of a table is of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Its place in the table.
+    pub order: usize,
+    /// Its name.
+    pub name: &'static str,
+    /// What it uses.
+    pub about: String,
+}
+
+impl Entry {
+    /// The folder of its run for a seed.
+    pub fn folder(&self, seed: u64) -> String {
+        format!("{}_seed{seed}", self.name)
+    }
+}
 
 /// One run of a variant.
 #[derive(Clone, Debug, Serialize)]
@@ -24,7 +42,9 @@ pub struct AblationRow {
     /// Its name.
     pub name: &'static str,
     /// What it uses.
-    pub about: &'static str,
+    pub about: String,
+    #[serde(skip)]
+    order: usize,
     /// Means over its runs.
     pub mean: Measures,
     /// Standard deviations over its runs (by n - 1); absent with a single one.
@@ -38,20 +58,26 @@ pub struct AblationRow {
 pub struct Ablation {
     /// The scene directory.
     pub scene: String,
-    /// Training steps.
+    /// Steps of the geometry stage.
     pub steps: u32,
-    /// One entry a variant, in the order of the method.
+    /// Steps of the intrinsic stage, where it is trained.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intrinsic_steps: Option<u32>,
+    /// Which LPIPS was measured, if it was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<LpipsAbout>,
+    /// One entry a variant, in their order.
     pub variants: Vec<AblationRow>,
 }
 
 impl Ablation {
     /// Adds a run to its variant.
-    pub fn add(&mut self, variant: &Variant, seed: u64, device: String, measures: Measures) {
+    pub fn add(&mut self, variant: &Entry, seed: u64, device: String, measures: Measures) {
         let at = self.variants.iter().position(|row| row.name == variant.name).unwrap_or_else(|| {
-            let at = self.variants.iter().take_while(|row| place(row.name) < place(variant.name)).count();
-            let (name, about) = (variant.name, variant.about);
+            let at = self.variants.iter().take_while(|row| row.order < variant.order).count();
+            let Entry { order, name, about } = variant.clone();
             let (mean, deviation) = Default::default();
-            self.variants.insert(at, AblationRow { name, about, mean, deviation, runs: Vec::new() });
+            self.variants.insert(at, AblationRow { name, about, order, mean, deviation, runs: Vec::new() });
             at
         });
         let row = &mut self.variants[at];
@@ -71,8 +97,13 @@ impl Ablation {
         let mut devices: Vec<&str> = self.variants.iter().flat_map(|v| &v.runs).map(|r| r.device.as_str()).collect();
         devices.sort_unstable();
         devices.dedup();
+        let more = self.intrinsic_steps.map_or_else(String::new, |n| format!(" and {n} of materials"));
+        let lpips = match &self.lpips {
+            None => String::new(),
+            Some(l) => format!(" LPIPS {}: {}, pictures from {} to {}.", l.version, l.net, l.range[0], l.range[1]),
+        };
         let mut text = format!(
-            "Test views of {} after {} steps on {}; means and standard deviations over seeds.\n\n",
+            "Test views of {} after {} steps{more} on {}; means and standard deviations over seeds.{lpips}\n\n",
             self.scene,
             self.steps,
             devices.join(", ")
@@ -106,6 +137,7 @@ fn spread(values: &[f64]) -> (Option<f64>, Option<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ablate::Variant;
     use serde_json::json;
 
     #[test]
@@ -113,11 +145,12 @@ mod tests {
         assert_eq!(spread(&[]), (None, None));
         assert_eq!(spread(&[3.0]), (Some(3.0), None));
         assert_eq!(spread(&[1.0, 2.0, 3.0, 6.0]), (Some(3.0), Some((14.0_f64 / 3.0).sqrt())));
-        let variants = Variant::all();
+        let variants = Variant::all().iter().map(Variant::entry).collect::<Vec<_>>();
         let mut table = Ablation { scene: "room".into(), steps: 9, ..Default::default() };
         let measures = |psnr: f64, normal: Option<f64>| {
             let mut m = Measures::default();
-            (m.0[0], m.0[2]) = (Some(psnr), normal);
+            let at = |key: &str| MEASURES.iter().position(|m| m.key == key).unwrap();
+            (m.0[at("psnr")], m.0[at("normal_mae_deg")]) = (Some(psnr), normal);
             m
         };
         table.add(&variants[1], 4, "gpu".into(), measures(31.0, Some(8.25)));

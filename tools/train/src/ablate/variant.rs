@@ -1,5 +1,6 @@
 //! Variants of training: which parts of the method are on.
 
+use super::Entry;
 use crate::error::{Result, TrainError};
 use crate::settings::Settings;
 use sgs_scene::Scene;
@@ -32,11 +33,6 @@ const ALL: [Variant; 4] = [
         on: &[Part::Normals, Part::Semantics, Part::Correspondence],
     },
 ];
-
-/// Where a variant of this name stands in the method.
-pub(super) fn place(name: &str) -> usize {
-    ALL.iter().position(|v| v.name == name).unwrap_or(ALL.len())
-}
 
 impl Variant {
     /// Every variant, in the order of the method: each uses what those before it use.
@@ -91,14 +87,15 @@ impl Variant {
         Ok(None)
     }
 
-    /// Its folder for a seed.
-    pub fn folder(&self, seed: u64) -> String {
-        format!("{}_seed{seed}", self.name)
+    /// As a row of a table.
+    pub fn entry(&self) -> Entry {
+        let order = ALL.iter().position(|v| v == self).unwrap_or(ALL.len());
+        Entry { order, name: self.name, about: self.about.to_owned() }
     }
 }
 
 /// Whether something holds for a training view.
-fn any(scene: &Scene, holds: impl Fn(usize) -> Result<bool>) -> Result<bool> {
+pub(super) fn any(scene: &Scene, holds: impl Fn(usize) -> Result<bool>) -> Result<bool> {
     for &view in &scene.split.train {
         if holds(view)? {
             return Ok(true);
@@ -135,6 +132,6 @@ mod tests {
             error.starts_with("There is no variant \"magic\"; there are rgb, normal, semantic, correspondence."),
             "{error}"
         );
-        assert_eq!(found[1].folder(3), "normal_seed3");
+        assert_eq!(found[1].entry().folder(3), "normal_seed3");
     }
 }

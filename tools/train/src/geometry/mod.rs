@@ -89,6 +89,8 @@ impl Geometry {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
+        let disturbed = settings.noise.on(scene, settings.seed);
+        let scene = disturbed.as_ref().unwrap_or(scene);
         let points = || Splats::from_points(&scene.points, settings.geometry.sh_degree as usize);
         let initial;
         let start = match start {

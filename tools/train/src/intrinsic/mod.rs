@@ -101,6 +101,8 @@ impl Intrinsic {
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
         settings.check()?;
+        let disturbed = settings.noise.on(scene, settings.seed);
+        let scene = disturbed.as_ref().unwrap_or(scene);
         if splats.is_empty() {
             return Err(TrainError::Setting("There are no splats to find materials for.".into()));
         }

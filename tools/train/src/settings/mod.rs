@@ -2,21 +2,26 @@
 
 mod accuracy;
 mod intrinsic;
+mod memory;
 mod names;
+mod noise;
 mod presets;
+mod provider;
 
 pub use accuracy::AccuracySettings;
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
 };
+pub use memory::MemorySettings;
 pub(crate) use names::{distance, one_line};
+pub use noise::NoiseSettings;
 pub use presets::{PRESETS, Preset, overlay};
+pub use provider::ProviderSettings;
 
 use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;
 use serde::{Deserialize, Serialize};
-use sgs_provider::{Fallback, ProviderOptions};
 use std::path::PathBuf;
 
 /// All settings of a run.
@@ -41,6 +46,8 @@ pub struct Settings {
     pub memory: MemorySettings,
     /// What is traded for speed.
     pub accuracy: AccuracySettings,
+    /// Noise on what training begins with.
+    pub noise: NoiseSettings,
     /// A network that is asked while training.
     pub provider: ProviderSettings,
     /// The geometry stage.
@@ -61,44 +68,10 @@ impl Default for Settings {
             random_points: 20_000,
             memory: MemorySettings::default(),
             accuracy: AccuracySettings::default(),
+            noise: NoiseSettings::default(),
             provider: ProviderSettings::default(),
             geometry: GeometrySettings::default(),
             intrinsic: IntrinsicSettings::default(),
-        }
-    }
-}
-
-/// Memory of the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MemorySettings {
-    /// Most bytes that training may take, all in; 0 for what the device or its driver has.
-    pub budget: u64,
-}
-
-/// A network that lives in another process (docs/PRIORS.md).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ProviderSettings {
-    /// Its command line, split as a shell would; empty for none. It is asked where the step's region is in training view
-    /// and pseudo-views.
-    pub command: String,
-    /// Whether its failure stops training (`stop`), or ends what it is asked for (`go-on`).
-    pub on_failure: Fallback,
-    /// Seconds to wait for its start.
-    pub start_seconds: f64,
-    /// Seconds to wait for each answer.
-    pub answer_seconds: f64,
-}
-
-impl Default for ProviderSettings {
-    fn default() -> Self {
-        let o = ProviderOptions::default();
-        ProviderSettings {
-            command: String::new(),
-            on_failure: Fallback::default(),
-            start_seconds: o.start_seconds,
-            answer_seconds: o.answer_seconds,
         }
     }
 }
@@ -390,6 +363,7 @@ impl Settings {
                 return fail(format!("provider.{name} is {value}, but must be a finite number above 0."));
             }
         }
+        self.noise.check()?;
         if g.sh_degree > 3 {
             return fail(format!("geometry.sh_degree is {}, but must be 0 to 3.", g.sh_degree));
         }

@@ -1,0 +1,38 @@
+//! `sgs robustness`: training from noisy inputs, one kind after another, and a table of what it came to.
+
+use super::series::{self, Row};
+use super::train::Stage;
+use crate::common::Common;
+use anyhow::bail;
+use sgs_train::ablate::Case;
+
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    series: series::Series,
+    /// Cases: clean, positions (of initial points), normals, semantics (priors), poses (of training cameras). How much noise:
+    /// noise.positions and so on, by --set or --config. By default all that differ on this scene.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Up to which stage: geometry alone, or all, so that materials are measured.
+    #[arg(long, value_enum, default_value = "all")]
+    stage: Stage,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let wanted = Case::named(&a.only)?;
+    if a.stage == Stage::Intrinsic {
+        bail!("--stage is geometry or all here: materials need the geometry that the noise has led to.");
+    }
+    let series::Base { settings, scene } = series::base(&a.series)?;
+    let wanted = series::possible("case", wanted, !a.only.is_empty(), |case| {
+        Ok(case.lacks(&scene, &settings)?.map(|lacking| (case.name, lacking.to_owned())))
+    })?;
+    let row = |case: &Case| Row {
+        entry: case.entry(&settings),
+        settings: case.settings(&settings),
+        wanted: wanted.contains(case),
+    };
+    let rows: Vec<Row> = Case::all().iter().map(row).collect();
+    series::run(common, &a.series, "robustness", &settings, &rows, a.stage)
+}
