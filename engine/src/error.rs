@@ -143,6 +143,9 @@ pub enum Error {
     /// The buffer cannot be read or written by the host.
     #[error("Buffer \"{0}\" is not visible to the host.")]
     NotHostVisible(String),
+    /// A window cannot be shown in.
+    #[error("Nothing can be shown in this window: {0}.")]
+    Window(String),
     /// What a host says of its device cannot be.
     #[error("The host's device cannot be used: {0}.")]
     Host(String),

@@ -41,7 +41,7 @@ impl Browser {
         let mut command = Command::new("bash");
         command.args(["-c", "exec 3<\"$1\" 4>\"$2\"; shift 2; exec \"$@\"", "bash"]).args(&pipes).arg(name);
         command.args(["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run"]);
-        command.args(["--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND"]);
+        command.args(["--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]);
         command.arg(format!("--user-data-dir={}", folder.path().join("profile").display()));
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
         let child = command.spawn().expect("chromium starts");
@@ -90,14 +90,21 @@ impl Browser {
 
     /// Opens a page of the disk at a size of the window, and waits until it is complete.
     #[track_caller]
-    pub fn open(&mut self, page: &Path, [width, height]: [u32; 2]) {
+    pub fn open(&mut self, page: &Path, size: [u32; 2]) {
+        self.visit(&format!("file://{}", page.display()), size);
+    }
+
+    /// Opens an address, which is on this machine.
+    #[track_caller]
+    pub fn visit(&mut self, address: &str, [width, height]: [u32; 2]) {
         self.heard.clear();
         let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         self.ask("Emulation.setDeviceMetricsOverride", size);
-        let answer = self.ask("Page.navigate", json!({"url": format!("file://{}", page.display())}));
+        let answer = self.ask("Page.navigate", json!({"url": address}));
         assert!(answer["errorText"].is_null(), "{answer}");
         let begun = Instant::now();
-        while self.eval("document.readyState") != "complete" || self.eval("location.protocol") != "file:" {
+        let protocol = address.split_inclusive(':').next().unwrap_or_default();
+        while self.eval("document.readyState") != "complete" || self.eval("location.protocol") != protocol {
             assert!(begun.elapsed() < PATIENCE, "the page is never complete");
             std::thread::sleep(Duration::from_millis(50));
         }

@@ -69,7 +69,13 @@ pub fn sgs<S: AsRef<str>>(arguments: &[S]) -> Finished {
 
 /// Starts the program, with its output kept for [`wait`].
 pub fn start<S: AsRef<str>>(arguments: &[S]) -> Child {
+    start_with(arguments, &[])
+}
+
+/// As [`start`], with more in its environment.
+pub fn start_with<S: AsRef<str>>(arguments: &[S], environment: &[(&str, &str)]) -> Child {
     let mut command = command(arguments);
+    command.envs(environment.iter().copied());
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
     command.spawn().unwrap_or_else(|e| panic!("sgs cannot be run: {e}"))
 }

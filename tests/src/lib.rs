@@ -19,6 +19,7 @@ pub mod random;
 pub mod rooms;
 pub mod runs;
 pub mod scenes;
+pub mod screen;
 pub mod splats;
 pub mod whole;
 

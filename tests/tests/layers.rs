@@ -22,6 +22,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// its own, written as any application would write it.
 const RESERVED: &[(&str, &[&str])] = &[
     ("ash", &["engine", "tests/embedding"]),
+    ("ash-window", &["engine"]),
     ("gpu-allocator", &["engine"]),
     ("shaderc", &["shaders-glsl/compiler"]),
     ("spirq", &["shaders-glsl/compiler"]),

@@ -143,8 +143,8 @@ fn wrong_cases_and_noise_get_a_sentence() {
     robustness(&place, &["--only", "clean,noise"]).refused(&["no case \"noise\"", "clean, positions, normals"]);
     robustness(&place, &["--only", "normals"]).refused(&["\"normals\" would differ from no other", "priors/normal"]);
     robustness(&place, &["--stage", "intrinsic"]).refused(&["--stage is geometry or all"]);
-    robustness(&place, &["--set", "noise.position=0.1"])
-        .refused(&["noise.position", "did you mean \"noise.positions\"?"]);
+    robustness(&place, &["--set", "noise.postions=0.1"])
+        .refused(&["noise.postions", "did you mean \"noise.positions\"?"]);
     robustness(&place, &["--set", "noise.semantics=1.5"]).refused(&["noise.semantics is 1.5, but must be 0 to 1."]);
     robustness(&place, &["--set", "noise.rotations=-1"]).refused(&["noise.rotations is -1, but must be 0 to 180."]);
     robustness(&place, &["--set", "noise.normals=nan"]).refused(&["noise.normals is NaN"]);

@@ -105,7 +105,8 @@ fn half_operands_cost_little() {
         println!(
             "layers times {scale}: off by {worst:.2e} at most, {mean:.2e} in the mean, {wrong} of 3000 on another side"
         );
-        assert!(worst > 0.0 && worst <= most && mean < 0.1 * most, "{worst} {mean}");
+        // Black and white are the same in both.
+        assert!((worst > 0.0) == (scale < 100.0) && worst <= most && mean < 0.1 * most, "{worst} {mean}");
         assert!(wrong < 30, "{wrong} of 3000 are on another side");
     }
 }

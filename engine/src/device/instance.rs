@@ -60,7 +60,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(crate) struct Instance {
     pub raw: ash::Instance,
     /// Keeps the loader in memory; a host keeps its own.
-    entry: Option<ash::Entry>,
+    pub(super) entry: Option<ash::Entry>,
     pub messages: Arc<Messages>,
     pub validation: bool,
     /// Of the validation layer, if it is used.
@@ -71,7 +71,8 @@ pub(crate) struct Instance {
 }
 
 impl Instance {
-    pub fn new(validation: bool, gate: &Gate) -> Result<Arc<Instance>> {
+    /// `wanted`: extensions without which there is no use in an instance.
+    pub fn new(validation: bool, wanted: &[&'static CStr], gate: &Gate) -> Result<Arc<Instance>> {
         // SAFETY: loading the system's Vulkan loader runs its initializers, which are sound by the platform's contract.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::Loader(e.to_string()))?;
         // SAFETY: the entry is loaded; the call only enumerates.
@@ -91,13 +92,17 @@ impl Instance {
         }
         let debug_utils =
             validation || extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(ext::debug_utils::NAME));
+        let known = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+        if let Some(absent) = wanted.iter().find(|name| !known(name)) {
+            return Err(Error::Window(format!("the Vulkan drivers here have no {}", absent.to_string_lossy())));
+        }
         let messages = Arc::new(Messages::default());
         let application = vk::ApplicationInfo::default()
             .application_name(c"sgs")
             .engine_name(c"sgs-engine")
             .api_version(vk::API_VERSION_1_3);
         let layer_names = [LAYER.as_ptr()];
-        let mut extension_names = Vec::new();
+        let mut extension_names: Vec<_> = wanted.iter().map(|name| name.as_ptr()).collect();
         if debug_utils {
             extension_names.push(ext::debug_utils::NAME.as_ptr());
         }

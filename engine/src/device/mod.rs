@@ -12,6 +12,8 @@ mod pipeline;
 mod requirements;
 mod second;
 mod select;
+mod surface;
+mod swapchain;
 
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
@@ -23,13 +25,15 @@ pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub(crate) use second::semaphore;
 pub use select::{DeviceInfo, Optional};
+pub use surface::{Surface, Window};
+pub use swapchain::{Shown, Swapchain};
 
 use crate::error::{Error, Result};
 use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
 use fault::Gate;
 use parking::Parking;
-
+use std::ffi::CStr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -130,7 +134,7 @@ struct Bare {
 /// If the loader is missing or the instance cannot be made.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
     let gate = Gate::default();
-    let instance = Instance::new(false, &gate)?;
+    let instance = Instance::new(false, &[], &gate)?;
     Ok(select::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
 }
 
@@ -141,8 +145,19 @@ impl Device {
     /// If there is no loader, no matching device, or the device lacks a required feature (named).
     pub fn open(options: &DeviceOptions) -> Result<Device> {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
-        let instance = Instance::new(options.validation, &gate)?;
+        let instance = Instance::new(options.validation, &[], &gate)?;
         let chosen = select::choose(select::candidates(&instance, &gate)?, options.select.as_deref())?;
+        Device::make(instance, chosen, &[], gate, options)
+    }
+
+    /// Opens a chosen device, with more extensions than every device has.
+    fn make(
+        instance: Arc<Instance>,
+        chosen: select::Candidate,
+        more: &[&'static CStr],
+        gate: Gate,
+        options: &DeviceOptions,
+    ) -> Result<Device> {
         let info = chosen.info;
         let queue_family = chosen.queue_family.ok_or_else(|| Error::MissingFeatures {
             device: info.name.clone(),
@@ -153,7 +168,7 @@ impl Device {
         let second = second::place(&families, queue_family);
         let queues = second::queues(queue_family, second);
         let needs = Requirements::new(info.clone(), Some(queue_family));
-        let extensions: Vec<_> = needs.extensions().iter().map(|name| name.as_ptr()).collect();
+        let extensions: Vec<_> = needs.extensions().iter().chain(more).map(|name| name.as_ptr()).collect();
         let mut features = needs.feature_structs();
         let create = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&extensions);
         let create = features.chain(create);

@@ -30,11 +30,13 @@ pub enum ObjectKind {
     CommandPool,
     DescriptorPool,
     QueryPool,
+    Surface,
+    Swapchain,
 }
 
 impl ObjectKind {
     /// All kinds.
-    pub const ALL: [ObjectKind; 18] = [
+    pub const ALL: [ObjectKind; 20] = [
         ObjectKind::Instance,
         ObjectKind::Messenger,
         ObjectKind::Device,
@@ -53,6 +55,8 @@ impl ObjectKind {
         ObjectKind::CommandPool,
         ObjectKind::DescriptorPool,
         ObjectKind::QueryPool,
+        ObjectKind::Surface,
+        ObjectKind::Swapchain,
     ];
 }
 

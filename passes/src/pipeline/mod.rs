@@ -4,6 +4,7 @@
 //! step changes nothing, and the host grows the buffer and replays from the first step that it spoiled.
 
 mod densify;
+mod display;
 mod geometry;
 mod intrinsic;
 mod labeler;
@@ -15,6 +16,7 @@ mod surface;
 mod view;
 
 pub use densify::{DensifyStep, OpacityReset};
+pub use display::{Display, DisplayRoom, Font, Shown};
 pub use geometry::{
     GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, PSEUDO_VIEWS, SemanticInputs, SemanticSizes,
 };

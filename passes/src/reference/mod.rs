@@ -23,6 +23,7 @@ pub mod region_mask;
 pub mod rng;
 pub mod scan;
 pub mod semantic;
+pub mod show;
 pub mod srgb;
 pub mod taps;
 pub mod traced;

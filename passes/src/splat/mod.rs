@@ -10,6 +10,7 @@ mod features;
 mod intersect;
 mod present;
 mod project;
+mod show;
 
 pub(crate) use blend::per_lane;
 pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
@@ -22,6 +23,7 @@ pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};
 pub(crate) use project::group_sizes;
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
+pub use show::{Letters, MARK_HOLLOW, MARK_RINGED, Mark, Show, ShowStep, ShownKind, show};
 
 use sgs_engine::graph::Buffer;
 

@@ -22,13 +22,28 @@ impl Page {
         }
     }
 
+    /// Adds a section whose content a server changes later ([`Page::live`]).
+    pub fn live_section(&mut self, id: &str, heading: &str, html: &str) {
+        self.section(id, heading, format!("<div class=\"live\">{html}</div>\n"));
+    }
+
     /// The file. Its policy lets the browser take pictures from the page itself and nothing from elsewhere.
     pub fn html(&self) -> String {
+        self.with("", "")
+    }
+
+    /// The page as a server gives it that keeps it up to date: it asks `live?pictures=N` on that server, and nobody else, for
+    /// `{"parts": {"id": "html"}, "pictures": N}`, and takes over the parts.
+    pub fn live(&self) -> String {
+        self.with("; connect-src 'self'", include_str!("live.js"))
+    }
+
+    fn with(&self, policy: &str, script: &str) -> String {
         let title = escape(&self.title);
         let mut out = format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src \
-             'unsafe-inline'; script-src 'unsafe-inline'\">\n\
+             'unsafe-inline'; script-src 'unsafe-inline'{policy}\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n<link rel=\"icon\" href=\"data:,\">\n\
              <style>\n{}</style>\n</head>\n<body>\n<header><h1>{title}</h1>\n<nav>",
             include_str!("page.css")
@@ -40,7 +55,8 @@ impl Page {
         for (id, heading, html) in &self.sections {
             out.push_str(&format!("<section id=\"{}\"><h2>{}</h2>\n{html}</section>\n", escape(id), escape(heading)));
         }
-        out.push_str(&format!("</main>\n<script>\n{}</script>\n</body>\n</html>\n", include_str!("page.js")));
+        let ours = include_str!("page.js");
+        out.push_str(&format!("</main>\n<script>\n{ours}{script}</script>\n</body>\n</html>\n"));
         out
     }
 }
@@ -60,5 +76,17 @@ mod tests {
         }
         assert!(html.contains("a &lt;run&gt;") && html.contains("<a href=\"#one\">One &amp; all</a>"));
         assert!(html.contains("default-src 'none'") && !html.contains("Two"));
+    }
+
+    #[test]
+    fn a_live_page_asks_its_own_server_alone() {
+        let mut page = Page::new("run");
+        page.live_section("one", "One", "");
+        let html = page.live();
+        assert!(html.contains("connect-src 'self'") && html.contains("fetch(\"live?"), "{html}");
+        for word in ["http:", "https:", "://", "url(", "@import", "XMLHttp"] {
+            assert!(!html.contains(word), "{word}");
+        }
+        assert!(html.contains("<section id=\"one\"><h2>One</h2>\n<div class=\"live\"></div>"));
     }
 }

@@ -32,15 +32,19 @@ pub struct Common {
 impl Common {
     /// Opens the device that was asked for.
     pub fn open_device(&self) -> anyhow::Result<Device> {
+        Ok(Device::open(&self.device_options())?)
+    }
+
+    /// How devices are opened.
+    pub fn device_options(&self) -> DeviceOptions {
         let defaults = DeviceOptions::default();
-        let options = DeviceOptions {
+        DeviceOptions {
             select: self.device.clone(),
             validation: self.validate,
             pipeline_cache: cache_folder(),
             timeout: self.timeout.unwrap_or(defaults.timeout),
             ..defaults
-        };
-        Ok(Device::open(&options)?)
+        }
     }
 
     /// Gives an answer as JSON where `--json` asked for it. True if it went to standard output, where nothing else may

@@ -10,6 +10,7 @@ mod palette;
 mod pictures;
 mod report;
 mod ui;
+mod watch;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
@@ -43,6 +44,8 @@ enum Command {
     Render(commands::render::Args),
     /// Render a run under other lights, of other materials, with other things in it; train nothing.
     Relight(commands::relight::Args),
+    /// Open a window on a run or a PLY: orbit, fly, other channels, lights as handles.
+    View(commands::view::Args),
     /// Train variants of the method and write a table of what each part is worth.
     Ablate(commands::ablate::Args),
     /// Train from noisy points, priors and poses, and write a table of what the noise does.
@@ -59,14 +62,15 @@ enum Command {
     Man(commands::shell::Pages),
 }
 
-/// The arguments, with `--json FILE.json` made one: the file is optional, and without the equals sign `--json` would
-/// otherwise swallow the scene that stands behind it, or never take a file.
+/// The arguments, with `--json FILE.json` and `--watch PORT` made one each: what follows is optional, and without the equals
+/// sign the option would otherwise swallow the scene that stands behind it, or never take anything.
 fn arguments() -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for argument in std::env::args_os() {
         let file = Path::new(&argument).extension().is_some_and(|e| e == "json");
+        let port = argument.to_str().is_some_and(|a| a.parse::<u16>().is_ok());
         match joined.last_mut() {
-            Some(last) if file && last == "--json" => {
+            Some(last) if file && last == "--json" || port && last == "--watch" => {
                 last.push("=");
                 last.push(argument);
             }
@@ -88,6 +92,7 @@ fn main() {
         Command::Eval(a) => commands::eval::run(&cli.common, a),
         Command::Render(a) => commands::render::run(&cli.common, a),
         Command::Relight(a) => commands::relight::run(&cli.common, a),
+        Command::View(a) => commands::view::run(&cli.common, a),
         Command::Ablate(a) => commands::ablate::run(&cli.common, a),
         Command::Robustness(a) => commands::robustness::run(&cli.common, a),
         Command::Report(a) => commands::report::run(&cli.common, a),

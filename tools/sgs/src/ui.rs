@@ -18,10 +18,10 @@ pub fn start_logging(common: &Common) {
         _ => LevelFilter::DEBUG,
     };
     let wanted = std::env::var("SGS_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
+    // A window's system warns of what people can do nothing about.
+    let usual = || Targets::new().with_default(level).with_target("winit", LevelFilter::ERROR);
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
-    tracing_subscriber::registry()
-        .with(lines.with_filter(wanted.unwrap_or_else(|| Targets::new().with_default(level))))
-        .init();
+    tracing_subscriber::registry().with(lines.with_filter(wanted.unwrap_or_else(usual))).init();
 }
 
 /// A bar on a terminal; elsewhere a line every tenth of the way.

@@ -51,6 +51,7 @@ pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView
 pub use relight::{
     BakeOptions, Baked, Edit, EnvironmentEdit, Insert, Lamp, LightChange, LightEdit, MaterialEdit, MaterialValues,
     NewLight, Region, Relighter, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
+    source_of,
 };
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;

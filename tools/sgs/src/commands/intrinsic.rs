@@ -3,6 +3,7 @@
 use super::train::write_profile;
 use crate::common::Common;
 use crate::ui::Bar;
+use crate::watch::Watch;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::html;
@@ -35,7 +36,8 @@ pub enum IntrinsicEnded {
     Stopped(u32),
 }
 
-/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised.
+/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised. Somebody may
+/// watch.
 pub fn intrinsic_into(
     common: &Common,
     device: &Device,
@@ -45,6 +47,7 @@ pub fn intrinsic_into(
     start: Option<&Path>,
     resuming: bool,
     stop: &AtomicBool,
+    mut watch: Option<&mut Watch>,
 ) -> anyhow::Result<IntrinsicEnded> {
     let geometry = output.join("scene.ply");
     let from = match start {
@@ -82,6 +85,7 @@ pub fn intrinsic_into(
         n => n,
     };
     let mut failure = None;
+    let teller = watch.as_ref().map(|w| w.teller());
     while training.step() < steps && !stop.load(Ordering::SeqCst) {
         let mut next = ((training.step() / interval + 1) * interval).min(steps);
         let timed = steps.saturating_sub(TIMED);
@@ -97,11 +101,19 @@ pub fn intrinsic_into(
                     failure.get_or_insert(e);
                 }
             }
-            bar.set(u64::from(r.step), || format!("picture {:.4}, albedo {:.4}", r.shaded, r.albedo));
+            let said = || format!("picture {:.4}, albedo {:.4}", r.shaded, r.albedo);
+            bar.set(u64::from(r.step), said);
+            if let Some(teller) = &teller {
+                teller.step("materials", r.step, steps, |text| text.push_str(&said()));
+            }
         };
-        training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
+        let due = || watch.as_ref().is_some_and(|w| w.is_due());
+        training.train(next, heard, || !stop.load(Ordering::SeqCst) && !due())?;
+        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
+            watch.intrinsic(&training);
+        }
         let step = training.step();
-        if step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
+        if step > 0 && step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
             training.save(&run.intrinsic_checkpoint())?;
         }
     }

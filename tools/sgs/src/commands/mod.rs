@@ -17,3 +17,4 @@ pub mod series;
 pub mod shell;
 pub mod synth;
 pub mod train;
+pub mod view;

@@ -162,14 +162,14 @@ impl Runs<'_> {
         if matches!(state, State::Absent | State::Begun) {
             let what = format!("{}, seed {}", entry.name, asked.seed);
             let begun = state == State::Begun;
-            let ended = train_into(self.common, &device, &scene, &asked, root, begun, self.stop, &what)?;
+            let ended = train_into(self.common, &device, &scene, &asked, root, begun, self.stop, &what, None)?;
             if let Ended::Stopped(_) = ended {
                 return Ok(Came::Stopped);
             }
         }
         if self.goal.materials && state != State::Trained {
             let begun = RunDirectory::open(root)?.intrinsic_checkpoint().is_file();
-            let ended = intrinsic_into(self.common, &device, &scene, &asked, root, None, begun, self.stop)?;
+            let ended = intrinsic_into(self.common, &device, &scene, &asked, root, None, begun, self.stop, None)?;
             if let IntrinsicEnded::Stopped(_) = ended {
                 return Ok(Came::Stopped);
             }

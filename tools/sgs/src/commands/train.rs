@@ -3,6 +3,7 @@
 use super::intrinsic::{IntrinsicEnded, intrinsic_into};
 use crate::common::Common;
 use crate::ui::{Bar, interrupted};
+use crate::watch::{Port, Watch};
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
@@ -74,6 +75,10 @@ pub struct Args {
     /// Go on where an interrupted run stopped.
     #[arg(long)]
     resume: bool,
+    /// Serve a page of the training while it goes on, to this machine alone: curves, and pictures of views that are held
+    /// back, for which it stops no more than a twentieth of its time. 0 takes any port that is free.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8117", require_equals = true)]
+    watch: Option<u16>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -236,6 +241,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.start.is_some() && a.stage != Stage::Intrinsic {
         bail!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
     }
+    let port = a.watch.map(Port::take).transpose()?;
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
     if resuming && a.stage == Stage::Geometry {
@@ -266,9 +272,18 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     // What has got to its second stage is done with its first.
     let second = resuming && RunDirectory::open(&a.output)?.intrinsic_checkpoint().is_file();
+    let mut watch = match port {
+        Some(port) => {
+            if !common.quiet {
+                eprintln!("watch it at {}", port.address());
+            }
+            Some(Watch::begin(port, &scene, &a.output, &device)?)
+        }
+        None => None,
+    };
     let mut summary = serde_json::Value::Null;
     if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && second) {
-        match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training")? {
+        match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training", watch.as_mut())? {
             Ended::Done(done) => {
                 if !common.quiet {
                     eprintln!(
@@ -285,7 +300,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
     }
     if a.stage != Stage::Geometry {
-        match intrinsic_into(common, &device, &scene, &settings, &a.output, a.start.as_deref(), second, &stop)? {
+        let (start, watch) = (a.start.as_deref(), watch.as_mut());
+        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, &stop, watch)? {
             IntrinsicEnded::Done(done) => {
                 if !common.quiet {
                     eprintln!(
@@ -341,7 +357,7 @@ pub struct Summary {
 }
 
 /// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised; leaves all that
-/// a run holds. `what`: the name of the progress.
+/// a run holds. `what`: the name of the progress. Somebody may watch.
 pub fn train_into(
     common: &Common,
     device: &Device,
@@ -351,6 +367,7 @@ pub fn train_into(
     resuming: bool,
     stop: &AtomicBool,
     what: &str,
+    mut watch: Option<&mut Watch>,
 ) -> anyhow::Result<Ended> {
     let run = RunDirectory::create(output)?;
     let mut training = Geometry::new(device, scene, settings, None)?;
@@ -369,6 +386,7 @@ pub fn train_into(
     let started = Instant::now();
     let first = training.step();
     let mut failure = None;
+    let teller = watch.as_ref().map(|w| w.teller());
     while training.step() < steps && !stop.load(Ordering::SeqCst) {
         let interval = match settings.geometry.checkpoint_interval {
             0 => steps,
@@ -389,14 +407,22 @@ pub fn train_into(
                         failure.get_or_insert(e);
                     }
                 }
-                bar.set(u64::from(r.step), || format!("loss {:.4}, {} Gaussians", r.losses.total, r.gaussians));
+                let said = || format!("loss {:.4}, {} Gaussians", r.losses.total, r.gaussians);
+                bar.set(u64::from(r.step), said);
+                if let Some(teller) = &teller {
+                    teller.step("geometry", r.step, steps, |text| text.push_str(&said()));
+                }
             }
         };
-        training.train(next, heard, || !stop.load(Ordering::SeqCst))?;
+        let due = || watch.as_ref().is_some_and(|w| w.is_due());
+        training.train(next, heard, || !stop.load(Ordering::SeqCst) && !due())?;
+        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
+            watch.geometry(&training);
+        }
         // What was chosen by measurement belongs to the run.
         run.write_settings(training.settings())?;
         let step = training.step();
-        if step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
+        if step > 0 && step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
             training.save(&run.checkpoint())?;
         }
     }

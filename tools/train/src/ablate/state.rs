@@ -186,6 +186,7 @@ mod tests {
         assert!(matches!(goal(true, Some("vgg")), State::Measured(_)));
         assert_eq!(goal(true, Some("alex")), State::Trained);
         run.write_json("metrics.json", &json!({"test": &test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
+        run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
         let timed = |state| matches!(state, State::Measured(m) if m.get("seconds_per_step").is_some());
         assert!(!timed(state(&asked)), "the time of a part was taken for the whole");
         // Any other setting is another run.

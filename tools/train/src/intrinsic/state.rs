@@ -4,6 +4,9 @@ use super::{Intrinsic, LightFile, write_lights};
 use crate::error::{Result, TrainError};
 use crate::floats::{Floats, Numbers};
 use crate::run::RunDirectory;
+use crate::settings::VisibilityKind;
+use crate::shaded::{RunLight, Texels, Visibility};
+use crate::shadows::Rays;
 use crate::visibility::VisibilityFile;
 use safetensors::{Dtype, SafeTensors};
 use sgs_engine::DeviceBuffer;
@@ -175,6 +178,29 @@ impl Intrinsic {
         let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
         let (positions, lobes) = (positions.download(&self.device)?, lobes.download(&self.device)?);
         Ok(Some(LightFile::of(&self.light_model, normalizer, &positions, &lobes, &gains)))
+    }
+
+    /// All light as it is by now, to shade with.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn light(&self) -> Result<RunLight> {
+        let lights = self.lights()?;
+        let environment = match (&self.parameters.environment, &self.environment) {
+            (Some(texels), Some((e, _))) => Some(Texels { size: e.size(), data: texels.download(&self.device)? }),
+            _ => None,
+        };
+        let v = &self.settings.intrinsic.visibility;
+        let visibility = match &self.parameters.visibility {
+            Some(field) => {
+                let [tables, mlp] = field.download(&self.device)?;
+                let [low, high] = self.bounds;
+                Visibility::Learned(Box::new(VisibilityFile { config: *field.config(), low, high, tables, mlp }))
+            }
+            None if v.kind == VisibilityKind::Traced && lights.is_some() => Visibility::Traced(Rays::of(v)),
+            None => Visibility::None,
+        };
+        Ok(RunLight { lights, environment, visibility })
     }
 
     /// Writes `scene.ply`, `lights.json`, `environment.exr` and `visibility.safetensors` of a run; what is not modeled is removed.

@@ -99,6 +99,18 @@ impl Lamps {
         Ok(self.rows[light].1)
     }
 
+    /// The color of one's rays, all lobes together; white where it has none.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub fn color(&self, light: usize) -> Result<[f32; 3]> {
+        self.known(light)?;
+        let (row, lamp) = &self.rows[light];
+        let sum = row.lobes.iter().map(|l| lamp.amplitude(l)).fold([0.0; 3], |a, b| [0, 1, 2].map(|c| a[c] + b[c]));
+        let most = sum.iter().copied().fold(0.0, f32::max);
+        Ok(if most > 0.0 { sum.map(|v| v / most) } else { [1.0; 3] })
+    }
+
     /// Changes one.
     ///
     /// # Errors

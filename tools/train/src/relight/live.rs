@@ -42,7 +42,10 @@ pub struct Relighter {
 }
 
 /// The PLY behind a run directory or a file, and the run's settings if it is one.
-fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
+///
+/// # Errors
+/// If it is neither, is damaged, or training has not finished.
+pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
     let wrong = |reason: &str| TrainError::File { path: source.to_owned(), reason: reason.to_owned() };
     if !source.is_dir() {
         return match source.exists() {
@@ -111,6 +114,14 @@ impl Relighter {
     /// If it does not exist.
     pub fn light(&self, light: usize) -> Result<Lamp> {
         self.lamps.get(light)
+    }
+
+    /// The color of a light's rays in all directions together, linear; its largest component is 1.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub fn light_color(&self, light: usize) -> Result<[f32; 3]> {
+        self.lamps.color(light)
     }
 
     /// Changes a light: nothing is made or waited for.

@@ -20,7 +20,7 @@ pub use edit::{
 };
 pub(crate) use insert::{join, placed};
 pub use lamps::Lamp;
-pub use live::Relighter;
+pub use live::{Relighter, source_of};
 pub use select::Selector;
 pub use truth::evaluate_relit;
 

@@ -1,0 +1,160 @@
+//! `sgs train --watch`: the page follows the training in a browser, the training does not mind, and nothing is open that was
+//! not asked for.
+
+use sgs_tests::Place;
+use sgs_tests::browser::Browser;
+use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::rooms::Room;
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::Child;
+use std::time::{Duration, Instant};
+
+/// Arguments of a training of both stages.
+fn arguments(place: &Place, run: &str, steps: [u32; 2]) -> Vec<String> {
+    let mut a = place.arguments(run, steps[0], &["--stage", "all"]);
+    a.extend(["--intrinsic-steps".into(), steps[1].to_string()]);
+    for set in [
+        "intrinsic.environment.resolution=16",
+        "intrinsic.lights.grid=2",
+        "intrinsic.visibility.levels=4",
+        "intrinsic.visibility.log2_table=10",
+        "intrinsic.visibility.finest=64",
+    ] {
+        a.extend(["--set".into(), set.into()]);
+    }
+    a
+}
+
+/// The addresses that a program listens on, as the system writes them.
+fn listening(child: &Child) -> Vec<String> {
+    let mut sockets = Vec::new();
+    for file in std::fs::read_dir(format!("/proc/{}/fd", child.id())).into_iter().flatten().flatten() {
+        let target = std::fs::read_link(file.path()).unwrap_or_default();
+        sockets.extend(target.to_str().and_then(|t| t.strip_prefix("socket:[")?.strip_suffix(']')).map(str::to_owned));
+    }
+    let mut all = Vec::new();
+    for table in ["tcp", "tcp6"] {
+        let text = std::fs::read_to_string(format!("/proc/net/{table}")).unwrap_or_default();
+        for line in text.lines().skip(1) {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            if words[3] == "0A" && sockets.iter().any(|s| s == words[9]) {
+                all.push(words[1].to_owned());
+            }
+        }
+    }
+    all
+}
+
+/// Where the page of a training is, as it says itself.
+fn address(child: &mut Child) -> String {
+    let mut said = BufReader::new(child.stderr.take().expect("a pipe"));
+    let mut line = String::new();
+    while !line.contains("http://") {
+        line.clear();
+        assert!(said.read_line(&mut line).expect("text") > 0, "it never says where the page is");
+    }
+    // What else it says is not to fill the pipe.
+    std::thread::spawn(move || said.lines().for_each(drop));
+    line.split_whitespace().find(|w| w.starts_with("http://")).expect("an address").to_owned()
+}
+
+/// Asks the page until an answer is as wanted.
+#[track_caller]
+fn until_page(browser: &mut Browser, expression: &str) {
+    let begun = Instant::now();
+    while browser.eval(expression) != true {
+        assert!(begun.elapsed() < Duration::from_secs(120), "never: {expression}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+#[test]
+fn a_page_follows_the_training() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let mut a = arguments(&place, "run", [1_000_000, 10]);
+    let mut plain = start(&a);
+    assert!(until(&mut plain, || !place.logged("run").is_empty()), "it does not train");
+    assert!(cfg!(not(target_os = "linux")) || listening(&plain).is_empty(), "something is open that nobody asked for");
+    signal(&plain, "INT");
+    wait(plain);
+
+    a[3] = place.text("watched");
+    a.extend(["--watch".into(), "0".into()]);
+    let mut child = start(&a);
+    let page = address(&mut child);
+    let port = page.trim_end_matches('/').rsplit(':').next().expect("a port").to_owned();
+    let number: u16 = port.parse().expect("a number");
+    if cfg!(target_os = "linux") {
+        // 127.0.0.1, the lowest byte first.
+        assert_eq!(listening(&child), [format!("0100007F:{number:04X}")]);
+    }
+    // The port is another's: one sentence before anything is made.
+    let mut second = arguments(&place, "second", [10, 10]);
+    second.extend(["--watch".into(), port]);
+    sgs(&second).refused(&["in use", "--watch=PORT"]);
+    assert!(!place.path("second").exists());
+
+    let Some(mut browser) = Browser::start() else {
+        eprintln!("skipped: there is no chromium, so the page was not opened");
+        signal(&child, "INT");
+        wait(child);
+        return;
+    };
+    browser.visit(&page, [1100, 900]);
+    until_page(&mut browser, "document.querySelectorAll('#curves svg').length > 1");
+    until_page(&mut browser, "document.querySelectorAll('#views .slider').length === 2");
+    let whole = "[...document.images].every(i => i.complete && i.naturalWidth > 0)";
+    until_page(&mut browser, whole);
+    // Curves grow, other pictures come, and a slider that was moved stays.
+    let [last, shown] = [
+        "[...document.querySelectorAll('#curves svg')][0].lastElementChild.textContent",
+        "document.querySelector('#views p').textContent",
+    ];
+    let [before, pictures] = [last, shown].map(|e| browser.eval(e));
+    assert!(pictures.as_str().is_some_and(|p| p.contains("of geometry") && p.contains("% of the time")), "{pictures}");
+    browser.eval("{ const s = document.querySelector('.slider input'); s.value = 80; place(s); 1 }");
+    until_page(&mut browser, &format!("{last} !== {before}"));
+    until_page(&mut browser, &format!("{shown} !== {pictures}"));
+    assert_eq!(browser.eval("document.querySelector('.slider input').value"), "80");
+    let ours = format!("asks for {page}live?");
+    let complaints: Vec<String> = browser.complaints().into_iter().filter(|c| !c.starts_with(&ours)).collect();
+    assert_eq!(complaints, [""; 0]);
+    let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch.png");
+    browser.photograph(true, &kept);
+    eprintln!("the page is in {}", kept.display());
+
+    signal(&child, "INT");
+    let ended = wait(child);
+    assert_eq!(ended.status, Some(1), "{}", ended.stderr);
+    ended.assert_no_panic();
+    assert!(TcpListener::bind(("127.0.0.1", number)).is_ok(), "the port is still open");
+    until_page(&mut browser, "document.body.classList.contains('ended')");
+    assert!(browser.eval("document.querySelectorAll('#curves svg').length > 1") == true, "it does not stay");
+}
+
+#[test]
+fn whoever_watches_changes_nothing() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    sgs(&arguments(&place, "plain", [40, 12])).ok();
+    let mut a = arguments(&place, "watched", [40, 12]);
+    a.push("--watch=0".into());
+    let said = sgs(&a).ok();
+    assert!(said.stderr.contains("watch it at http://127.0.0.1:"), "{}", said.stderr);
+    assert!(!said.stderr.contains("no more pictures"), "{}", said.stderr);
+    place.assert_same("plain", "watched");
+    for file in ["lights.json", "environment.exr"] {
+        assert!(place.read(&format!("plain/{file}")) == place.read(&format!("watched/{file}")), "{file}");
+    }
+    // The order of what its header says is left to chance.
+    let [plain, watched] = ["plain", "watched"].map(|run| {
+        let file = place.read(&format!("{run}/visibility.safetensors"));
+        let (length, rest) = file.split_at(8);
+        let (header, tensors) = rest.split_at(u64::from_le_bytes(length.try_into().unwrap()) as usize);
+        (serde_json::from_slice::<serde_json::Value>(header).unwrap(), tensors.to_vec())
+    });
+    assert_eq!(plain.0, watched.0);
+    assert!(plain.1 == watched.1, "visibility.safetensors");
+    assert_eq!(sgs(&["train", "a", "-o", "b", "--watch=70000"]).status, Some(2));
+}

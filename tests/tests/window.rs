@@ -1,0 +1,217 @@
+//! `sgs view` in a real window, under Xvfb, by real input: what the screen shows, what the mouse and the keys do, that edits
+//! and pictures are those of the other commands, and what is refused.
+
+use glam::{DMat3, DVec3};
+use sgs_scene::{Camera, Image};
+use sgs_tests::Place;
+use sgs_tests::cli::{sgs, start_with, wait};
+use sgs_tests::rooms::Room;
+use sgs_tests::runs::{Parts, fabricate};
+use sgs_tests::screen::Screen;
+use sgs_train::{Edit, read_lights};
+use std::path::Path;
+
+const SIZE: [u32; 2] = [240, 160];
+
+/// Sees all of a fabricated run, its lights as well.
+fn camera() -> Camera {
+    let [width, height] = SIZE;
+    let (fx, fy, cx, cy) = (200.0, 200.0, 120.0, 80.0);
+    let (rotation, translation) = (DMat3::from_rotation_y(0.1), DVec3::new(0.1, -0.1, 3.0));
+    Camera { name: "first".into(), width, height, fx, fy, cx, cy, rotation, translation }
+}
+
+/// A run with materials and lights, and cameras for it.
+fn place() -> Place {
+    let place = Place::new(Room { views: 4, ..Room::default() });
+    fabricate(&place.path("run"), Parts::ALL);
+    let second = Camera { name: "second".into(), translation: DVec3::new(-0.3, 0.2, 4.0), ..camera() };
+    Camera::write_transforms(&place.path("cameras.json"), &[camera(), second]).unwrap();
+    std::fs::create_dir(place.path("out")).unwrap();
+    place
+}
+
+fn bytes(path: &Path) -> (u32, Vec<u8>) {
+    let picture = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
+    (picture.width(), picture.into_raw())
+}
+
+/// Largest difference of two pictures in 255ths, and how much of them differs by more than 8.
+fn apart(a: &Path, b: &Path) -> (u8, f64) {
+    let ((width, a), (other, b)) = (bytes(a), bytes(b));
+    assert_eq!((width, a.len()), (other, b.len()));
+    let each = || a.iter().zip(&b).map(|(x, y)| x.abs_diff(*y));
+    (each().max().unwrap_or(0), each().filter(|d| *d > 8).count() as f64 / a.len() as f64)
+}
+
+/// The one camera of a file.
+fn camera_of(path: &Path) -> Camera {
+    Camera::read_transforms(path).unwrap().remove(0)
+}
+
+#[test]
+fn what_the_screen_shows_is_what_render_writes() {
+    let Some(screen) = Screen::start([400, 300]) else { return };
+    let place = place();
+    let (run, cameras) = (place.text("run"), place.text("cameras.json"));
+    let rendered = place.text("rendered");
+    let channels = "rgb,alpha,pbr,albedo,metallic,visibility";
+    sgs(&["render", &run, "--cameras", &cameras, "-o", &rendered, "--channels", channels]).ok();
+    for channel in channels.split(',') {
+        let saved = place.text("saved.png");
+        let mut a = vec!["view", &run, "--cameras", &cameras, "--channel", channel, "--json", "--validate"];
+        a.extend(["--frames", "8", "--save", &saved]);
+        a.extend(["--size", "240x160"]);
+        let child = start_with(&a, &[("DISPLAY", screen.name())]);
+        let said = wait(child).ok().json();
+        assert_eq!((&said["frames"], &said["size"]), (&8.into(), &serde_json::json!(SIZE)), "{said}");
+        assert_eq!(said["made_later"], 0, "frames make something: {said}");
+        let wanted = place.path(&format!("rendered/first_{channel}.png"));
+        let (most, _) = apart(&place.path("saved.png"), &wanted);
+        assert!(most <= 1, "{channel}: {most}");
+    }
+    let (_, differ) = apart(&place.path("rendered/first_pbr.png"), &place.path("rendered/first_albedo.png"));
+    assert!(differ > 0.05, "all channels are alike");
+}
+
+/// The part of the screen below the lines of text, against a picture of the window's size.
+fn on_screen(screen: &Image, picture: &Path, at: [usize; 2]) -> f64 {
+    let (width, texels) = bytes(picture);
+    let rows = texels.len() / 3 / width as usize;
+    let mut wrong = 0;
+    for y in 48..rows {
+        for x in 0..width as usize {
+            let (i, k) = (y * width as usize + x, (y + at[1]) * screen.width as usize + x + at[0]);
+            wrong += usize::from(
+                (0..3).any(|c| (255.0 * screen.data[3 * k + c] - f32::from(texels[3 * i + c])).abs() > 1.5),
+            );
+        }
+    }
+    wrong as f64 / ((rows - 48) * width as usize) as f64
+}
+
+#[test]
+fn the_window_is_used_as_people_do() {
+    let Some(screen) = Screen::start([500, 400]) else { return };
+    let place = place();
+    let (run, cameras, out) = (place.text("run"), place.text("cameras.json"), place.text("out"));
+    let mut a = vec!["view", &run, "--cameras", &cameras, "--json", "--validate", "-o", &out];
+    a.extend(["--size", "240x160"]);
+    let mut child = start_with(&a, &[("DISPLAY", screen.name())]);
+    let window = screen.window("sgs view");
+    let key = |name: &str| drop(screen.act(&["key", name]));
+    let saved = |number: u32| {
+        key("p");
+        let camera = screen.file(&place.path(&format!("out/view-{number:03}.json")));
+        (camera.with_extension("png"), camera_of(&camera))
+    };
+    let corner = || {
+        let geometry = screen.act(&["getwindowgeometry", "--shell", &window]);
+        ["X=", "Y="].map(|n| {
+            geometry.lines().find_map(|l| l.strip_prefix(n)?.parse::<f64>().ok()).expect("a place of the window")
+        })
+    };
+    let [left, top] = corner();
+
+    // Color, as it is rendered; and on the screen the same, in the right order of colors.
+    let (first, seen_with) = saved(0);
+    assert!(seen_with.rotation.abs_diff_eq(camera().rotation, 1e-9) && (seen_with.fx - 200.0).abs() < 1e-9);
+    sgs(&["render", &run, "--cameras", &place.text("out/view-000.json"), "-o", &place.text("r0")]).ok();
+    assert!(apart(&first, &place.path("r0/view-000_rgb.png")).0 <= 1);
+    screen.until("the picture on the screen", || {
+        on_screen(&screen.picture(), &first, [left as usize, top as usize]) < 1e-3
+    });
+    assert!(on_screen(&screen.picture(), &first, [left as usize + 3, top as usize]) > 0.1, "anything passes");
+
+    // Light, from elsewhere: dragging the background turns the view around.
+    key("2");
+    screen.drag("1", [left + 6.0, top + 150.0], [left + 36.0, top + 140.0]);
+    let (turned, seen_with) = saved(1);
+    assert!((seen_with.position() - camera().position()).length() > 0.1);
+    let render = |number: u32, channels: &str| {
+        let (file, to) = (place.text(&format!("out/view-{number:03}.json")), place.text("r"));
+        sgs(&["render", &run, "--cameras", &file, "-o", &to, "--channels", channels]).ok();
+        place.path(&format!("r/view-{number:03}_{channels}.png"))
+    };
+    assert!(apart(&turned, &render(1, "pbr")).0 <= 1);
+
+    // A light is taken and moved, dimmed up and colored: the picture follows, and relighting by the edit gives the same.
+    let before = read_lights(&place.path("run/lights.json")).unwrap();
+    let at = seen_with.project(DVec3::from(before.lights[3].position.map(f64::from))).expect("in front");
+    let (from, to) = ([left + at.x, top + at.y], [left + at.x + 24.0, top + at.y - 18.0]);
+    screen.drag("1", from, to);
+    (0..3).for_each(|_| drop(screen.act(&["click", "4"])));
+    ["bracketright", "bracketright", "k"].into_iter().for_each(key);
+    key("e");
+    let file = screen.file(&place.path("out/edit-000.json"));
+    let (moved, still) = saved(2);
+    assert_eq!(still.translation, seen_with.translation, "moving a light does not turn the view");
+    let edit = Edit::read(&file).unwrap();
+    let [change] = &edit.lights.change[..] else { panic!("{edit:?}") };
+    assert_eq!((change.light, change.on, edit.environment.scale), (Some(3), None, Some(1.25)), "{edit:?}");
+    // A notch made by XTEST may count twice: it has no valuators as those of mice, and its release is a notch as well.
+    let notches = change.intensity.expect("it was dimmed up").ln() / 1.1f32.ln();
+    assert!([3.0, 6.0].iter().any(|n| (notches - n).abs() < 0.01) && change.color.is_some(), "{edit:?}");
+    let now = DVec3::from(change.to.expect("it was moved").map(f64::from));
+    let seen = seen_with.project(now).expect("in front");
+    assert!((seen.x + left - to[0]).abs() < 1.01 && (seen.y + top - to[1]).abs() < 1.01, "{seen} {to:?}");
+    let (turned_to, relit) = (place.text("out/view-002.json"), place.text("relit"));
+    sgs(&["relight", &run, "--edit", &file.display().to_string(), "--cameras", &turned_to, "-o", &relit]).ok();
+    let (most, _) = apart(&moved, &place.path("relit/view-002_relit.png"));
+    assert!(most <= 1, "{most}");
+    assert!(apart(&moved, &turned).1 > 0.02, "the edit changes nothing");
+    // All light back.
+    key("z");
+    assert!(apart(&saved(3).0, &turned).0 <= 1);
+
+    // Exposure, the next camera, walking; another size; hidden and shown again.
+    ["plus", "n"].into_iter().for_each(key);
+    let (brighter, second) = saved(4);
+    assert!(
+        (second.position() - Camera::read_transforms(&place.path("cameras.json")).unwrap()[1].position()).length()
+            < 1e-9
+    );
+    assert!(apart(&brighter, &render(4, "pbr")).1 > 0.02);
+    key("0");
+    screen.act(&["windowsize", "--sync", &window, "301", "203"]);
+    screen.act(&["windowunmap", "--sync", &window]);
+    screen.act(&["windowmap", "--sync", &window]);
+    screen.act(&["windowfocus", "--sync", &window]);
+    ["keydown", "keyup"].into_iter().for_each(|how| {
+        screen.act(&[how, "w"]);
+        std::thread::sleep(std::time::Duration::from_millis(300));
+    });
+    let (larger, walked) = saved(5);
+    assert_eq!([walked.width, walked.height], [301, 203]);
+    assert!((walked.position() - second.position()).dot(second.forward()) > 1e-3, "{walked:?}");
+    assert!(apart(&larger, &render(5, "pbr")).0 <= 1);
+
+    assert!(child.try_wait().unwrap().is_none());
+    key("Escape");
+    let said = wait(child).ok().json();
+    assert_eq!(said["files"].as_array().map(Vec::len), Some(7), "{said}");
+}
+
+#[test]
+fn what_cannot_be_shown_is_refused() {
+    let place = Place::new(Room { views: 4, ..Room::default() });
+    fabricate(&place.path("run"), Parts::NONE);
+    let run = place.text("run");
+    let refused = |arguments: &[&str], display: &str, words: &[&str]| {
+        wait(start_with(arguments, &[("DISPLAY", display), ("WAYLAND_DISPLAY", ""), ("WAYLAND_SOCKET", "")]))
+            .refused(words);
+    };
+    refused(&["view", &run], "", &["no display", "DISPLAY", "sgs render"]);
+    refused(&["view", &run], ":7919", &["no display", "sgs render"]);
+    refused(&["view", &run, "-o", &place.text("none")], "", &["none", "no directory"]);
+    for wrong in [["--size", "20"], ["--channel", "color"], ["--frames", "0"], ["--save", "a.png"]] {
+        assert_eq!(sgs(&[&["view", &run][..], &wrong].concat()).status, Some(2), "{wrong:?}");
+    }
+    let Some(screen) = Screen::start([300, 200]) else { return };
+    refused(&["view", &place.text("no")], screen.name(), &["no", "no such run"]);
+    refused(&["view", &run, "--channel", "metallic"], screen.name(), &["has no metallic", "rgb, pbr"]);
+    refused(&["view", &run, "--device", "none such"], screen.name(), &["none such"]);
+    let cameras = place.text("cameras.json");
+    std::fs::write(place.path("cameras.json"), "{\"frames\": []}").unwrap();
+    refused(&["view", &run, "--cameras", &cameras], screen.name(), &["cameras.json"]);
+}

@@ -1,0 +1,139 @@
+//! `sgs train --watch`: the page of a training that goes on.
+//!
+//! Promises: nothing is listened on unless it is asked for; the training does the same steps as without, and is stopped for
+//! pictures no longer than [`pace::SHARE`] of its time; what goes wrong with a picture ends the pictures and not the training.
+
+mod board;
+mod pace;
+mod server;
+
+pub use server::Port;
+
+use board::{Board, Shot, WIDTH};
+use pace::Pace;
+use server::Serving;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::Renderer;
+use sgs_passes::splat::Channels;
+use sgs_scene::{Camera, Image, Scene, resize};
+use sgs_train::{Geometry, Intrinsic, Shading, displayed, render_view, shaded_scene};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Views that are shown.
+const VIEWS: usize = 3;
+
+/// A training that is watched.
+pub struct Watch {
+    board: Arc<Board>,
+    views: Vec<(Camera, Image)>,
+    pace: Pace,
+    begun: Instant,
+    /// Nothing goes wrong twice.
+    pictures: bool,
+    _serving: Serving,
+}
+
+impl Watch {
+    /// Opens the page of a training into `run`.
+    pub fn begin(port: Port, scene: &Scene, run: &Path, device: &Device) -> anyhow::Result<Watch> {
+        let held = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
+        let mut views = Vec::new();
+        let count = held.len().min(VIEWS);
+        for k in 0..count {
+            let view = held[(2 * k + 1) * held.len() / (2 * count)];
+            let camera = &scene.views[view].camera;
+            let photo = scene.load_image(view)?;
+            let width = camera.width.min(WIDTH);
+            let height = (u64::from(camera.height) * u64::from(width) / u64::from(camera.width)).max(1) as u32;
+            let truth = if width < camera.width { resize(&photo, width, height) } else { photo };
+            views.push((camera.scaled(width, height), truth));
+        }
+        let split = &scene.split;
+        let facts = vec![
+            ("scene".to_owned(), scene.root.display().to_string()),
+            ("views".to_owned(), format!("{} to train on, {} to test", split.train.len(), split.test.len())),
+            ("device".to_owned(), device.info().name.clone()),
+        ];
+        let run = std::path::absolute(run).unwrap_or_else(|_| run.to_owned());
+        let name = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
+        let board = Arc::new(Board::new(format!("SGS: {name}, in training"), run, facts));
+        let serving = port.serve(board.clone())?;
+        Ok(Watch { board, views, pace: Pace::new(), begun: Instant::now(), pictures: true, _serving: serving })
+    }
+
+    /// Where steps are told to.
+    pub fn teller(&self) -> Teller {
+        Teller(self.board.clone())
+    }
+
+    /// Whether the training is to be stopped for pictures.
+    pub fn is_due(&self) -> bool {
+        self.pictures && !self.views.is_empty() && self.pace.is_due(Instant::now())
+    }
+
+    /// Shows the geometry as it is now.
+    pub fn geometry(&mut self, training: &Geometry) {
+        let background = training.settings().geometry.background;
+        let step = training.step();
+        self.shots("geometry", step, |views| {
+            let (device, gaussians) = (training.device(), training.gaussians());
+            let tuning = Tuning::for_device(device.info());
+            let mut renderer = Renderer::new(device, tuning, gaussians, [1, 1], Channels::default())?;
+            let mut shots = Vec::new();
+            for (camera, truth) in views {
+                let picture = render_view(&mut renderer, gaussians, camera, background)?;
+                let data = picture.image.chunks_exact(picture.channels as usize).flat_map(|p| [p[0], p[1], p[2]]);
+                let data = data.map(|v| v.clamp(0.0, 1.0)).collect();
+                let render = Image { width: picture.size[0], height: picture.size[1], channels: 3, data };
+                shots.push(Shot { name: camera.name.clone(), truth: truth.clone(), render });
+            }
+            Ok(shots)
+        });
+    }
+
+    /// Shows what is shaded now.
+    pub fn intrinsic(&mut self, training: &Intrinsic) {
+        let background = training.settings().geometry.background;
+        self.shots("materials", training.step(), |views| {
+            let (device, light) = (training.device(), training.light()?);
+            let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
+            let scene = shaded_scene(device, &training.splats()?, lights, environment, &light.visibility)?;
+            let mut shading = Shading::new(device, scene)?;
+            let mut shots = Vec::new();
+            for (camera, truth) in views {
+                let render = displayed(&shading.shade(camera)?.radiance(background));
+                shots.push(Shot { name: camera.name.clone(), truth: truth.clone(), render });
+            }
+            Ok(shots)
+        });
+    }
+
+    fn shots(&mut self, stage: &str, step: u32, make: impl FnOnce(&[(Camera, Image)]) -> sgs_train::Result<Vec<Shot>>) {
+        let begun = Instant::now();
+        match make(&self.views) {
+            Ok(shots) => {
+                self.pace.made(begun, Instant::now());
+                let share = 100.0 * self.pace.spent.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-9);
+                self.board
+                    .show(shots, format!("After step {step} of {stage}. Pictures took {share:.1} % of the time."));
+            }
+            Err(error) => {
+                tracing::warn!("there will be no more pictures to watch: {error}");
+                self.pictures = false;
+            }
+        }
+    }
+}
+
+/// Tells the page of steps.
+pub struct Teller(Arc<Board>);
+
+impl Teller {
+    /// So many steps of a stage are done.
+    pub fn step(&self, stage: &str, step: u32, steps: u32, text: impl FnOnce(&mut String)) {
+        self.0.step(stage, step, steps, text);
+    }
+}

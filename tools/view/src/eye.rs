@@ -1,0 +1,186 @@
+//! Where one looks from: around a point, or on foot.
+//!
+//! Promises: a camera that was taken over is given back as it was; the horizon stays as level as it was. Axes are OpenCV's.
+
+use glam::{DMat3, DVec2, DVec3};
+use sgs_scene::Camera;
+
+/// How steeply one may look, in radians.
+const STEEPEST: f64 = 1.553;
+
+/// A place and a direction.
+#[derive(Clone, Debug)]
+pub struct Eye {
+    /// Where it is.
+    pub position: DVec3,
+    /// How far the point is that it turns around.
+    pub distance: f64,
+    /// The world's up, a unit vector.
+    up: DVec3,
+    /// To the right of `up`, in radians.
+    yaw: f64,
+    /// Upwards.
+    pitch: f64,
+    /// Clockwise, about the direction of view.
+    roll: f64,
+    /// Focal lengths, in heights of the picture.
+    focal: DVec2,
+}
+
+/// Two axes that are level: yaw turns from the first to the second.
+fn level(up: DVec3) -> [DVec3; 2] {
+    let front = up.any_orthonormal_vector();
+    [front, front.cross(up)]
+}
+
+impl Eye {
+    /// From a camera, in a world whose up is this.
+    pub fn of(camera: &Camera, up: DVec3, distance: f64) -> Eye {
+        let height = f64::from(camera.height);
+        let focal = DVec2::new(camera.fx, camera.fy) / height;
+        let mut eye = Eye { position: camera.position(), distance, up, yaw: 0.0, pitch: 0.0, roll: 0.0, focal };
+        let forward = camera.forward().normalize_or(DVec3::Z);
+        let [front, side] = level(up);
+        eye.pitch = forward.dot(up).clamp(-1.0, 1.0).asin();
+        eye.yaw = forward.dot(side).atan2(forward.dot(front));
+        // What is left is a turn about the direction of view.
+        let [right, down, _] = eye.axes();
+        let given = camera.rotation.transpose() * DVec3::X;
+        eye.roll = given.dot(down).atan2(given.dot(right));
+        eye
+    }
+
+    /// Looks at a place from so far away, a little from above.
+    pub fn at(target: DVec3, up: DVec3, distance: f64) -> Eye {
+        let focal = DVec2::splat(1.1);
+        let mut eye = Eye { position: target, distance, up, yaw: 0.0, pitch: -0.3, roll: 0.0, focal };
+        eye.position = target - distance * eye.forward();
+        eye
+    }
+
+    /// Right, down and forward.
+    pub fn axes(&self) -> [DVec3; 3] {
+        let forward = self.forward();
+        let [front, side] = level(self.up);
+        let right = (-self.yaw.sin() * front + self.yaw.cos() * side).normalize();
+        let down = forward.cross(right);
+        let (sin, cos) = self.roll.sin_cos();
+        [cos * right + sin * down, cos * down - sin * right, forward]
+    }
+
+    /// Where it looks.
+    pub fn forward(&self) -> DVec3 {
+        let [front, side] = level(self.up);
+        self.pitch.cos() * (self.yaw.cos() * front + self.yaw.sin() * side) + self.pitch.sin() * self.up
+    }
+
+    /// What it turns around.
+    pub fn target(&self) -> DVec3 {
+        self.position + self.distance * self.forward()
+    }
+
+    /// Turns about the point in front of it: so far around, and so far over it.
+    pub fn orbit(&mut self, around: f64, over: f64) {
+        let target = self.target();
+        self.look(around, over);
+        self.position = target - self.distance * self.forward();
+    }
+
+    /// Turns on the spot.
+    pub fn look(&mut self, right: f64, up: f64) {
+        self.yaw += right;
+        // One who already looks steeper, as a camera did, is not thrown back.
+        let most = STEEPEST.max(self.pitch.abs());
+        self.pitch = (self.pitch + up).clamp(-most, most);
+    }
+
+    /// Moves to the right, down and forward.
+    pub fn walk(&mut self, by: DVec3) {
+        let [right, down, forward] = self.axes();
+        self.position += by.x * right + by.y * down + by.z * forward;
+    }
+
+    /// Comes nearer to the point in front, or goes away from it.
+    pub fn zoom(&mut self, factor: f64, least: f64) {
+        let distance = (self.distance * factor).max(least);
+        self.position += (self.distance - distance) * self.forward();
+        self.distance = distance;
+    }
+
+    /// The length of a pixel at the point that it turns around.
+    pub fn pixel(&self, size: [u32; 2]) -> f64 {
+        self.distance / (self.focal.y * f64::from(size[1].max(1)))
+    }
+
+    /// As a camera of this size. The field of view holds upright: wider windows show more at the sides.
+    pub fn camera(&self, name: &str, [width, height]: [u32; 2]) -> Camera {
+        let [right, down, forward] = self.axes();
+        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        let rows = f64::from(height);
+        Camera {
+            name: name.to_owned(),
+            width,
+            height,
+            fx: self.focal.x * rows,
+            fy: self.focal.y * rows,
+            cx: 0.5 * f64::from(width),
+            cy: 0.5 * rows,
+            rotation,
+            translation: -(rotation * self.position),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        let rotation = DMat3::from_rotation_z(0.2) * DMat3::from_rotation_x(-0.5) * DMat3::from_rotation_y(2.4);
+        let translation = DVec3::new(0.3, -1.0, 2.0);
+        let (width, height) = (160, 120);
+        let name = "a".to_owned();
+        Camera { name, width, height, fx: 110.0, fy: 115.0, cx: 80.0, cy: 60.0, rotation, translation }
+    }
+
+    #[test]
+    fn a_camera_is_given_back_as_it_was() {
+        for up in [DVec3::Y, -DVec3::Y, DVec3::Z, DVec3::new(0.6, 0.0, 0.8)] {
+            let given = camera();
+            let back = Eye::of(&given, up, 2.0).camera("a", [160, 120]);
+            assert!(back.rotation.abs_diff_eq(given.rotation, 1e-12), "{up}: {back:?}");
+            assert!(back.translation.abs_diff_eq(given.translation, 1e-12) && (back.fx - given.fx).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn turning_around_keeps_the_target_in_the_middle() {
+        let mut eye = Eye::of(&camera(), -DVec3::Y, 3.0);
+        let target = eye.target();
+        for k in 0..40 {
+            eye.orbit(0.3, 0.2 * f64::from(k % 5 - 1));
+            assert!((eye.target() - target).length() < 1e-9 && ((eye.position - target).length() - 3.0).abs() < 1e-9);
+            let at = eye.camera("b", [64, 48]).project(target).expect("in front");
+            assert!((at - DVec2::new(32.0, 24.0)).length() < 1e-6, "{at}");
+        }
+        eye.zoom(0.5, 0.1);
+        assert!((eye.target() - target).length() < 1e-9 && (eye.distance - 1.5).abs() < 1e-12);
+        eye.zoom(1e-9, 0.1);
+        assert!((eye.distance - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn right_is_right_and_up_is_up() {
+        let mut eye = Eye::at(DVec3::new(1.0, 2.0, 3.0), DVec3::Z, 4.0);
+        let [right, down, forward] = eye.axes();
+        assert!(right.cross(down).abs_diff_eq(forward, 1e-12) && right.z.abs() < 1e-12 && down.z < 0.0);
+        let seen = |eye: &Eye| eye.camera("c", [100, 100]).project(DVec3::new(1.0, 2.0, 3.0)).expect("in front");
+        assert!((seen(&eye) - DVec2::splat(50.0)).length() < 1e-9);
+        // Whoever looks to the right and up sees it go to the left and down.
+        eye.look(0.1, 0.1);
+        assert!(seen(&eye).x < 45.0 && seen(&eye).y > 55.0, "{}", seen(&eye));
+        eye.look(-0.1, -0.1);
+        eye.walk(DVec3::new(0.5, 0.0, 0.0));
+        assert!(seen(&eye).x < 45.0 && (seen(&eye).y - 50.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,78 @@
+//! Files that are written from the window: pictures with their cameras, edits.
+
+use crate::error::Result;
+use sgs_scene::{Camera, Image, atomic_write, write_png};
+use sgs_train::Edit;
+use std::path::{Path, PathBuf};
+
+/// `DIR/WORD-000.EXTENSION`, with the first number that neither this nor a JSON file has.
+fn free(dir: &Path, word: &str, extension: &str) -> (String, PathBuf) {
+    let name = |k: u32| format!("{word}-{k:03}");
+    let taken = |k: &u32| [extension, "json"].iter().any(|e| dir.join(format!("{}.{e}", name(*k))).exists());
+    let first = (0..).find(|k| !taken(k)).unwrap_or(u32::MAX);
+    (name(first), dir.join(format!("{}.{extension}", name(first))))
+}
+
+/// Writes texels of 8 bits a color as a picture.
+pub fn picture(path: &Path, [width, height]: [u32; 2], texels: &[u8], blue_first: bool) -> Result<()> {
+    let order = if blue_first { [2, 1, 0] } else { [0, 1, 2] };
+    let data = texels.chunks_exact(4).flat_map(|t| order.map(|c| f32::from(t[c]) / 255.0)).collect();
+    Ok(write_png(path, &Image { width, height, channels: 3, data })?)
+}
+
+/// Writes a picture, and beside it the camera that it was seen with, for `sgs render`; gives the picture's path.
+pub fn picture_and_camera(dir: &Path, camera: &Camera, texels: &[u8], blue_first: bool) -> Result<PathBuf> {
+    let (name, path) = free(dir, "view", "png");
+    picture(&path, [camera.width, camera.height], texels, blue_first)?;
+    Camera::write_transforms(&path.with_extension("json"), &[Camera { name, ..camera.clone() }])?;
+    Ok(path)
+}
+
+/// Writes an edit as people would: without what it does not say.
+pub fn edit(dir: &Path, edit: &Edit) -> Result<PathBuf> {
+    let (_, path) = free(dir, "edit", "json");
+    let value = serde_json::to_value(edit).map_or(serde_json::Value::Null, said);
+    let text = format!("{value:#}\n");
+    atomic_write(&path, |file| std::io::Write::write_all(file, text.as_bytes()))?;
+    Ok(path)
+}
+
+/// Without empty things.
+fn said(value: serde_json::Value) -> serde_json::Value {
+    use serde_json::Value;
+    let empty = |v: &Value| match v {
+        Value::Null | Value::Bool(false) => true,
+        Value::Array(a) => a.is_empty(),
+        Value::Object(o) => o.is_empty(),
+        _ => false,
+    };
+    match value {
+        // What a change says of being on or off counts either way.
+        Value::Object(map) => map
+            .into_iter()
+            .map(|(k, v)| (k, said(v)))
+            .filter(|(k, v)| k == "on" && v.is_boolean() || !empty(v))
+            .collect(),
+        Value::Array(all) => all.into_iter().map(said).collect(),
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_train::{LightChange, LightEdit};
+
+    #[test]
+    fn an_edit_says_what_it_says_and_can_be_read() {
+        let change =
+            LightChange { light: Some(0), on: Some(false), color: Some([1.0, 0.5, 0.25]), ..Default::default() };
+        let lights = LightEdit { change: vec![change], ..Default::default() };
+        let given = Edit { lights, ..Default::default() };
+        let value = said(serde_json::to_value(&given).expect("JSON"));
+        let expected = r#"{"lights":{"change":[{"color":[1.0,0.5,0.25],"light":0,"on":false}]}}"#;
+        assert_eq!(value.to_string(), expected);
+        assert_eq!(Edit::parse(expected, Path::new("")), Ok(given));
+        assert_eq!(said(serde_json::to_value(Edit::default()).expect("JSON")).to_string(), "{}");
+    }
+}
