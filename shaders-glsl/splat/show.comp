@@ -25,7 +25,7 @@ struct ShowStep {
 struct Mark {
     vec2 at;       // pixels
     float radius;  // pixels
-    uint look;     // 1: ringed; 2: hollow
+    uint look;     // 1: ringed, white within dark; 2: hollow
     vec3 color;    // encoded
 };
 
@@ -59,15 +59,19 @@ void main() {
     for (uint i = 0u; i < count; i++) {
         Mark mark = marks[i];
         float away = distance(center, mark.at) - mark.radius;
-        if (away > 4.0) continue;
+        if (away > 5.0) continue;
         // A pixel wide, edges run from all to nothing.
         float disc = clamp(0.5 - away, 0.0, 1.0);
         float rim = disc - clamp(-1.0 - away, 0.0, 1.0);
         float inside = (mark.look & 2u) != 0u ? disc - clamp(-2.5 - away, 0.0, 1.0) : disc;
         v = mix(v, mark.color, inside);
         v = mix(v, vec3(0.05), rim);
-        float ring = clamp(3.5 - away, 0.0, 1.0) - clamp(1.5 - away, 0.0, 1.0);
-        v = mix(v, vec3(1.0), (mark.look & 1u) != 0u ? ring : 0.0);
+        if ((mark.look & 1u) != 0u) {
+            // A dark line around the light one, for what is white.
+            float ring = clamp(3.5 - away, 0.0, 1.0) - clamp(1.5 - away, 0.0, 1.0);
+            float around = clamp(4.5 - away, 0.0, 1.0) - clamp(3.5 - away, 0.0, 1.0);
+            v = mix(mix(v, vec3(0.05), around), vec3(1.0), ring);
+        }
     }
 
     uvec2 cell = uvec2(CELL_WIDTH, CELL_HEIGHT) * max(params.step.letter_size, 1u);

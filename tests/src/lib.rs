@@ -8,6 +8,7 @@ pub mod compare;
 pub mod environment;
 pub mod feature_view;
 pub mod field;
+pub mod foreign;
 pub mod gpu;
 pub mod kernels;
 pub mod lit;

@@ -61,7 +61,9 @@ fn every_choice_agrees_with_its_twin() {
                 let truth = render_at(&g, &camera, 3, false, BACKGROUND, &a);
                 let (largest, doubtful) = difference(&picture(&gpu, &g, &camera, a), &truth);
                 println!("{name}, seed {seed}: largest {largest:.2e}, doubtful {doubtful:.3}");
-                assert!(largest < 2e-3, "{name}, seed {seed}: largest difference {largest}");
+                // The twin's exponential is exact.
+                let most = if a.fast_exp { 2e-4 } else { 5e-6 };
+                assert!(largest < most, "{name}, seed {seed}: largest difference {largest}");
                 assert!(doubtful < 0.5, "{name}, seed {seed}: {doubtful} of the pixels are doubtful");
             }
         }

@@ -95,6 +95,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         gaussians: splats.len() as f64,
         pixels,
         lights: f64::from(settings.intrinsic.lights.grid.pow(3)),
+        weights: training.surface_weights()?,
         ..Default::default()
     };
     let plan = training.executor()?.executor().plan().clone();

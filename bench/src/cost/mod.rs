@@ -11,6 +11,7 @@ mod material;
 mod meaning;
 mod model;
 mod shade;
+mod surface;
 mod visibility;
 
 use crate::commands::ceiling::Ceiling;
@@ -46,6 +47,8 @@ pub struct Counts {
     pub lights: f64,
     /// Entries of hash tables that a step touches.
     pub touched: f64,
+    /// Entries of the sparse matrix that blends a view's materials, if geometry stands still.
+    pub weights: f64,
 }
 
 /// What a pass costs.

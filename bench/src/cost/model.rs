@@ -42,6 +42,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         }
         "intersect" => ((16.0 + SPLAT_BYTES) * v + 8.0 * e, 90.0 * v + 10.0 * e),
         "tile_ranges" => (4.0 * e, 2.0 * e),
+        // Ranges of the tiles, as many as the first push constant says.
+        "long_tiles" => (8.0 * (s.push)(0), 2.0 * (s.push)(0)),
         // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 a channel.
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
         // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 a channel.
@@ -70,6 +72,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
                 .or_else(|| densify(s, c))
                 .or_else(|| super::meaning::kernel(s, c))
                 .or_else(|| super::shade::kernel(s, c))
+                .or_else(|| super::surface::kernel(s, c))
                 .or_else(|| super::environment::kernel(s, c))
                 .or_else(|| super::visibility::kernel(s, c))
                 .or_else(|| super::material::kernel(s, c));

@@ -24,8 +24,20 @@ const SURFACE_BWD: f64 = 200.0;
 /// Point 3, normal 3, coverage 1, material 4.
 const PIXEL_BYTES: f64 = 44.0;
 
-/// A kernel's cost, if it is one of these.
+/// A kernel's cost, if it is one of these. With the visibility field: that of a plain one, and the field at each pixel and at each
+/// pair that faces each other.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
+    match s.kernel.strip_suffix("_field") {
+        Some(kernel) => {
+            let plain = plain(&Stage { kernel, ..*s }, c)?;
+            let field = super::visibility::field((s.specs)("LEVELS"), c);
+            Some(Cost { bytes: plain.bytes + field.bytes, operations: plain.operations + field.operations })
+        }
+        None => plain(s, c),
+    }
+}
+
+fn plain(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
     let (lobes, p) = (spec("LOBES"), c.pixels);
     let metallic = spec("METALLIC");

@@ -12,6 +12,13 @@ const PAIR_BWD: f64 = 2.0 * (2.0 * 1024.0 + 2.0 * 5.0 * 32.0 + 4.0 * 32.0) + 60.
 /// A corner of a cell: its place and weight 12, hash 6, two features 4.
 const CORNER: f64 = 22.0;
 
+/// What the field costs a kernel that asks it at each pixel, and of each pair of which one of two faces the other.
+pub(super) fn field(levels: f64, c: &Counts) -> Cost {
+    let corners = 8.0 * levels;
+    let (p, pairs) = (c.pixels, 0.5 * c.pixels * c.lights);
+    Cost { bytes: 8.0 * corners * p, operations: (CORNER * corners + 2.0 * 32.0 * 2.0 * levels) * p + PAIR * pairs }
+}
+
 /// A kernel's cost, if it is one of these.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;

@@ -31,9 +31,12 @@ fn marked(v: [f64; 3], mark: &Mark, [x, y]: [f64; 2]) -> [f64; 3] {
     let away = (x - at[0]).hypot(y - at[1]) - f64::from(mark.radius);
     let disc = edge(0.5 - away);
     let inside = if mark.look & MARK_HOLLOW != 0 { disc - edge(-2.5 - away) } else { disc };
-    let ring = if mark.look & MARK_RINGED != 0 { edge(3.5 - away) - edge(1.5 - away) } else { 0.0 };
+    let band = |outer: f64, inner: f64| {
+        if mark.look & MARK_RINGED != 0 { edge(outer - away) - edge(inner - away) } else { 0.0 }
+    };
     let v = mixed(v, mark.color.map(f64::from), inside);
-    mixed(mixed(v, [0.05; 3], disc - edge(-1.0 - away)), [1.0; 3], ring)
+    let v = mixed(v, [0.05; 3], disc - edge(-1.0 - away));
+    mixed(mixed(v, [0.05; 3], band(4.5, 3.5)), [1.0; 3], band(3.5, 1.5))
 }
 
 impl Text<'_> {

@@ -38,9 +38,6 @@ impl Wanted {
     }
 }
 
-/// Iterations of loops that an invocation may do on llvmpipe, with some to spare.
-const SAFE_ITERATIONS: u32 = 60_000;
-
 /// What the kernels that go through tiles bind alike.
 macro_rules! of_tiles {
     ($kernel:ident, ($screen:ident, $gaussians:ident, $visible:ident, $entries:ident, $wanted:ident), $($more:tt)*) => {
@@ -147,17 +144,14 @@ pub fn blend_features_bwd(
         entry_features: values.into(),
         entry_flags: flags.into(),
     );
-    // Whole tiles. But llvmpipe leaves loops after 65535 iterations, those of all loops of an invocation together, so that
-    // on narrow subgroups, whose parts of a tile are many, long tiles are done part by part. (An entry is fetched by one
-    // of the lanes, and then it may be tried: 9/8 iterations on eight lanes.)
+    // Whole tiles. But where the rounds of an invocation are bounded, tiles of more entries than these allow are done part by
+    // part. (An entry is fetched by one of the lanes, and then it may be tried: 9/8 rounds on eight lanes.)
     let per_lane = wanted.per_lane(t);
     let at_once = per_lane * t.subgroup_size;
     let parts = pixels(screen).div_ceil(at_once);
-    let (span, short) = if t.subgroup_size < 16 {
-        (2 * at_once, SAFE_ITERATIONS / parts * t.subgroup_size / (t.subgroup_size + 1))
-    } else {
-        (pixels(screen), u32::MAX)
-    };
+    let bounded = t.rounds < u32::MAX;
+    let span = if bounded { 2 * at_once } else { pixels(screen) };
+    let short = if bounded { t.rounds / 10 * 9 / parts * t.subgroup_size / (t.subgroup_size + 1) } else { u32::MAX };
     let specs = splat_specs!(backward, t, { subgroup: t.subgroup_size,
         per_lane,
         tile_width: screen.tile[0],

@@ -48,7 +48,7 @@ pub(crate) fn save(path: &Path, state: &State, model: Model) -> Result<()> {
         ("capacity".to_owned(), state.capacity.to_string()),
     ]);
     let tensors = state.tensors(model);
-    let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
+    let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
     Ok(())
 }

@@ -47,7 +47,7 @@ impl SemanticHead {
             ("decoder", Floats(&self.decoder, vec![EMBEDDING, AUGMENTED])),
             ("text_embeddings", Floats(&self.text.data, vec![self.text.labels.len(), EMBEDDING])),
         ];
-        let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| fail(e.to_string()))?;
+        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| fail(e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
     }

@@ -55,7 +55,7 @@ impl VisibilityFile {
             rest = after;
             tensors.push((name.to_owned(), Floats(weights, shape.to_vec())));
         }
-        let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| fail(e.to_string()))?;
+        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| fail(e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
     }

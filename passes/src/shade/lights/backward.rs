@@ -13,6 +13,7 @@ use super::{LightParameters, LightRegularizers, Lights, Prepared, Shape};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::Pixels;
+use crate::shade::lights::forward::{lit_specs, of_lights};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
     lights_bwd as kernel, lights_normals_bwd as normals, lights_prepare_bwd as finish, lights_reduce as reduce,
@@ -80,28 +81,14 @@ pub fn lights_bwd(
     let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p, 0);
     let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
     g.fill("lights_bwd.clear", partials, 0)?;
-    let bindings = kernel::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(kernel, a, {
         radiance_gradient: radiance_gradient.into(),
         partials: partials.into(),
-    };
-    let specs = kernel::Specs {
-        subgroup: shape.subgroup,
-        lobes: model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(kernel, a, shape, {
         lights: model.lights,
         mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
-    };
+    });
     let push = kernel::Push { normalizer: a.normalizer, blocks };
     stage(g, "lights_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
@@ -139,26 +126,11 @@ pub fn lights_normals_bwd(
     normals_gradient: Buffer,
 ) -> Result<(), GraphError> {
     let (p, shape) = (&a.pixels, a.shape);
-    let bindings = normals::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(normals, a, {
         radiance_gradient: radiance_gradient.into(),
         normals_gradient: normals_gradient.into(),
-    };
-    let specs = normals::Specs {
-        subgroup: shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
-    };
+    });
+    let specs = lit_specs!(normals, a, shape, {});
     let push = normals::Push { normalizer: a.normalizer };
     let name = "lights_normals_bwd";
     stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))

@@ -31,6 +31,40 @@ pub struct Lights {
     pub shape: Shape,
 }
 
+/// What the kernels over pixels and lights bind alike; `$a` is a [`Lights`].
+macro_rules! of_lights {
+    ($kernel:ident, $a:expr, { $($more:tt)* }) => {
+        $kernel::Bindings {
+            params: $a.pixels.screen.step.into(),
+            prepared: $a.prepared.lights.into(),
+            prepared_floats: $a.prepared.lights.into(),
+            light_list: $a.prepared.list.into(),
+            points: $a.pixels.surfaces.points.into(),
+            normals: $a.pixels.surfaces.normals.into(),
+            coverage: $a.pixels.surfaces.coverage.into(),
+            materials: $a.pixels.materials.materials.into(),
+            metallic: $a.pixels.materials.metallic.unwrap_or($a.pixels.materials.materials).into(),
+            $($more)*
+        }
+    };
+}
+pub(in crate::shade) use of_lights;
+
+/// And the constants that they share.
+macro_rules! lit_specs {
+    ($kernel:ident, $a:expr, $shape:expr, { $($more:tt)* }) => {
+        $kernel::Specs {
+            subgroup: $shape.subgroup,
+            lobes: $a.prepared.model.lobes,
+            metallic: $a.pixels.materials.metallic.is_some(),
+            per_lane: $shape.per_lane,
+            spread: $shape.spread,
+            $($more)*
+        }
+    };
+}
+pub(in crate::shade) use lit_specs;
+
 /// How kernels over pixels and lights are cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
@@ -68,25 +102,10 @@ pub struct Sums {
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn lights(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<(), GraphError> {
     let p = &a.pixels;
-    let bindings = render::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(render, a, {
         direct: direct.into(),
-    };
-    let specs = render::Specs {
-        subgroup: a.shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: a.shape.per_lane,
-        spread: a.shape.spread,
-    };
+    });
+    let specs = lit_specs!(render, a, a.shape, {});
     let push = render::Push { normalizer: a.normalizer };
     stage(g, "lights", &render::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
@@ -99,26 +118,11 @@ pub fn lights(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<(), GraphErro
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn lights_split(g: &mut Graph, a: &Lights, direct: Buffer, diffuse: Buffer) -> Result<(), GraphError> {
     let p = &a.pixels;
-    let bindings = split::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(split, a, {
         direct: direct.into(),
         diffuse: diffuse.into(),
-    };
-    let specs = split::Specs {
-        subgroup: a.shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: a.shape.per_lane,
-        spread: a.shape.spread,
-    };
+    });
+    let specs = lit_specs!(split, a, a.shape, {});
     let push = split::Push { normalizer: a.normalizer };
     stage(g, "lights_split", &split::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))
@@ -132,26 +136,11 @@ pub fn lights_split(g: &mut Graph, a: &Lights, direct: Buffer, diffuse: Buffer) 
 pub fn lights_train(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<Sums, GraphError> {
     let p = &a.pixels;
     let sums = g.transient("lights.sums", p.screen.pixels() * if p.materials.metallic.is_some() { 48 } else { 24 });
-    let bindings = train::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(train, a, {
         direct: direct.into(),
         sums: sums.into(),
-    };
-    let specs = train::Specs {
-        subgroup: a.shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: a.shape.per_lane,
-        spread: a.shape.spread,
-    };
+    });
+    let specs = lit_specs!(train, a, a.shape, {});
     let push = train::Push { normalizer: a.normalizer };
     stage(g, "lights_train", &train::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(a.shape.subgroup))

@@ -23,7 +23,7 @@
 //! files, too, so that a field or traced shadows need a few lines of their own (`lights_pixels.glsl` has the rules).
 
 pub(in crate::shade) mod backward;
-mod forward;
+pub(in crate::shade) mod forward;
 mod model;
 mod prepare;
 mod regularize;

@@ -13,6 +13,7 @@ use super::Traced;
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::lights::backward::{OWN, cut_blocks, sum_rows};
+use crate::shade::lights::forward::{lit_specs, of_lights};
 use crate::shade::lights::{LightGradients, Lights, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
@@ -95,20 +96,11 @@ pub fn lights_train_traced(g: &mut Graph, a: &Lights, traced: &Traced, direct: B
     for s in &all {
         let seen = lights_trace(g, a, traced, s)?;
         sight.seen = (all.len() == 1).then_some(seen);
-        let bindings = train::Bindings {
-            params: p.screen.step.into(),
-            prepared: a.prepared.lights.into(),
-            prepared_floats: a.prepared.lights.into(),
-            light_list: a.prepared.list.into(),
-            points: p.surfaces.points.into(),
-            normals: p.surfaces.normals.into(),
-            coverage: p.surfaces.coverage.into(),
-            materials: p.materials.materials.into(),
-            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        let bindings = of_lights!(train, a, {
             seen: seen.into(),
             direct: direct.into(),
             sums: sums.into(),
-        };
+        });
         let specs = train::Specs {
             subgroup: a.shape.subgroup,
             lobes: a.prepared.model.lobes,
@@ -142,20 +134,11 @@ pub fn lights_split_traced(
     let p = &a.pixels;
     for s in &stretches(a, traced) {
         let seen = lights_trace(g, a, traced, s)?;
-        let bindings = split::Bindings {
-            params: p.screen.step.into(),
-            prepared: a.prepared.lights.into(),
-            prepared_floats: a.prepared.lights.into(),
-            light_list: a.prepared.list.into(),
-            points: p.surfaces.points.into(),
-            normals: p.surfaces.normals.into(),
-            coverage: p.surfaces.coverage.into(),
-            materials: p.materials.materials.into(),
-            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        let bindings = of_lights!(split, a, {
             seen: seen.into(),
             direct: direct.into(),
             diffuse: diffuse.into(),
-        };
+        });
         let specs = split::Specs {
             subgroup: a.shape.subgroup,
             lobes: a.prepared.model.lobes,
@@ -207,7 +190,7 @@ pub fn lights_bwd_traced(
     sight: &Sight,
     radiance_gradient: Buffer,
 ) -> Built<LightGradients> {
-    let (p, model, shape) = (&a.pixels, a.prepared.model, a.shape);
+    let (model, shape) = (a.prepared.model, a.shape);
     let width = model.lights * 8 * (1 + model.lobes);
     let all = stretches(a, traced);
     let blocks = all[0].blocks[1];
@@ -219,30 +202,16 @@ pub fn lights_bwd_traced(
     let mut row = 0;
     for s in &all {
         let seen = found(g, a, traced, s, sight.seen)?;
-        let bindings = backward::Bindings {
-            params: p.screen.step.into(),
-            prepared: a.prepared.lights.into(),
-            prepared_floats: a.prepared.lights.into(),
-            light_list: a.prepared.list.into(),
-            points: p.surfaces.points.into(),
-            normals: p.surfaces.normals.into(),
-            coverage: p.surfaces.coverage.into(),
-            materials: p.materials.materials.into(),
-            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        let bindings = of_lights!(backward, a, {
             seen: seen.into(),
             radiance_gradient: radiance_gradient.into(),
             partials: partials.into(),
-        };
-        let specs = backward::Specs {
-            subgroup: shape.subgroup,
-            lobes: model.lobes,
-            metallic: p.materials.metallic.is_some(),
-            per_lane: shape.per_lane,
-            spread: shape.spread,
+        });
+        let specs = lit_specs!(backward, a, shape, {
             lights: model.lights,
             mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
             stretch: s.stretch,
-        };
+        });
         let push = backward::Push { normalizer: a.normalizer, blocks: each, block: s.blocks[0], end: s.blocks[1], row };
         let bytes = bytemuck::bytes_of(&push);
         stage(g, "lights_bwd_traced", &backward::KERNEL, bindings.entries(), specs.entries(), bytes)
@@ -266,31 +235,17 @@ pub fn lights_normals_bwd_traced(
     radiance_gradient: Buffer,
     normals_gradient: Buffer,
 ) -> Built<()> {
-    let (p, shape) = (&a.pixels, a.shape);
+    let shape = a.shape;
     for s in &stretches(a, traced) {
         let seen = found(g, a, traced, s, sight.seen)?;
-        let bindings = normals::Bindings {
-            params: p.screen.step.into(),
-            prepared: a.prepared.lights.into(),
-            prepared_floats: a.prepared.lights.into(),
-            light_list: a.prepared.list.into(),
-            points: p.surfaces.points.into(),
-            normals: p.surfaces.normals.into(),
-            coverage: p.surfaces.coverage.into(),
-            materials: p.materials.materials.into(),
-            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        let bindings = of_lights!(normals, a, {
             seen: seen.into(),
             radiance_gradient: radiance_gradient.into(),
             normals_gradient: normals_gradient.into(),
-        };
-        let specs = normals::Specs {
-            subgroup: shape.subgroup,
-            lobes: a.prepared.model.lobes,
-            metallic: p.materials.metallic.is_some(),
-            per_lane: shape.per_lane,
-            spread: shape.spread,
+        });
+        let specs = lit_specs!(normals, a, shape, {
             stretch: s.stretch,
-        };
+        });
         let push = normals::Push { normalizer: a.normalizer, block: s.blocks[0] };
         let name = "lights_normals_bwd_traced";
         stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))

@@ -10,6 +10,7 @@ use super::{BackwardOptions, Field, Gradients, View, field_spread};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::lights::backward::{OWN, cut, sum_rows};
+use crate::shade::lights::forward::{lit_specs, of_lights};
 use crate::shade::lights::{LightGradients, Lights, Shape, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
@@ -30,31 +31,17 @@ pub fn lights_field(
 ) -> Result<(), GraphError> {
     let p = &a.pixels;
     let shape = Shape { per_lane: 1, ..a.shape };
-    let bindings = render::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(render, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
         tables: field.tables.into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
-    };
-    let specs = render::Specs {
-        subgroup: shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(render, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
-    };
+    });
     let push = render::Push { normalizer: a.normalizer };
     stage(g, "lights_field", &render::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
@@ -75,32 +62,18 @@ pub fn lights_split_field(
 ) -> Result<(), GraphError> {
     let p = &a.pixels;
     let shape = Shape { per_lane: 1, ..a.shape };
-    let bindings = split::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(split, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
         tables: field.tables.into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
         diffuse: diffuse.into(),
-    };
-    let specs = split::Specs {
-        subgroup: shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(split, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
-    };
+    });
     let push = split::Push { normalizer: a.normalizer };
     stage(g, "lights_split_field", &split::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
@@ -121,32 +94,18 @@ pub fn lights_train_field(
     let p = &a.pixels;
     let shape = Shape { per_lane: 1, ..a.shape };
     let sums = g.transient("lights.sums", p.screen.pixels() * if p.materials.metallic.is_some() { 48 } else { 24 });
-    let bindings = train::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(train, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
         tables: field.tables.into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
         sums: sums.into(),
-    };
-    let specs = train::Specs {
-        subgroup: shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(train, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
-    };
+    });
     let push = train::Push { normalizer: a.normalizer };
     stage(g, "lights_train_field", &train::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
@@ -173,34 +132,20 @@ pub fn lights_bwd_field(
     let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p, 2 * field.config.levels + 8);
     let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
     g.fill("lights_bwd.clear", partials, 0)?;
-    let bindings = lights_kernel::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(lights_kernel, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
         tables: field.tables.into(),
         mlp: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         partials: partials.into(),
-    };
-    let specs = lights_kernel::Specs {
-        subgroup: shape.subgroup,
-        lobes: model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(lights_kernel, a, shape, {
         lights: model.lights,
         mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
         levels: field.config.levels,
         field_spread: field_spread(tuning),
-    };
+    });
     let push = lights_kernel::Push { normalizer: a.normalizer, blocks };
     let bytes = bytemuck::bytes_of(&push);
     stage(g, "lights_bwd_field", &lights_kernel::KERNEL, bindings.entries(), specs.entries(), bytes)
@@ -223,32 +168,18 @@ pub fn lights_normals_bwd_field(
 ) -> Result<(), GraphError> {
     let p = &a.pixels;
     let shape = Shape { per_lane: 1, ..a.shape };
-    let bindings = normals::Bindings {
-        params: p.screen.step.into(),
-        prepared: a.prepared.lights.into(),
-        prepared_floats: a.prepared.lights.into(),
-        light_list: a.prepared.list.into(),
-        points: p.surfaces.points.into(),
-        normals: p.surfaces.normals.into(),
-        coverage: p.surfaces.coverage.into(),
-        materials: p.materials.materials.into(),
-        metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+    let bindings = of_lights!(normals, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
         tables: field.tables.into(),
         mlp: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         normals_gradient: normals_gradient.into(),
-    };
-    let specs = normals::Specs {
-        subgroup: shape.subgroup,
-        lobes: a.prepared.model.lobes,
-        metallic: p.materials.metallic.is_some(),
-        per_lane: shape.per_lane,
-        spread: shape.spread,
+    });
+    let specs = lit_specs!(normals, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
-    };
+    });
     let push = normals::Push { normalizer: a.normalizer };
     let name = "lights_normals_bwd_field";
     stage(g, name, &normals::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
@@ -281,16 +212,7 @@ pub fn visibility_lights_bwd(
     for (first, count) in plan.chunks() {
         let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
         let chunk = plan.chunk(first, count);
-        let bindings = pairs::Bindings {
-            params: p.screen.step.into(),
-            prepared: a.prepared.lights.into(),
-            prepared_floats: a.prepared.lights.into(),
-            light_list: a.prepared.list.into(),
-            points: p.surfaces.points.into(),
-            normals: p.surfaces.normals.into(),
-            coverage: p.surfaces.coverage.into(),
-            materials: p.materials.materials.into(),
-            metallic: p.materials.metallic.unwrap_or(p.materials.materials).into(),
+        let bindings = of_lights!(pairs, a, {
             field_params: field.step.into(),
             mlp: field.mlp.into(),
             rows: rows.into(),
@@ -300,7 +222,7 @@ pub fn visibility_lights_bwd(
             place_sums: plan.places.into(),
             extent: plan.extent.into(),
             radiance_gradient: radiance_gradient.into(),
-        };
+        });
         let specs = pairs::Specs {
             subgroup: a.shape.subgroup,
             lobes: a.prepared.model.lobes,

@@ -33,7 +33,7 @@ impl IntrinsicPlan {
             Some(file) => read_splats(file)?,
             None => Splats::from_points(&scene.points, s.geometry.sh_degree as usize)?,
         };
-        let mut training = Intrinsic::new(device, scene, s, &splats)?;
+        let mut training = Intrinsic::planned(device, scene, s, &splats)?;
         let graph = training.executor()?.executor().plan().clone();
         Ok(IntrinsicPlan {
             gaussians: training.gaussians(),

@@ -134,6 +134,14 @@ mod tests {
         let post = format!("POST / HTTP/1.1\r\nHost: {ours}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
         assert!(ask(number, &post).contains("405"));
         drop(serving);
-        assert!(Port::take(number).is_ok(), "the port is still taken");
+        // The library's own thread lets the port go when it next runs, which on a busy machine takes its time.
+        let freed = (0..600).any(|_| {
+            let free = Port::take(number).is_ok();
+            if !free {
+                std::thread::sleep(std::time::Duration::from_millis(100));
+            }
+            free
+        });
+        assert!(freed, "the port is still taken after a minute");
     }
 }

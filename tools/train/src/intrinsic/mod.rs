@@ -100,6 +100,18 @@ impl Intrinsic {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
+        Intrinsic::of(device, scene, settings, splats, true)
+    }
+
+    /// What [`Intrinsic::new`] makes but for the provider, which is not started: for what such training would need.
+    ///
+    /// # Errors
+    /// If data cannot be read or memory runs out.
+    pub fn planned(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
+        Intrinsic::of(device, scene, settings, splats, false)
+    }
+
+    fn of(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats, asks: bool) -> Result<Intrinsic> {
         settings.check()?;
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
@@ -196,8 +208,11 @@ impl Intrinsic {
         let command = s.relight.command().filter(|_| due && consistency.is_some());
         let relit = match command {
             Some(command) => {
+                let helper = if asks { Relit::helper(settings, command)? } else { None };
                 let first = packed.views().iter().map(|v| v.1).collect();
-                Relit::start(device, scene, settings, command, &bounds, first, packed.image_bytes() / 4)?
+                let wanted = helper.is_some() || !asks;
+                let make = || Relit::new(device, scene, settings, helper, &bounds, first, packed.image_bytes() / 4);
+                wanted.then(make).transpose()?
             }
             None => None,
         };
@@ -365,6 +380,14 @@ impl Intrinsic {
     /// Bytes of what is kept of what views see of the geometry.
     pub fn surface_bytes(&self) -> u64 {
         self.surfaces.bytes()
+    }
+
+    /// Entries of the sparse matrices that blend materials, mean over the views of which they are kept.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    pub fn surface_weights(&self) -> Result<f64> {
+        self.surfaces.weights(&self.device)
     }
 
     /// How many splats.

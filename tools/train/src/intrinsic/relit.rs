@@ -21,7 +21,8 @@ use sgs_scene::{Camera, Image, MaskedMap, Scene, resize_valid, srgb_to_linear};
 
 /// A provider of materials, and what it has said of each training view.
 pub(super) struct Relit {
-    helper: Helper,
+    /// None where training is only planned.
+    helper: Option<Helper>,
     view: Option<RelitView>,
     options: RelitOptions,
     /// Whether it is asked for roughness too.
@@ -52,16 +53,8 @@ impl Relit {
         RelitOptions { copies: settings.intrinsic.relight.copies, spacing }
     }
 
-    /// Starts the provider; none if it fails and training may go on without. `pixels`: of all training views.
-    pub fn start(
-        device: &Device,
-        scene: &Scene,
-        settings: &Settings,
-        command: &str,
-        bounds: &[[f32; 3]; 2],
-        first: Vec<u32>,
-        pixels: u64,
-    ) -> Result<Option<Relit>> {
+    /// Starts the provider; none if it fails and training may go on without.
+    pub fn helper(settings: &Settings, command: &str) -> Result<Option<Helper>> {
         let s = &settings.provider;
         let options = ProviderOptions {
             command: command.to_owned(),
@@ -95,6 +88,20 @@ impl Relit {
                 }
             }
         }
+        Ok(Some(helper))
+    }
+
+    /// Room for what a provider says. `pixels`: of all training views.
+    pub fn new(
+        device: &Device,
+        scene: &Scene,
+        settings: &Settings,
+        helper: Option<Helper>,
+        bounds: &[[f32; 3]; 2],
+        first: Vec<u32>,
+        pixels: u64,
+    ) -> Result<Relit> {
+        let roughness = settings.intrinsic.relight.roughness > 0.0;
         let train = &scene.split.train;
         let counts = train.par_iter().map(|&i| Ok(scene.load_mask(i)?)).collect::<Result<Vec<_>>>()?;
         let make = |_| {
@@ -102,7 +109,7 @@ impl Relit {
             device.fill(&buffer, 0)?;
             Ok(buffer)
         };
-        Ok(Some(Relit {
+        Ok(Relit {
             helper,
             view: None,
             options: Relit::options(settings, bounds),
@@ -114,7 +121,7 @@ impl Relit {
             first,
             estimates: (0..Relit::count(settings)).map(make).collect::<Result<_>>()?,
             asked_at: vec![0; train.len()],
-        }))
+        })
     }
 
     /// The estimates as a step is bound to them.
@@ -169,7 +176,8 @@ impl Relit {
                 camera: Some(camera),
             };
             let maps: &[&str] = if self.roughness { &["albedo", "roughness"] } else { &["albedo"] };
-            let Some(found) = self.helper.ask(|p| p.materials(&picture, maps))? else { return Ok(false) };
+            let Some(helper) = &mut self.helper else { return Ok(false) };
+            let Some(found) = helper.ask(|p| p.materials(&picture, maps))? else { return Ok(false) };
             let Materials { albedo, albedo_is_linear, roughness, .. } = found;
             let counts = self.counts[view].as_ref();
             let offset = 4 * u64::from(self.first[view]);

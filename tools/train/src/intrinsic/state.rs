@@ -60,7 +60,7 @@ impl Intrinsic {
             ("step".to_owned(), self.done.to_string()),
             ("splats".to_owned(), self.splats.len().to_string()),
         ]);
-        let bytes = safetensors::serialize(tensors, Some(meta)).map_err(|e| file(path, e.to_string()))?;
+        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
     }

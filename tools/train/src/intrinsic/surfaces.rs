@@ -82,6 +82,15 @@ impl Surfaces {
         self.shape().bytes() * (self.kept.len() + self.others.len()) as u64
     }
 
+    /// Entries of the matrices that are kept, their mean.
+    pub fn weights(&self, device: &Device) -> Result<f64> {
+        let mut sum = 0;
+        for surface in &self.kept {
+            sum += surface.weights(device)?.weights.len();
+        }
+        Ok(sum as f64 / self.kept.len().max(1) as f64)
+    }
+
     /// Whether nothing may be in flight when a step is submitted.
     pub fn waits(&self, pseudo: bool) -> bool {
         pseudo || !self.all
