@@ -9,16 +9,16 @@ fn main() {
         println!("cargo:rerun-if-changed={}", root.join(family).display());
     }
     println!("cargo:rerun-if-changed=build.rs");
-    let kernels = match sgs_shader_compiler::compile_folder(&root) {
-        Ok(kernels) => kernels,
+    let folder = match sgs_shader_compiler::compile_folder(&root) {
+        Ok(folder) => folder,
         Err(error) => fail(&error.to_string()),
     };
-    for kernel in &kernels {
+    for kernel in &folder.kernels {
         let bytes: Vec<u8> = kernel.spirv.iter().flat_map(|w| w.to_le_bytes()).collect();
         let path = out.join(format!("{}.spv", kernel.name));
         std::fs::write(&path, bytes).unwrap_or_else(|e| fail(&format!("{}: {e}", path.display())));
     }
-    let source = sgs_shader_compiler::generate(&kernels, &out.to_string_lossy()).unwrap_or_else(|e| fail(&e));
+    let source = sgs_shader_compiler::generate(&folder, &out.to_string_lossy()).unwrap_or_else(|e| fail(&e));
     std::fs::write(out.join("kernels.rs"), source).unwrap_or_else(|e| fail(&e.to_string()));
 }
 

@@ -9,7 +9,7 @@ fn main() {
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));
     println!("cargo:rerun-if-changed={}", root.display());
     println!("cargo:rerun-if-changed=build.rs");
-    let kernels = sgs_shader_compiler::compile_folder(&root).unwrap_or_else(|e| fail(&e.to_string()));
+    let kernels = sgs_shader_compiler::compile_folder(&root).unwrap_or_else(|e| fail(&e.to_string())).kernels;
     let mut table = String::from("&[\n");
     for kernel in &kernels {
         let mut listed = String::new();

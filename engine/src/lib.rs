@@ -12,7 +12,7 @@ pub mod shader;
 
 /// Vulkan's own types, for hosts that hand over handles.
 pub use ash::vk;
-pub use device::{Device, DeviceInfo, DeviceOptions, Shown, Surface, Swapchain, Ticket, Window, devices};
+pub use device::{Device, DeviceInfo, DeviceOptions, MatrixShape, Shown, Surface, Swapchain, Ticket, Window, devices};
 pub use error::{Error, Result};
 pub use format::ImageFormat;
 pub use memory::{Activity, Budget, BudgetSource, DeviceBuffer, DeviceImage, Location, STAGING_BYTES};

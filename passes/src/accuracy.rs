@@ -22,13 +22,23 @@ pub struct Accuracy {
     /// Whether a cubic stands in for the exponential in splats' opacities: 1.3e-4 off, relatively. For processors, where
     /// exponentials are computed; GPUs have them in hardware.
     pub fast_exp: bool,
+    /// Bits of the numbers that the visibility field's second layer multiplies, 32 or 16. With 16 matrix units do it where there are
+    /// any ([`Matrices`](crate::Matrices)), and where there are none nothing changes. Sums and everything else keep 32 bits, and
+    /// gradients are those of 32. Visibility is off by 1e-4 with layers as they start, 1e-3 with such four times as large.
+    pub visibility_operands: u32,
 }
 
 impl Accuracy {
     /// As 3D Gaussian splatting is defined. Pictures agree with double precision within 2e-3 of the largest color at pixels
     /// that do not meet a threshold.
-    pub const EXACT: Accuracy =
-        Accuracy { depth_bits: 31, alpha_min: 1.0 / 255.0, transmittance_min: 1e-4, keep_last: false, fast_exp: false };
+    pub const EXACT: Accuracy = Accuracy {
+        depth_bits: 31,
+        alpha_min: 1.0 / 255.0,
+        transmittance_min: 1e-4,
+        keep_last: false,
+        fast_exp: false,
+        visibility_operands: 32,
+    };
 }
 
 impl Accuracy {
@@ -37,9 +47,16 @@ impl Accuracy {
     pub const BALANCED: Accuracy =
         Accuracy { depth_bits: 24, transmittance_min: 1e-3, keep_last: true, ..Accuracy::EXACT };
 
-    /// For looking and for drafts: footprints end at an opacity of 1/64, pixels at a transmittance of 1e-2, sixteen bits of depth.
-    pub const FAST: Accuracy =
-        Accuracy { depth_bits: 16, alpha_min: 1.0 / 64.0, transmittance_min: 1e-2, keep_last: true, fast_exp: true };
+    /// For looking and for drafts: footprints end at an opacity of 1/64, pixels at a transmittance of 1e-2, sixteen bits of depth
+    /// and of what the visibility field multiplies.
+    pub const FAST: Accuracy = Accuracy {
+        depth_bits: 16,
+        alpha_min: 1.0 / 64.0,
+        transmittance_min: 1e-2,
+        keep_last: true,
+        fast_exp: true,
+        visibility_operands: 16,
+    };
 }
 
 impl Default for Accuracy {

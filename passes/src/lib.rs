@@ -5,6 +5,7 @@
 mod accuracy;
 pub mod kernel;
 pub mod loss;
+mod matrices;
 pub mod optim;
 pub mod pipeline;
 pub mod prim;
@@ -15,4 +16,5 @@ pub mod splat;
 mod tuning;
 
 pub use accuracy::Accuracy;
+pub use matrices::{Matrices, NoMatrices};
 pub use tuning::Tuning;

@@ -1,6 +1,6 @@
 //! What kernels are specialized with: sizes that suit a device, and how accurate they are.
 
-use crate::Accuracy;
+use crate::{Accuracy, Matrices};
 use sgs_engine::DeviceInfo;
 
 /// Kernel sizes for one device, and accuracy.
@@ -17,6 +17,8 @@ pub struct Tuning {
     pub workers: u32,
     /// Rounds of all loops of an invocation together: llvmpipe leaves loops silently after 65535.
     pub rounds: u32,
+    /// How layers of networks would be multiplied on the device's matrix units, where there are any; see [`Tuning::field_matrices`].
+    pub matrices: Option<Matrices>,
     /// What is traded for speed.
     pub accuracy: Accuracy,
 }
@@ -24,7 +26,8 @@ pub struct Tuning {
 impl Tuning {
     /// What suits a device.
     pub fn for_device(info: &DeviceInfo) -> Tuning {
-        let gpu = Tuning::for_subgroups(info.subgroup_size);
+        let matrices = Matrices::for_device(info).ok();
+        let gpu = Tuning { matrices, ..Tuning::for_subgroups(info.subgroup_size) };
         if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), ..gpu } } else { gpu }
     }
 
@@ -39,6 +42,7 @@ impl Tuning {
             tile: [width, 16],
             workers: 512,
             rounds: u32::MAX,
+            matrices: None,
             accuracy: Accuracy::EXACT,
         }
     }
@@ -46,6 +50,11 @@ impl Tuning {
     /// The same with another accuracy.
     pub fn with(self, accuracy: Accuracy) -> Tuning {
         Tuning { accuracy, ..self }
+    }
+
+    /// How the visibility field's second layer is multiplied forward, if not by the portable kernels.
+    pub fn field_matrices(&self) -> Option<Matrices> {
+        self.matrices.filter(|m| self.accuracy.visibility_operands == 16 && (Matrices::compiled() || !m.units))
     }
 
     /// Subgroups of an ordinary workgroup.

@@ -2,12 +2,14 @@
 //!
 //! Debian's `libshaderc_combined.a` leaves glslang undefined (docs/adr/0001-shader-compiler.md). Where the distribution's
 //! static libraries are present, they are linked behind it; elsewhere shaderc-sys has built everything from source
-//! into one archive and nothing is left to do.
+//! into one archive and nothing is left to do. The same holds where `SHADERC_LIB_DIR` names another shaderc, such as a newer one: what
+//! the distribution has would otherwise take its place in part.
 
 use std::path::Path;
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-env-changed=SHADERC_LIB_DIR");
     let dirs = ["/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib"];
     let libraries = [
         "MachineIndependent",
@@ -21,6 +23,9 @@ fn main() {
     let Some(dir) = dirs.iter().find(|d| Path::new(d).join("libshaderc_combined.a").exists()) else {
         return;
     };
+    if std::env::var_os("SHADERC_LIB_DIR").is_some_and(|other| Path::new(&other) != Path::new(dir)) {
+        return;
+    }
     if libraries.iter().all(|l| Path::new(dir).join(format!("lib{l}.a")).exists()) {
         println!("cargo:rustc-link-search=native={dir}");
         for library in libraries {

@@ -10,7 +10,8 @@
 //
 // With FIELD_SPREAD the eight lanes of a subgroup work on their eight pixels together, neurons side by side, because processors
 // read weights cheaply from an invocation's own arrays alone; see visibility_lanes.glsl. Without, every invocation works
-// alone, with weights in shared memory.
+// alone, with weights in shared memory. Where MATRIX_UNITS is defined, the second layer is multiplied by the subgroup together,
+// with operands of 16 bits (visibility_matrices.glsl), and FIELD_SPREAD must not be set.
 
 #include "visibility_lanes.glsl"
 
@@ -85,7 +86,9 @@ void spread_layers(uint item) {
 // Every invocation alone. Blocks are four neurons.
 
 shared vec4 shared_first[8u * FIELD_FEATURES]; // by block, feature, neuron
+#ifndef MATRIX_UNITS
 shared vec4 shared_second[8u * WIDTH];         // by block, input, neuron
+#endif
 shared vec4 shared_pair[WIDTH];                // by neuron: direction, distance
 shared float shared_last[WIDTH];
 float alone_point[WIDTH]; // what the first layer makes of this pixel's point
@@ -103,8 +106,10 @@ void alone_weights() {
     uint lane = gl_LocalInvocationID.x;
     [[dont_unroll]] for (uint i = lane; i < 8u * FIELD_FEATURES; i += WORKGROUP)
         shared_first[i] = rows_column(i / FIELD_FEATURES * 4u * FIELD_INPUTS + i % FIELD_FEATURES, FIELD_INPUTS);
+#ifndef MATRIX_UNITS
     [[dont_unroll]] for (uint i = lane; i < 8u * WIDTH; i += WORKGROUP)
         shared_second[i] = rows_column(FIELD_SECOND + i / WIDTH * 4u * WIDTH + i % WIDTH, WIDTH);
+#endif
     [[dont_unroll]] for (uint i = lane; i < WIDTH; i += WORKGROUP) {
         shared_pair[i] = rows_column(i * FIELD_INPUTS + FIELD_FEATURES, 1u);
         shared_last[i] = mlp[FIELD_LAST + i];
@@ -118,6 +123,15 @@ void alone_project(uint block) {
     FIELD_EACH(j, 4u) alone_point[block * 4u + j] = sum[j];
 }
 
+// A neuron of the first layer.
+float alone_first(uint n, vec4 way) {
+    vec4 w = shared_pair[n];
+    return rectified(fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, alone_point[n])))));
+}
+
+#ifdef MATRIX_UNITS
+#include "visibility_matrices.glsl"
+#else
 void alone_second(uint block) {
     vec4 sum = vec4(0.0);
     FIELD_EACH(k, WIDTH) sum = fma(shared_second[block * WIDTH + k], vec4(alone_hidden[k]), sum);
@@ -125,14 +139,11 @@ void alone_second(uint block) {
 }
 
 void alone_layers(vec4 way) {
-    FIELD_EACH(n, WIDTH) {
-        vec4 w = shared_pair[n];
-        float at = fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, alone_point[n]))));
-        alone_hidden[n] = rectified(at);
-    }
+    FIELD_EACH(n, WIDTH) alone_hidden[n] = alone_first(n, way);
     alone_logit = 0.0;
     FIELD_BLOCKS(alone_second)
 }
+#endif
 
 // Either.
 
@@ -143,7 +154,11 @@ void field_weights() {
         FILL_COLUMNS(spread_pair, 4u, pair_column)
         FILL_COLUMNS(spread_last, 1u, last_column)
     } else {
+#ifdef MATRIX_UNITS
+        matrices_weights();
+#else
         alone_weights();
+#endif
     }
 }
 
@@ -171,8 +186,12 @@ float field_visibility(vec4 way) {
         ITEM_SUMS(spread_logits)
         logit = spread_logits[0];
     } else {
+#ifdef MATRIX_UNITS
+        logit = matrices_logit(way);
+#else
         alone_layers(way);
         logit = alone_logit;
+#endif
     }
     return 1.0 / (1.0 + exp(-logit));
 }

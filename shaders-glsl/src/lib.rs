@@ -84,6 +84,27 @@ pub struct Kernel {
     pub specs: &'static [Spec],
 }
 
+/// A kernel that needs newer GLSL than some compilers know.
+#[derive(Clone, Copy, Debug)]
+pub struct Optional {
+    /// The kernel's name.
+    pub name: &'static str,
+    /// The extension of GLSL that it needs.
+    pub extension: &'static str,
+    /// The kernel, if this build's compiler knew the extension.
+    pub kernel: Option<&'static Kernel>,
+}
+
+/// The optional kernel of this name, if this build has it.
+pub fn optional(name: &str) -> Option<&'static Kernel> {
+    OPTIONAL.iter().find(|o| o.name == name)?.kernel
+}
+
+/// Whether this build's compiler knew an extension of GLSL that some kernels need.
+pub fn compiled_with(extension: &str) -> bool {
+    OPTIONAL.iter().any(|o| o.extension == extension && o.kernel.is_some())
+}
+
 /// An embedded SPIR-V module, aligned for reading as words.
 #[derive(Clone, Copy)]
 pub struct Spirv {

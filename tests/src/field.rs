@@ -2,6 +2,7 @@
 
 use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::visibility::{
@@ -107,22 +108,37 @@ impl Case {
 
     /// Mean visibility by the device, or that of one light.
     pub fn forward(&self, gpu: &Gpu, one: Option<u32>, split: bool) -> Vec<f32> {
+        self.forward_with(gpu, gpu.tuning(), one, split)
+    }
+
+    /// The same with other sizes of kernels, or another accuracy.
+    pub fn forward_with(&self, gpu: &Gpu, tuning: Tuning, one: Option<u32>, split: bool) -> Vec<f32> {
         let (mut g, mut inputs) = (Graph::new("visibility"), Vec::new());
         let (field, view) = self.declare(&mut g, &mut inputs);
         let out = g.external("visibility", 4 * u64::from(view.pixels));
-        visibility(&mut g, gpu.tuning(), &field, &view, one, split, out).unwrap();
+        visibility(&mut g, tuning, &field, &view, one, split, out).unwrap();
         gpu.run(g, &inputs).get(out)
     }
 
     /// The same by the reference.
     pub fn expected(&self, one: Option<u32>) -> Vec<f64> {
         let field = self.twin();
+        self.expected_of(one, |point, light| field.visibility(point, light))
+    }
+
+    /// The same by the reference whose second layer has operands of 16 bits.
+    pub fn expected_half(&self, one: Option<u32>) -> Vec<f64> {
+        let field = self.twin();
+        self.expected_of(one, |point, light| field.visibility_half(point, light))
+    }
+
+    fn expected_of(&self, one: Option<u32>, visibility: impl Fn([f64; 3], [f64; 3]) -> f64) -> Vec<f64> {
         let lights: Vec<[f32; 3]> = match one {
             Some(j) => vec![self.lights[j as usize]],
             None => self.lights.clone(),
         };
         let pixel = |(p, c): (&[f32; 3], &f32)| {
-            let sum: f64 = lights.iter().map(|l| field.visibility(Self::wide(*p), Self::wide(*l))).sum();
+            let sum: f64 = lights.iter().map(|l| visibility(Self::wide(*p), Self::wide(*l))).sum();
             if *c < 1e-3 { 0.0 } else { sum / lights.len() as f64 }
         };
         self.points.iter().zip(&self.coverage).map(pixel).collect()

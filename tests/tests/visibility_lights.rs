@@ -1,6 +1,7 @@
 //! Lights seen through the visibility field: what they send is that of lights that nothing hides times visibility, and what
 //! the field learns of it are the reference's gradients.
 
+use sgs_engine::MatrixShape;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_normals_bwd, lights_prepare,
@@ -8,10 +9,11 @@ use sgs_passes::shade::lights::{
 };
 use sgs_passes::shade::visibility::{
     BackwardOptions, Gradients, VisibilityField, lights_bwd_field, lights_field, lights_normals_bwd_field,
-    lights_train_field, visibility_lights_bwd,
+    lights_split_field, lights_train_field, visibility_lights_bwd,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
+use sgs_passes::{Accuracy, Matrices, Tuning};
 use sgs_shaders::structs::Step;
 use sgs_tests::field::{Case, Found, SMALL, whole};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -126,34 +128,66 @@ impl Scene {
     }
 }
 
+/// Pictures by a field, in every way that there is, against each light's alone times what `visibility` says.
+fn seen_as(gpu: &Gpu, tuning: Tuning, scene: &Scene, visibility: impl Fn(usize, usize) -> f64, tolerance: Tolerance) {
+    for metallic in [false, true] {
+        let alone = scene.unshadowed(gpu, metallic);
+        assert!(alone.iter().all(|a| a.iter().any(|x| *x > 0.0)));
+        let mut expected = vec![0.0; 3 * PIXELS];
+        for i in 0..PIXELS {
+            for j in 0..LIGHTS {
+                (0..3).for_each(|k| expected[3 * i + k] += visibility(i, j) * f64::from(alone[j][3 * i + k]));
+            }
+        }
+        let mut g = Graph::new("lights_field");
+        let (what, mut inputs) = scene.declare(gpu, &mut g, metallic, &[1.0; LIGHTS]);
+        let field = scene.field(&mut g, &mut inputs);
+        let [picture, direct, split, diffuse] =
+            ["picture", "direct", "split", "diffuse"].map(|n| g.external(n, 12 * PIXELS as u64));
+        lights_field(&mut g, tuning, &what, &field, picture).unwrap();
+        lights_split_field(&mut g, tuning, &what, &field, split, diffuse).unwrap();
+        let sums = lights_train_field(&mut g, tuning, &what, &field, direct).unwrap();
+        let kept = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
+        g.copy("keep", sums.buffer, kept).unwrap();
+        let out = gpu.run(g, &inputs);
+        assert_close("picture", &expected, &out.get(picture), tolerance);
+        assert_close("in training", &expected, &out.get(direct), tolerance);
+        assert_close("in parts", &expected, &out.get(split), tolerance);
+        let (whole, diffuse) = (out.get::<f32>(split), out.get::<f32>(diffuse));
+        assert!(whole.iter().zip(&diffuse).all(|(w, d)| *d >= 0.0 && *d <= w * (1.0 + 1e-5)));
+        assert!(out.get::<f32>(kept).iter().all(|x| x.is_finite()));
+    }
+}
+
 #[test]
 fn lights_are_seen_as_the_field_says() {
     let gpu = Gpu::new();
     let scene = Scene::new();
-    let field = scene.case.twin();
-    for metallic in [false, true] {
-        let alone = scene.unshadowed(&gpu, metallic);
-        assert!(alone.iter().all(|a| a.iter().any(|x| *x > 0.0)));
-        let mut expected = vec![0.0; 3 * PIXELS];
-        for i in 0..PIXELS {
-            let seen = |j: usize| field.visibility(Case::wide(scene.case.points[i]), Case::wide(scene.case.lights[j]));
-            for j in 0..LIGHTS {
-                (0..3).for_each(|k| expected[3 * i + k] += seen(j) * f64::from(alone[j][3 * i + k]));
-            }
-        }
-        let mut g = Graph::new("lights_field");
-        let (what, mut inputs) = scene.declare(&gpu, &mut g, metallic, &[1.0; LIGHTS]);
-        let field = scene.field(&mut g, &mut inputs);
-        let [picture, direct] = ["picture", "direct"].map(|n| g.external(n, 12 * PIXELS as u64));
-        lights_field(&mut g, gpu.tuning(), &what, &field, picture).unwrap();
-        let sums = lights_train_field(&mut g, gpu.tuning(), &what, &field, direct).unwrap();
-        let kept = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
-        g.copy("keep", sums.buffer, kept).unwrap();
-        let out = gpu.run(g, &inputs);
-        let tolerance = Tolerance::new(1e-7, 1e-4);
-        assert_close("picture", &expected, &out.get(picture), tolerance);
-        assert_close("in training", &expected, &out.get(direct), tolerance);
-        assert!(out.get::<f32>(kept).iter().all(|x| x.is_finite()));
+    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let visibility = |i, j| field.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
+    seen_as(&gpu, gpu.tuning(), &scene, visibility, Tolerance::new(1e-7, 1e-4));
+}
+
+/// The same with the second layer in pieces of 16-bit operands; the reference rounds them too. Layers are large enough for exact ones
+/// to be noticed.
+#[test]
+fn lights_are_seen_as_a_field_of_halves_says() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::new();
+    let first = 32 * scene.case.config.inputs();
+    scene.case.mlp[first..].iter_mut().for_each(|w| *w *= 4.0);
+    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let exact = |i, j| field.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
+    let half = |i, j| field.visibility_half(at(&scene.case.points, i), at(&scene.case.lights, j));
+    let pairs = (0..PIXELS).flat_map(|i| (0..LIGHTS).map(move |j| (i, j)));
+    let apart = pairs.map(|(i, j)| ((half(i, j) - exact(i, j)) / exact(i, j)).abs()).fold(0.0, f64::max);
+    assert!(apart > 4e-4, "{apart}");
+    let own = gpu.tuning().with(Accuracy { visibility_operands: 16, ..Accuracy::EXACT });
+    let matrices = Matrices { shape: MatrixShape { rows: 16, columns: 8, depth: 16 }, units: false };
+    seen_as(&gpu, Tuning { matrices: Some(matrices), ..own }, &scene, half, Tolerance::new(1e-7, 1e-4));
+    match own.field_matrices() {
+        Some(_) => seen_as(&gpu, own, &scene, half, Tolerance::new(1e-7, 1e-4)),
+        None => println!("not on matrix units: {}", Matrices::for_device(gpu.device().info()).unwrap_err()),
     }
 }
 

@@ -27,7 +27,7 @@ const PIXEL_BYTES: f64 = 44.0;
 /// A kernel's cost, if it is one of these. With the visibility field: that of a plain one, and the field at each pixel and at each
 /// pair that faces each other.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
-    match s.kernel.strip_suffix("_field") {
+    match super::visibility::portable(s.kernel).strip_suffix("_field") {
         Some(kernel) => {
             let plain = plain(&Stage { kernel, ..*s }, c)?;
             let field = super::visibility::field((s.specs)("LEVELS"), c);

@@ -19,6 +19,11 @@ pub(super) fn field(levels: f64, c: &Counts) -> Cost {
     Cost { bytes: 8.0 * corners * p, operations: (CORNER * corners + 2.0 * 32.0 * 2.0 * levels) * p + PAIR * pairs }
 }
 
+/// The kernel that does the same in 32 bits. What is worked out is the same, so products on matrix units count as any others.
+pub(super) fn portable(kernel: &str) -> &str {
+    kernel.strip_suffix("_cooperative").or_else(|| kernel.strip_suffix("_halves")).unwrap_or(kernel)
+}
+
 /// A kernel's cost, if it is one of these.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
@@ -26,9 +31,9 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let corners = 8.0 * levels;
     // What the first layer makes of a point.
     let project = 2.0 * 32.0 * 2.0 * levels;
-    let (bytes, operations) = match s.kernel {
+    let (bytes, operations) = match portable(s.kernel) {
         "visibility" => {
-            let again = if spec("SPLIT") > 0.0 { 0.0 } else { project };
+            let again = if s.kernel == "visibility" && spec("SPLIT") == 0.0 { project } else { 0.0 };
             ((20.0 + 8.0 * corners) * p, (CORNER * corners + project) * p + (PAIR + again) * pairs)
         }
         "visibility_encode" => ((12.0 + 128.0 + 8.0 * corners) * p, (CORNER * corners + project) * p),

@@ -8,6 +8,7 @@ use crate::harness::{Rig, add_passes, bytes};
 use crate::micro::lights::Lit;
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::Accuracy;
 use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::shade::visibility::{
@@ -40,6 +41,12 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let [seen, plain] = ["seen", "plain"].map(|name| g.external(name, 4 * n as u64));
     visibility(&mut g, c.tuning, &f, &view, None, true, seen)?;
     visibility(&mut g, c.tuning, &f, &view, None, false, plain)?;
+    // A row of its own where the device has matrix units, and this program kernels for them.
+    let halves = c.tuning.with(Accuracy { visibility_operands: 16, ..c.tuning.accuracy });
+    let on_units = halves.field_matrices().map(|_| g.external("on_units", 4 * n as u64));
+    if let Some(into) = on_units {
+        visibility(&mut g, halves, &f, &view, None, true, into)?;
+    }
     let gradients = handles.gradients(&mut g, model.lights);
     let gradients = gradients.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
     let mlp_gradient = g.external("mlp_gradient", 4 * config.weights() as u64);
@@ -98,6 +105,19 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         for value in [found[i], again[i]] {
             let right = (f64::from(value) - expected).abs() < 1e-4;
             anyhow::ensure!(right, "Pixel {i} sees {value} of the lights, but should see {expected}.");
+        }
+    }
+    if let Some(into) = on_units {
+        let found = rig.get::<f32>(into)?;
+        for &i in &sample {
+            let one = |l: &[f32; 3]| reference.visibility_half(lit.points[i].map(f64::from), l.map(f64::from));
+            let expected = lit.positions.iter().map(one).sum::<f64>() / lights;
+            let right = (f64::from(found[i]) - expected).abs() < 2e-4;
+            anyhow::ensure!(
+                right,
+                "On matrix units pixel {i} sees {} of the lights, but should see {expected}.",
+                found[i]
+            );
         }
     }
     // Every replay had the same gradients, so first moments are these times 1 - 0.9^replays.

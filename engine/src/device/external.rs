@@ -196,6 +196,9 @@ impl Device {
             }
         }
         info.optional = info.optional.only(host.features, host.extensions);
+        if !info.optional.cooperative_matrix {
+            info.matrices.clear();
+        }
         if !info.optional.subgroup_size_control {
             info.subgroup_sizes = (info.subgroup_size, info.subgroup_size);
         }

@@ -3,7 +3,7 @@
 use super::fault::Gate;
 use super::objects::{ObjectKind, Objects};
 use crate::error::{Error, Result};
-use ash::{ext, vk};
+use ash::{ext, khr, vk};
 use std::ffi::{CStr, c_void};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::{self, ThreadId};
@@ -61,6 +61,7 @@ pub(crate) struct Instance {
     pub raw: ash::Instance,
     /// Keeps the loader in memory; a host keeps its own.
     pub(super) entry: Option<ash::Entry>,
+    get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
     pub messages: Arc<Messages>,
     pub validation: bool,
     /// Of the validation layer, if it is used.
@@ -138,6 +139,7 @@ impl Instance {
         };
         Ok(Arc::new(Instance {
             raw,
+            get_instance_proc_addr: entry.static_fn().get_instance_proc_addr,
             entry: Some(entry),
             messages,
             validation,
@@ -164,6 +166,7 @@ impl Instance {
         Arc::new(Instance {
             raw,
             entry: None,
+            get_instance_proc_addr,
             messages: Arc::default(),
             validation: false,
             layer_version: None,
@@ -171,6 +174,19 @@ impl Instance {
             debug_utils,
             objects: Objects::default(),
         })
+    }
+}
+
+impl Instance {
+    /// What asks for shapes of cooperative matrices, if whoever stands for the loader knows it.
+    pub fn cooperative_matrices(&self) -> Option<khr::cooperative_matrix::Instance> {
+        let name = c"vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR";
+        // SAFETY: the entry point made the instance, which is alive.
+        unsafe { (self.get_instance_proc_addr)(self.raw.handle(), name.as_ptr()) }?;
+        let functions = ash::StaticFn { get_instance_proc_addr: self.get_instance_proc_addr };
+        // SAFETY: as above; the loader outlives this instance.
+        let entry = unsafe { ash::Entry::from_static_fn(functions) };
+        Some(khr::cooperative_matrix::Instance::new(&entry, &self.raw))
     }
 }
 

@@ -24,7 +24,7 @@ pub(crate) use parking::{Busy, Parked};
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub(crate) use second::semaphore;
-pub use select::{DeviceInfo, Optional};
+pub use select::{DeviceInfo, MatrixShape, Optional};
 pub use surface::{Surface, Window};
 pub use swapchain::{Shown, Swapchain};
 

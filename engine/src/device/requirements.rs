@@ -30,11 +30,17 @@ pub enum Feature {
     ComputeFullSubgroups,
     /// `shaderBufferFloat32AtomicAdd` of `VK_EXT_shader_atomic_float`; optional.
     ShaderBufferFloat32AtomicAdd,
+    /// `shaderFloat16` of Vulkan 1.2; optional, for cooperative matrices.
+    ShaderFloat16,
+    /// `vulkanMemoryModel` of Vulkan 1.2; optional, for cooperative matrices, whose modules are compiled for it.
+    VulkanMemoryModel,
+    /// `cooperativeMatrix` of `VK_KHR_cooperative_matrix`; optional.
+    CooperativeMatrix,
 }
 
 impl Feature {
     /// All of them.
-    pub const ALL: [Feature; 8] = [
+    pub const ALL: [Feature; 11] = [
         Feature::TimelineSemaphore,
         Feature::ScalarBlockLayout,
         Feature::HostQueryReset,
@@ -43,6 +49,9 @@ impl Feature {
         Feature::SubgroupSizeControl,
         Feature::ComputeFullSubgroups,
         Feature::ShaderBufferFloat32AtomicAdd,
+        Feature::ShaderFloat16,
+        Feature::VulkanMemoryModel,
+        Feature::CooperativeMatrix,
     ];
 
     /// Its name in Vulkan's feature structs.
@@ -61,6 +70,9 @@ impl Feature {
             Feature::SubgroupSizeControl => c"subgroupSizeControl",
             Feature::ComputeFullSubgroups => c"computeFullSubgroups",
             Feature::ShaderBufferFloat32AtomicAdd => c"shaderBufferFloat32AtomicAdd",
+            Feature::ShaderFloat16 => c"shaderFloat16",
+            Feature::VulkanMemoryModel => c"vulkanMemoryModel",
+            Feature::CooperativeMatrix => c"cooperativeMatrix",
         }
     }
 
@@ -73,17 +85,23 @@ impl Feature {
     pub fn required(self) -> bool {
         !matches!(
             self,
-            Feature::SubgroupSizeControl | Feature::ComputeFullSubgroups | Feature::ShaderBufferFloat32AtomicAdd
+            Feature::SubgroupSizeControl
+                | Feature::ComputeFullSubgroups
+                | Feature::ShaderBufferFloat32AtomicAdd
+                | Feature::ShaderFloat16
+                | Feature::VulkanMemoryModel
+                | Feature::CooperativeMatrix
         )
     }
 }
 
 /// Device extensions that are used where they are enabled. None is required.
-pub const OPTIONAL_EXTENSIONS: [&CStr; 4] = [
+pub const OPTIONAL_EXTENSIONS: [&CStr; 5] = [
     ext::shader_atomic_float::NAME,
     ext::memory_budget::NAME,
     khr::external_memory_fd::NAME,
     khr::external_semaphore_fd::NAME,
+    khr::cooperative_matrix::NAME,
 ];
 
 /// What one physical device needs to have enabled, and what may be.
@@ -112,6 +130,7 @@ impl Requirements {
             Feature::SubgroupSizeControl => o.subgroup_size_control,
             Feature::ComputeFullSubgroups => o.full_subgroups,
             Feature::ShaderBufferFloat32AtomicAdd => o.float_atomics,
+            Feature::ShaderFloat16 | Feature::VulkanMemoryModel | Feature::CooperativeMatrix => o.cooperative_matrix,
             _ => false,
         };
         let has = |name: &&CStr| {
@@ -120,6 +139,7 @@ impl Requirements {
                 (ext::memory_budget::NAME, o.memory_budget),
                 (khr::external_memory_fd::NAME, o.external_memory_fd),
                 (khr::external_semaphore_fd::NAME, o.external_semaphore_fd),
+                (khr::cooperative_matrix::NAME, o.cooperative_matrix),
             ];
             known.iter().any(|(known, has)| known == name && *has)
         };
@@ -160,6 +180,8 @@ pub struct FeatureStructs {
     pub v13: vk::PhysicalDeviceVulkan13Features<'static>,
     /// `VK_EXT_shader_atomic_float`; chained only if it enables something.
     pub atomics: vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT<'static>,
+    /// `VK_KHR_cooperative_matrix`; likewise.
+    pub matrices: vk::PhysicalDeviceCooperativeMatrixFeaturesKHR<'static>,
 }
 
 impl FeatureStructs {
@@ -170,7 +192,9 @@ impl FeatureStructs {
             v12: vk::PhysicalDeviceVulkan12Features::default()
                 .timeline_semaphore(on(Feature::TimelineSemaphore))
                 .scalar_block_layout(on(Feature::ScalarBlockLayout))
-                .host_query_reset(on(Feature::HostQueryReset)),
+                .host_query_reset(on(Feature::HostQueryReset))
+                .shader_float16(on(Feature::ShaderFloat16))
+                .vulkan_memory_model(on(Feature::VulkanMemoryModel)),
             v13: vk::PhysicalDeviceVulkan13Features::default()
                 .synchronization2(on(Feature::Synchronization2))
                 .maintenance4(on(Feature::Maintenance4))
@@ -178,6 +202,8 @@ impl FeatureStructs {
                 .compute_full_subgroups(on(Feature::ComputeFullSubgroups)),
             atomics: vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default()
                 .shader_buffer_float32_atomic_add(on(Feature::ShaderBufferFloat32AtomicAdd)),
+            matrices: vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default()
+                .cooperative_matrix(on(Feature::CooperativeMatrix)),
         }
     }
 
@@ -186,6 +212,9 @@ impl FeatureStructs {
         create = create.push_next(&mut self.v12).push_next(&mut self.v13);
         if self.atomics.shader_buffer_float32_atomic_add != 0 {
             create = create.push_next(&mut self.atomics);
+        }
+        if self.matrices.cooperative_matrix != 0 {
+            create = create.push_next(&mut self.matrices);
         }
         create
     }
@@ -205,6 +234,11 @@ impl Optional {
             memory_budget: self.memory_budget && has(ext::memory_budget::NAME),
             external_memory_fd: self.external_memory_fd && has(khr::external_memory_fd::NAME),
             external_semaphore_fd: self.external_semaphore_fd && has(khr::external_semaphore_fd::NAME),
+            cooperative_matrix: self.cooperative_matrix
+                && on(Feature::CooperativeMatrix)
+                && on(Feature::ShaderFloat16)
+                && on(Feature::VulkanMemoryModel)
+                && has(khr::cooperative_matrix::NAME),
         }
     }
 }
@@ -227,6 +261,9 @@ mod tests {
                 s.v13.subgroup_size_control,
                 s.v13.compute_full_subgroups,
                 s.atomics.shader_buffer_float32_atomic_add,
+                s.v12.shader_float16,
+                s.v12.vulkan_memory_model,
+                s.matrices.cooperative_matrix,
             ];
             let expected: Vec<u32> = Feature::ALL.iter().map(|f| u32::from(*f == feature)).collect();
             assert_eq!(bits.to_vec(), expected, "{}", feature.name());
@@ -243,11 +280,16 @@ mod tests {
             memory_budget: true,
             external_memory_fd: true,
             external_semaphore_fd: true,
+            cooperative_matrix: true,
         };
         assert_eq!(all.only(&Feature::ALL, &OPTIONAL_EXTENSIONS), all);
         assert_eq!(all.only(&[], &[]), Optional::default());
         // The feature without its extension is nothing.
         assert!(!all.only(&Feature::ALL, &[]).float_atomics);
+        for needed in [Feature::ShaderFloat16, Feature::VulkanMemoryModel, Feature::CooperativeMatrix] {
+            let rest: Vec<Feature> = Feature::ALL.into_iter().filter(|f| *f != needed).collect();
+            assert!(!all.only(&rest, &OPTIONAL_EXTENSIONS).cooperative_matrix, "{}", needed.name());
+        }
         assert_eq!(Optional::default().only(&Feature::ALL, &OPTIONAL_EXTENSIONS), Optional::default());
     }
 }

@@ -44,6 +44,8 @@ pub struct DeviceInfo {
     pub timestamp_period: f32,
     /// Device-local memory in bytes.
     pub memory_bytes: u64,
+    /// Shapes of cooperative matrices with 16-bit operands and 32-bit sums; none where there are no such matrices.
+    pub matrices: Vec<MatrixShape>,
     /// Required features that are absent, by name.
     pub missing: Vec<String>,
     /// Optional features that are absent, by name, with what is done instead.
@@ -68,6 +70,19 @@ pub struct Optional {
     pub external_memory_fd: bool,
     /// `VK_KHR_external_semaphore_fd`: likewise semaphores.
     pub external_semaphore_fd: bool,
+    /// `VK_KHR_cooperative_matrix` with 16-bit operands and 32-bit sums ([`DeviceInfo::matrices`]).
+    pub cooperative_matrix: bool,
+}
+
+/// A shape of cooperative matrices whose operands have 16 bits and whose sums 32, all of them floats, for a subgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct MatrixShape {
+    /// Rows of the first operand and of the sums.
+    pub rows: u32,
+    /// Columns of the second operand and of the sums.
+    pub columns: u32,
+    /// Columns of the first operand, rows of the second.
+    pub depth: u32,
 }
 
 pub(crate) struct Candidate {
@@ -101,12 +116,19 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     })?;
     let has = |name: &std::ffi::CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     let has_atomics = has(ash::ext::shader_atomic_float::NAME);
+    let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
+    let mut cooperative_stages = vk::PhysicalDeviceCooperativeMatrixPropertiesKHR::default();
+    let has_matrices = has(ash::khr::cooperative_matrix::NAME);
     let mut properties = vk::PhysicalDeviceProperties2::default();
     if modern {
         properties = properties.push_next(&mut subgroup).push_next(&mut sizes).push_next(&mut driver);
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
         if has_atomics {
             features = features.push_next(&mut atomics);
+        }
+        if has_matrices {
+            features = features.push_next(&mut cooperative);
+            properties = properties.push_next(&mut cooperative_stages);
         }
         // SAFETY: the chain holds structs that a 1.3 device with that extension knows.
         unsafe {
@@ -149,6 +171,12 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         need(basic.limits.max_compute_shared_memory_size >= 32768, "32 KiB of shared memory");
         need(basic.limits.max_per_stage_descriptor_storage_buffers >= 32, "32 storage buffers per kernel");
     }
+    let usable = modern
+        && cooperative.cooperative_matrix != 0
+        && v12.shader_float16 != 0
+        && v12.vulkan_memory_model != 0
+        && cooperative_stages.cooperative_matrix_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    let matrices = if usable { matrix_shapes(instance, gate, physical)? } else { Vec::new() };
     let optional = Optional {
         float_atomics: has_atomics && atomics.shader_buffer_float32_atomic_add != 0,
         subgroup_size_control: v13.subgroup_size_control != 0
@@ -157,6 +185,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         memory_budget: has(ash::ext::memory_budget::NAME),
         external_memory_fd: has(ash::khr::external_memory_fd::NAME),
         external_semaphore_fd: has(ash::khr::external_semaphore_fd::NAME),
+        cooperative_matrix: !matrices.is_empty(),
     };
     let mut fallbacks = Vec::new();
     if !optional.float_atomics {
@@ -167,6 +196,11 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     }
     if !optional.memory_budget {
         fallbacks.push("VK_EXT_memory_budget absent: the budget is the size of the heap".to_owned());
+    }
+    if matrices.is_empty() {
+        fallbacks.push(
+            "VK_KHR_cooperative_matrix absent: matrices are multiplied by ordinary instructions, in 32 bits".to_owned(),
+        );
     }
     if !timestamps {
         fallbacks.push("timestamps absent: passes are not timed".to_owned());
@@ -212,11 +246,37 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
             .filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
             .map(|h| h.size)
             .sum(),
+        matrices,
         missing,
         fallbacks,
         optional,
     };
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+}
+
+/// Shapes of 16-bit operands and 32-bit sums.
+fn matrix_shapes(instance: &Instance, gate: &Gate, physical: vk::PhysicalDevice) -> Result<Vec<MatrixShape>> {
+    // What a host puts in the loader's place need not know every extension.
+    let Some(api) = instance.cooperative_matrices() else { return Ok(Vec::new()) };
+    // SAFETY: the physical device comes from this instance and has the extension.
+    let all = gate.call("vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR", "device", || unsafe {
+        api.get_physical_device_cooperative_matrix_properties(physical)
+    })?;
+    Ok(fitting(&all))
+}
+
+/// Those of 16-bit operands and 32-bit sums, each once.
+fn fitting(all: &[vk::CooperativeMatrixPropertiesKHR<'_>]) -> Vec<MatrixShape> {
+    let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
+    let mut shapes = Vec::new();
+    for p in all {
+        let shape = MatrixShape { rows: p.m_size, columns: p.n_size, depth: p.k_size };
+        let types = [p.a_type, p.b_type, p.c_type, p.result_type] == [half, half, single, single];
+        if types && p.scope == vk::ScopeKHR::SUBGROUP && !shapes.contains(&shape) {
+            shapes.push(shape);
+        }
+    }
+    shapes
 }
 
 /// Formats of which the device has storage images.
@@ -286,6 +346,7 @@ mod tests {
             storage_formats: Vec::new(),
             timestamp_period: 1.0,
             memory_bytes: 1 << 30,
+            matrices: Vec::new(),
             missing: missing.iter().map(|m| (*m).to_owned()).collect(),
             fallbacks: Vec::new(),
             optional: Optional::default(),
@@ -299,6 +360,28 @@ mod tests {
             candidate(1, "Small GPU", "integrated", &[]),
             candidate(2, "Old GPU", "discrete", &["scalarBlockLayout", "synchronization2"]),
         ]
+    }
+
+    #[test]
+    fn shapes_are_those_of_halves_summed_in_single_precision() {
+        let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
+        let shape = |m, n, k| {
+            vk::CooperativeMatrixPropertiesKHR::default()
+                .m_size(m)
+                .n_size(n)
+                .k_size(k)
+                .a_type(half)
+                .b_type(half)
+                .c_type(single)
+                .result_type(single)
+                .scope(vk::ScopeKHR::SUBGROUP)
+        };
+        let integers = shape(16, 16, 32).a_type(vk::ComponentTypeKHR::SINT8).b_type(vk::ComponentTypeKHR::SINT8);
+        let halves = shape(16, 8, 16).c_type(half).result_type(half);
+        let wide = shape(64, 64, 16).scope(vk::ScopeKHR::WORKGROUP);
+        let all = [integers, shape(16, 16, 16), halves, shape(16, 8, 16), wide, shape(16, 16, 16)];
+        let found: Vec<_> = fitting(&all).iter().map(|s| [s.rows, s.columns, s.depth]).collect();
+        assert_eq!(found, [[16, 16, 16], [16, 8, 16]]);
     }
 
     #[test]

@@ -45,6 +45,8 @@ mod op {
     pub const ATOMIC_EXCHANGE: u32 = 229;
     pub const ATOMIC_COMPARE_EXCHANGE: u32 = 230;
     pub const ATOMIC_XOR: u32 = 242;
+    pub const MATRIX_LOAD: u32 = 4457;
+    pub const MATRIX_STORE: u32 = 4458;
     pub const ATOMIC_FADD: u32 = 6035;
     /// Increment, decrement, add, subtract.
     pub const ATOMIC_ADDITIVE: std::ops::RangeInclusive<u32> = 232..=235;
@@ -107,8 +109,8 @@ pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
                     root.insert(i[2], b);
                 }
             }
-            op::LOAD | op::ATOMIC_LOAD => mark(&root, &mut seen, i[3], |s| s.read = true),
-            op::STORE | op::ATOMIC_STORE => mark(&root, &mut seen, i[1], |s| s.write = true),
+            op::LOAD | op::ATOMIC_LOAD | op::MATRIX_LOAD => mark(&root, &mut seen, i[3], |s| s.read = true),
+            op::STORE | op::ATOMIC_STORE | op::MATRIX_STORE => mark(&root, &mut seen, i[1], |s| s.write = true),
             op::COPY_MEMORY => {
                 mark(&root, &mut seen, i[1], |s| s.write = true);
                 mark(&root, &mut seen, i[2], |s| s.read = true);

@@ -1,14 +1,16 @@
 //! The generated Rust: one module a kernel, one type a shared struct.
 
 use crate::access::Access;
+use crate::compile::{Absent, Folder};
 use crate::reflect::{BindingKind, Kernel, Struct};
 use std::fmt::Write;
 
-/// Rust source for `kernels`; SPIR-V is included from `spirv_dir/NAME.spv`, which the caller writes.
+/// Rust source for a folder's kernels; SPIR-V is included from `spirv_dir/NAME.spv`, which the caller writes.
 ///
 /// # Errors
 /// If two kernels give the same struct name different layouts.
-pub fn generate(kernels: &[Kernel], spirv_dir: &str) -> Result<String, String> {
+pub fn generate(folder: &Folder, spirv_dir: &str) -> Result<String, String> {
+    let kernels = &folder.kernels;
     let mut out = String::from("// Generated from the GLSL by build.rs.\n");
     let mut shared: Vec<&Struct> = Vec::new();
     for kernel in kernels {
@@ -33,6 +35,16 @@ pub fn generate(kernels: &[Kernel], spirv_dir: &str) -> Result<String, String> {
     for kernel in kernels {
         emit_kernel(&mut out, kernel, spirv_dir);
     }
+    out.push_str("/// Kernels that need newer GLSL than some compilers know.\npub static OPTIONAL: &[Optional] = &[");
+    for kernel in kernels {
+        let Some(extension) = kernel.extension else { continue };
+        let name = &kernel.name;
+        let _ = write!(out, "Optional {{ name: {name:?}, extension: {extension:?}, kernel: Some(&{name}::KERNEL) }}, ");
+    }
+    for Absent { name, extension } in &folder.absent {
+        let _ = write!(out, "Optional {{ name: {name:?}, extension: {extension:?}, kernel: None }}, ");
+    }
+    out.push_str("];\n");
     out.push_str("/// Every kernel, by name.\npub static ALL: &[&Kernel] = &[");
     for kernel in kernels {
         let _ = write!(out, "&{}::KERNEL, ", kernel.name);

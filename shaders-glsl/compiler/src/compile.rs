@@ -20,9 +20,32 @@ pub enum Error {
     Reflect(String, String),
 }
 
+/// GLSL that is newer than some compilers in use. A kernel that requires such an extension is left out where the compiler does not
+/// know it; any other one has to compile.
+pub const OPTIONAL_EXTENSIONS: [&str; 1] = ["GL_KHR_cooperative_matrix"];
+
+/// The kernels of a folder, sorted by name.
+pub struct Folder {
+    /// Those that were compiled.
+    pub kernels: Vec<Kernel>,
+    /// Those that this compiler is too old for.
+    pub absent: Vec<Absent>,
+}
+
+/// A kernel that was left out.
+pub struct Absent {
+    /// File stem.
+    pub name: String,
+    /// What it requires and the compiler does not know, of [`OPTIONAL_EXTENSIONS`].
+    pub extension: &'static str,
+}
+
 /// Compiles every `family/NAME.comp` below `root`; `#include "x.glsl"` is looked up in `root/include`.
-/// Kernels come back sorted by name.
-pub fn compile_folder(root: &Path) -> Result<Vec<Kernel>, Error> {
+///
+/// # Errors
+/// If a file cannot be read, or a kernel is wrong. One that requires an extension of [`OPTIONAL_EXTENSIONS`] that the compiler does
+/// not know is no error.
+pub fn compile_folder(root: &Path) -> Result<Folder, Error> {
     let mut files = Vec::new();
     for family in list(root)? {
         if family.is_dir() && !["src", "compiler", "include", "target"].iter().any(|s| family.ends_with(s)) {
@@ -31,7 +54,36 @@ pub fn compile_folder(root: &Path) -> Result<Vec<Kernel>, Error> {
     }
     files.sort_by(|a, b| a.file_stem().cmp(&b.file_stem()));
     let compiler = shaderc::Compiler::new().map_err(|e| Error::Compiler(e.to_string()))?;
-    files.iter().map(|f| compile(&compiler, &root.join("include"), f)).collect()
+    let unknown: Vec<&str> = OPTIONAL_EXTENSIONS.into_iter().filter(|e| !knows(&compiler, e)).collect();
+    let mut folder = Folder { kernels: Vec::new(), absent: Vec::new() };
+    for file in &files {
+        let source = std::fs::read_to_string(file).map_err(|e| Error::Read(file.to_owned(), e))?;
+        match required(&source).filter(|e| unknown.contains(e)) {
+            Some(extension) => folder.absent.push(Absent { name: stem(file), extension }),
+            None => folder.kernels.push(compile(&compiler, &root.join("include"), file, &source)?),
+        }
+    }
+    Ok(folder)
+}
+
+/// The extension of [`OPTIONAL_EXTENSIONS`] that a source requires, if any.
+fn required(source: &str) -> Option<&'static str> {
+    let words =
+        |line: &str| line.split([' ', ':', '\t']).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
+    let asked = |e: &&str| source.lines().any(|line| words(line) == ["#extension", e, "require"]);
+    OPTIONAL_EXTENSIONS.into_iter().find(asked)
+}
+
+/// Whether the compiler knows an extension of GLSL.
+fn knows(compiler: &shaderc::Compiler, extension: &str) -> bool {
+    let source = format!("#version 460\n#extension {extension} : require\nvoid main() {{}}\n");
+    let Ok(mut options) = shaderc::CompileOptions::new() else { return false };
+    options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
+    compiler.compile_into_spirv(&source, shaderc::ShaderKind::Compute, "probe", "main", Some(&options)).is_ok()
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn list(folder: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -44,9 +96,7 @@ fn list(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(paths)
 }
 
-fn compile(compiler: &shaderc::Compiler, include: &Path, file: &Path) -> Result<Kernel, Error> {
-    let source = std::fs::read_to_string(file).map_err(|e| Error::Read(file.to_owned(), e))?;
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+fn compile(compiler: &shaderc::Compiler, include: &Path, file: &Path, source: &str) -> Result<Kernel, Error> {
     let name = stem(file);
     let family = file.parent().map(stem).unwrap_or_default();
     let mut options = shaderc::CompileOptions::new().map_err(|e| Error::Compiler(e.to_string()))?;
@@ -61,7 +111,31 @@ fn compile(compiler: &shaderc::Compiler, include: &Path, file: &Path) -> Result<
         Ok(shaderc::ResolvedInclude { resolved_name: path.to_string_lossy().into_owned(), content })
     });
     let artifact = compiler
-        .compile_into_spirv(&source, shaderc::ShaderKind::Compute, &file.to_string_lossy(), "main", Some(&options))
+        .compile_into_spirv(source, shaderc::ShaderKind::Compute, &file.to_string_lossy(), "main", Some(&options))
         .map_err(|e| Error::Glsl(name.clone(), e.to_string()))?;
-    reflect(name.clone(), family, artifact.as_binary()).map_err(|e| Error::Reflect(name, e))
+    let mut kernel = reflect(name.clone(), family, artifact.as_binary()).map_err(|e| Error::Reflect(name, e))?;
+    kernel.extension = required(source);
+    Ok(kernel)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_required_extension_is_seen() {
+        let known = Some("GL_KHR_cooperative_matrix");
+        assert_eq!(required("#version 460\n#extension GL_KHR_cooperative_matrix : require\n"), known);
+        assert_eq!(required("#extension\tGL_KHR_cooperative_matrix:require"), known);
+        assert_eq!(required("// #extension GL_KHR_cooperative_matrix : require"), None);
+        assert_eq!(required("#extension GL_KHR_cooperative_matrix : enable"), None);
+        assert_eq!(required("#extension GL_KHR_shader_subgroup_basic : require"), None);
+    }
+
+    #[test]
+    fn a_compiler_says_what_it_knows() {
+        let compiler = shaderc::Compiler::new().unwrap();
+        assert!(knows(&compiler, "GL_EXT_scalar_block_layout"));
+        assert!(!knows(&compiler, "GL_SGS_imagined"));
+    }
 }

@@ -10,6 +10,8 @@ pub struct Kernel {
     pub name: String,
     /// Folder name.
     pub family: String,
+    /// Extension of GLSL without which it would be absent.
+    pub extension: Option<&'static str>,
     /// The module.
     pub spirv: Vec<u32>,
     /// Bindings of set 0 by number.
@@ -104,7 +106,7 @@ impl FieldType {
 /// Reflects a module; errors are sentences without the full stop.
 pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Kernel, String> {
     let entry = ReflectConfig::new()
-        .spv(without_spec_operations(spirv))
+        .spv(legible(spirv))
         .ref_all_rscs(true)
         .reflect()
         .map_err(|e| e.to_string())?
@@ -113,8 +115,16 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
         .ok_or("it has no entry point")?;
     let access = accesses(spirv);
     let defaults = spec_defaults(spirv);
-    let mut kernel =
-        Kernel { name, family, spirv: spirv.to_vec(), bindings: vec![], push: None, specs: vec![], structs: vec![] };
+    let mut kernel = Kernel {
+        name,
+        family,
+        extension: None,
+        spirv: spirv.to_vec(),
+        bindings: vec![],
+        push: None,
+        specs: vec![],
+        structs: vec![],
+    };
     for var in entry.vars {
         match var {
             Variable::Descriptor { name, desc_bind, desc_ty, ty, .. } => {
@@ -267,9 +277,10 @@ fn field_type(ty: &Type, into: &mut Vec<Struct>) -> Result<(FieldType, usize), S
     })
 }
 
-/// The module with every operation on specialization constants replaced by a constant: spirq evaluates only some of
-/// them, and their values matter to no layout that the host shares (arrays in shared or private memory).
-fn without_spec_operations(spirv: &[u32]) -> Vec<u32> {
+/// The module as spirq can read it. Every operation on specialization constants is replaced by a constant: spirq evaluates only some
+/// of them, and their values matter to no layout that the host shares (arrays in shared or private memory). Cooperative matrices,
+/// which it does not know and no interface has, become structs of one component, and what is done with them is left out.
+fn legible(spirv: &[u32]) -> Vec<u32> {
     let mut out = spirv[..spirv.len().min(5)].to_vec();
     let mut bools = Vec::new();
     let mut rest = spirv.get(5..).unwrap_or(&[]);
@@ -284,6 +295,9 @@ fn without_spec_operations(spirv: &[u32]) -> Vec<u32> {
             // OpSpecConstantOp becomes OpConstantTrue or OpConstant 1.
             52 if bools.contains(&instruction[1]) => out.extend([(3 << 16) | 41, instruction[1], instruction[2]]),
             52 => out.extend([(4 << 16) | 43, instruction[1], instruction[2], 1]),
+            // OpTypeCooperativeMatrixKHR becomes OpTypeStruct; loads, stores, products and lengths go.
+            4456 => out.extend([(3 << 16) | 30, instruction[1], instruction[2]]),
+            4457..=4460 => {}
             opcode => {
                 // OpTypeBool
                 if opcode == 20 {

@@ -12,9 +12,9 @@ fn access(name: &str, body: &str) -> Access {
          void main() {{ uint i = gl_GlobalInvocationID.x; {body} }}\n"
     );
     std::fs::write(family.join(format!("{name}.comp")), source).unwrap();
-    let kernels = compile_folder(&root);
+    let folder = compile_folder(&root);
     std::fs::remove_dir_all(&root).unwrap();
-    kernels.unwrap()[0].bindings[0].access
+    folder.unwrap().kernels[0].bindings[0].access
 }
 
 #[test]

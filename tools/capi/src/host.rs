@@ -59,7 +59,11 @@ pub unsafe extern "C" fn sgs_requirements_create(
         let structs = needs.feature_structs();
         let mut chain = Box::new(Chain { head: vk::PhysicalDeviceFeatures2::default(), structs });
         let s = &mut chain.structs;
+        if s.matrices.cooperative_matrix != 0 {
+            s.v13.p_next = (&raw mut s.matrices).cast();
+        }
         if s.atomics.shader_buffer_float32_atomic_add != 0 {
+            s.atomics.p_next = s.v13.p_next;
             s.v13.p_next = (&raw mut s.atomics).cast();
         }
         s.v12.p_next = (&raw mut s.v13).cast();

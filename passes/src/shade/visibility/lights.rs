@@ -6,7 +6,7 @@
 //! the lights that are on.
 
 use super::bwd::Plan;
-use super::{BackwardOptions, Field, Gradients, View, field_spread};
+use super::{BackwardOptions, Field, Gradients, View, field_spread, forward};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::lights::backward::{OWN, cut, sum_rows};
@@ -14,8 +14,9 @@ use crate::shade::lights::forward::{lit_specs, of_lights};
 use crate::shade::lights::{LightGradients, Lights, Shape, Sums};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    lights_bwd_field as lights_kernel, lights_field as render, lights_normals_bwd_field as normals,
-    lights_split_field as split, lights_train_field as train, visibility_lights_bwd as pairs,
+    lights_bwd_field as lights_kernel, lights_field as render, lights_field_halves as render_halves,
+    lights_normals_bwd_field as normals, lights_split_field as split, lights_split_field_halves as split_halves,
+    lights_train_field as train, lights_train_field_halves as train_halves, visibility_lights_bwd as pairs,
 };
 
 /// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Of `a.shape` only what lanes fetch for one another matters.
@@ -43,7 +44,8 @@ pub fn lights_field(
         field_spread: field_spread(tuning),
     });
     let push = render::Push { normalizer: a.normalizer };
-    stage(g, "lights_field", &render::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+    let (kernel, specs) = forward(tuning, [&render::KERNEL, &render_halves::KERNEL], specs.entries());
+    stage(g, kernel.name, kernel, bindings.entries(), specs, bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
@@ -75,7 +77,8 @@ pub fn lights_split_field(
         field_spread: field_spread(tuning),
     });
     let push = split::Push { normalizer: a.normalizer };
-    stage(g, "lights_split_field", &split::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+    let (kernel, specs) = forward(tuning, [&split::KERNEL, &split_halves::KERNEL], specs.entries());
+    stage(g, kernel.name, kernel, bindings.entries(), specs, bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
@@ -107,7 +110,8 @@ pub fn lights_train_field(
         field_spread: field_spread(tuning),
     });
     let push = train::Push { normalizer: a.normalizer };
-    stage(g, "lights_train_field", &train::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+    let (kernel, specs) = forward(tuning, [&train::KERNEL, &train_halves::KERNEL], specs.entries());
+    stage(g, kernel.name, kernel, bindings.entries(), specs, bytemuck::bytes_of(&push))
         .subgroup_size(Some(shape.subgroup))
         .dispatch(groups(p.screen.pixels(), shape.block()))?;
     Ok(Sums { buffer: sums })

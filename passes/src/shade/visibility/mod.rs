@@ -28,7 +28,7 @@ pub use memory::{FieldHandles, VisibilityField};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{visibility as kernel, visibility_encode as encode_kernel};
+use sgs_shaders::{Kernel, visibility as kernel, visibility_encode as encode_kernel, visibility_halves as halves};
 
 /// A field in a graph.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +69,26 @@ fn shape(tuning: Tuning) -> ([u32; 2], bool) {
     ([if spread { 8 } else { tuning.workgroup.min(128) }, tuning.subgroup_size], spread)
 }
 
+/// A kernel that looks into the field, forward, and its constants: as they are for the portable kernel, or for one on matrices, which
+/// bear its name with an ending and differ in the constants below.
+fn forward(
+    tuning: Tuning,
+    [portable, halves]: [&'static Kernel; 2],
+    specs: impl IntoIterator<Item = (&'static str, u32)>,
+) -> (&'static Kernel, Vec<(&'static str, u32)>) {
+    let on_units = || sgs_shaders::optional(&format!("{}_cooperative", portable.name));
+    let chosen = tuning.field_matrices().and_then(|m| Some((m, if m.units { on_units()? } else { halves })));
+    let Some((matrices, kernel)) = chosen else { return (portable, specs.into_iter().collect()) };
+    let changed = |(name, bits): (&'static str, u32)| match name {
+        // A workgroup is a subgroup, whose pixels are multiplied together, neurons by neurons of its own.
+        "WORKGROUP" => (name, tuning.subgroup_size),
+        "FIELD_SPREAD" => (name, 0),
+        _ => (name, bits),
+    };
+    let known = |(name, _): &(&'static str, u32)| kernel.specs.iter().any(|s| s.name == *name);
+    (kernel, specs.into_iter().map(changed).filter(known).chain(matrices.specs()).collect())
+}
+
 /// Adds the pass that writes how much of the lights each pixel sees: `into`, `[pixels]` floats in 0 to 1, 0 where nothing is
 /// shaded. The mean over the step's `lights`, or of light `one` alone. `split`: whether the first layer's share of the point
 /// is made once a pixel; if not, once a pair (only there for comparison).
@@ -97,16 +117,15 @@ pub fn visibility(
     let ([workgroup, subgroup], field_spread) = shape(tuning);
     let one = one.unwrap_or(u32::MAX);
     let specs = kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels, split, one };
-    stage(
-        g,
-        if split { "visibility" } else { "visibility_plain" },
-        &kernel::KERNEL,
-        bindings.entries(),
-        specs.entries(),
-        &[],
-    )
-    .subgroup_size(Some(subgroup))
-    .dispatch(groups(u64::from(view.pixels), workgroup))
+    // What is there for comparison is the portable kernel.
+    let tuning = if split { tuning } else { Tuning { matrices: None, ..tuning } };
+    let (chosen, specs) = forward(tuning, [&kernel::KERNEL, &halves::KERNEL], specs.entries());
+    let name = if split { chosen.name } else { "visibility_plain" };
+    // Ordinary instructions on pieces know no subgroups: tests try any size of these.
+    let matrices = tuning.field_matrices();
+    stage(g, name, chosen, bindings.entries(), specs, &[])
+        .subgroup_size(matrices.is_none_or(|m| m.units).then_some(subgroup))
+        .dispatch(groups(u64::from(view.pixels), if matrices.is_some() { subgroup } else { workgroup }))
 }
 
 /// Adds the pass that writes what the first layer makes of the points of `count` pixels from `first` on: `into`, rows of 32

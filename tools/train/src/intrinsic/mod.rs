@@ -32,7 +32,6 @@ use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use needs::Sizes;
 use relit::Relit;
 use sgs_engine::{Device, DeviceBuffer, Location};
-use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
     IntrinsicSizes, IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
@@ -42,6 +41,7 @@ use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
+use sgs_passes::{Matrices, Tuning};
 use sgs_scene::{Scene, Splats};
 use surfaces::Surfaces;
 use values::light_scale;
@@ -144,6 +144,11 @@ impl Intrinsic {
             Metallic::Off => false,
         };
         let tuning = Tuning::for_device(device.info()).with(settings.accuracy.into());
+        if settings.accuracy.visibility_operands == 16
+            && let Err(why) = Matrices::for_device(device.info())
+        {
+            tracing::info!("accuracy.visibility_operands = 16 changes nothing: {why}");
+        }
         let model = Model { sh_degree: 0, normals: true, semantics: false };
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;

@@ -19,6 +19,8 @@ pub struct AccuracySettings {
     pub keep_last: bool,
     /// Whether a cubic stands in for the exponential.
     pub fast_exp: bool,
+    /// Bits of the numbers that the visibility field's second layer multiplies: 32, or 16 where there are matrix units.
+    pub visibility_operands: u32,
 }
 
 /// The named ones.
@@ -33,15 +35,15 @@ impl Default for AccuracySettings {
 
 impl From<Accuracy> for AccuracySettings {
     fn from(a: Accuracy) -> Self {
-        let Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp } = a;
-        AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp }
+        let Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands } = a;
+        AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands }
     }
 }
 
 impl From<AccuracySettings> for Accuracy {
     fn from(s: AccuracySettings) -> Self {
-        let AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp } = s;
-        Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp }
+        let AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands } = s;
+        Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands }
     }
 }
 
@@ -73,6 +75,12 @@ impl AccuracySettings {
                 self.transmittance_min
             ));
         }
+        if ![16, 32].contains(&self.visibility_operands) {
+            return fail(format!(
+                "accuracy.visibility_operands is {}, but must be 16 or 32.",
+                self.visibility_operands
+            ));
+        }
         Ok(())
     }
 }
@@ -102,6 +110,7 @@ mod tests {
             AccuracySettings { alpha_min: 0.0, ..good },
             AccuracySettings { alpha_min: f32::NAN, ..good },
             AccuracySettings { transmittance_min: 0.6, ..good },
+            AccuracySettings { visibility_operands: 24, ..good },
         ] {
             assert!(bad.check().unwrap_err().to_string().starts_with("accuracy."));
         }

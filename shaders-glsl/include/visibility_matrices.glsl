@@ -1,0 +1,26 @@
+// The visibility field's second layer on matrices of 16-bit operands; see matrix_pieces.glsl. Part of visibility_field.glsl where
+// MATRIX_UNITS is defined; the first layer and the last are in 32 bits, as they are there. A workgroup is a subgroup.
+
+layout(constant_id = 12) const uint ROWS = 16;    // of a piece of the layer and of the sums
+layout(constant_id = 13) const uint COLUMNS = 16; // pixels of a piece
+layout(constant_id = 14) const uint DEPTH = 16;   // columns of a piece of the layer
+
+#include "matrix_pieces.glsl"
+
+void matrices_weights() {
+    matrix_begin();
+    [[dont_unroll]] for (uint i = gl_LocalInvocationID.x; i < WIDTH * WIDTH; i += WORKGROUP) {
+        matrix_layer[i] = half_of(mlp[FIELD_SECOND + i]);
+    }
+    // What comes next waits for the others.
+    alone_weights();
+}
+
+float matrices_logit(vec4 way) {
+    uint lane = gl_LocalInvocationID.x;
+    FIELD_EACH(n, WIDTH) matrix_columns[n * BREADTH + lane] = half_of(alone_first(n, way));
+    matrix_product();
+    float logit = 0.0;
+    FIELD_EACH(n, WIDTH) logit = fma(shared_last[n], rectified(matrix_sums[n * BREADTH + lane]), logit);
+    return logit;
+}

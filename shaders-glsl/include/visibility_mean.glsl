@@ -1,0 +1,49 @@
+// The body of kernels that write how much of the lights each pixel sees: the mean over them, or one of them.
+#include "common.glsl"
+#include "coverage.glsl"
+#include "visibility_grid.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 64;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint SUBGROUP = 32;
+layout(constant_id = 3) const bool FIELD_SPREAD = false; // see visibility_field.glsl
+layout(constant_id = 4) const uint LEVELS = 16;
+#ifndef MATRIX_UNITS
+layout(constant_id = 5) const bool SPLIT = true;   // false: the first layer anew for each light, for comparison
+#endif
+layout(constant_id = 6) const uint ONE = 0xffffffffu; // a light, instead of the mean over all
+
+layout(scalar) uniform FieldBlock { FieldStep field; } params;
+
+IN(FieldLevel, field_levels);
+IN(vec2, tables);
+IN(float, mlp);
+IN(vec3, light_positions); // world
+IN(vec3, points);
+IN(float, coverage);
+OUT(float, visibility);
+
+#include "visibility_field.glsl"
+
+void main() {
+    field_weights();
+    uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    bool within = pixel < params.field.pixels;
+    uint at = within ? pixel : 0u;
+    vec3 point = field_inside(params.field, points[at]);
+    field_pixel(field_position(params.field, point));
+    uint begin = ONE == 0xffffffffu ? 0u : ONE, end = ONE == 0xffffffffu ? by_workgroup(params.field.lights) : ONE + 1u;
+    float sum = 0.0;
+    [[dont_unroll]] for (uint j = begin; j < end; j++) {
+#ifndef MATRIX_UNITS
+        if (!SPLIT) {
+            // Never the case, but nobody can tell: otherwise all lights would have it from the first.
+            if (gl_NumWorkGroups.z > j + 2u) field_features[j % FIELD_FEATURES] = 0.0;
+            field_project();
+        }
+#endif
+        sum += field_visibility(field_way(params.field, point, field_inside(params.field, light_positions[j])));
+    }
+    bool shaded = is_covered(coverage[at]);
+    if (within) visibility[pixel] = shaded ? sum / float(max(end - begin, 1u)) : 0.0;
+}

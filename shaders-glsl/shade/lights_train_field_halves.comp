@@ -1,0 +1,11 @@
+// As lights_train_field.comp.
+// The second layer as on matrix units, by ordinary instructions: for tests.
+#version 460
+#define MATRIX_UNITS 0
+#include "common.glsl"
+#include "step.glsl"
+#include "lights_pixels.glsl"
+#include "visibility_lights.glsl"
+#define SUMS 1
+#define SPLIT 0
+#include "lights_forward.glsl"

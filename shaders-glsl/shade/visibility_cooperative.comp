@@ -1,0 +1,8 @@
+// As visibility.comp.
+// The second layer on matrix units of 16-bit operands: visibility_matrices.glsl.
+#version 460
+#extension GL_KHR_cooperative_matrix : require
+#extension GL_KHR_memory_scope_semantics : require
+#extension GL_EXT_shader_explicit_arithmetic_types_float16 : require
+#define MATRIX_UNITS 1
+#include "visibility_mean.glsl"
