@@ -34,13 +34,16 @@ pub enum Feature {
     ShaderFloat16,
     /// `vulkanMemoryModel` of Vulkan 1.2; optional, for cooperative matrices, whose modules are compiled for it.
     VulkanMemoryModel,
+    /// `vulkanMemoryModelDeviceScope` of Vulkan 1.2; optional, with the one before: with that alone the atomics of all other kernels
+    /// would not be allowed.
+    VulkanMemoryModelDeviceScope,
     /// `cooperativeMatrix` of `VK_KHR_cooperative_matrix`; optional.
     CooperativeMatrix,
 }
 
 impl Feature {
     /// All of them.
-    pub const ALL: [Feature; 11] = [
+    pub const ALL: [Feature; 12] = [
         Feature::TimelineSemaphore,
         Feature::ScalarBlockLayout,
         Feature::HostQueryReset,
@@ -51,6 +54,7 @@ impl Feature {
         Feature::ShaderBufferFloat32AtomicAdd,
         Feature::ShaderFloat16,
         Feature::VulkanMemoryModel,
+        Feature::VulkanMemoryModelDeviceScope,
         Feature::CooperativeMatrix,
     ];
 
@@ -72,6 +76,7 @@ impl Feature {
             Feature::ShaderBufferFloat32AtomicAdd => c"shaderBufferFloat32AtomicAdd",
             Feature::ShaderFloat16 => c"shaderFloat16",
             Feature::VulkanMemoryModel => c"vulkanMemoryModel",
+            Feature::VulkanMemoryModelDeviceScope => c"vulkanMemoryModelDeviceScope",
             Feature::CooperativeMatrix => c"cooperativeMatrix",
         }
     }
@@ -90,6 +95,7 @@ impl Feature {
                 | Feature::ShaderBufferFloat32AtomicAdd
                 | Feature::ShaderFloat16
                 | Feature::VulkanMemoryModel
+                | Feature::VulkanMemoryModelDeviceScope
                 | Feature::CooperativeMatrix
         )
     }
@@ -130,7 +136,10 @@ impl Requirements {
             Feature::SubgroupSizeControl => o.subgroup_size_control,
             Feature::ComputeFullSubgroups => o.full_subgroups,
             Feature::ShaderBufferFloat32AtomicAdd => o.float_atomics,
-            Feature::ShaderFloat16 | Feature::VulkanMemoryModel | Feature::CooperativeMatrix => o.cooperative_matrix,
+            Feature::ShaderFloat16
+            | Feature::VulkanMemoryModel
+            | Feature::VulkanMemoryModelDeviceScope
+            | Feature::CooperativeMatrix => o.cooperative_matrix,
             _ => false,
         };
         let has = |name: &&CStr| {
@@ -194,7 +203,8 @@ impl FeatureStructs {
                 .scalar_block_layout(on(Feature::ScalarBlockLayout))
                 .host_query_reset(on(Feature::HostQueryReset))
                 .shader_float16(on(Feature::ShaderFloat16))
-                .vulkan_memory_model(on(Feature::VulkanMemoryModel)),
+                .vulkan_memory_model(on(Feature::VulkanMemoryModel))
+                .vulkan_memory_model_device_scope(on(Feature::VulkanMemoryModelDeviceScope)),
             v13: vk::PhysicalDeviceVulkan13Features::default()
                 .synchronization2(on(Feature::Synchronization2))
                 .maintenance4(on(Feature::Maintenance4))
@@ -238,6 +248,7 @@ impl Optional {
                 && on(Feature::CooperativeMatrix)
                 && on(Feature::ShaderFloat16)
                 && on(Feature::VulkanMemoryModel)
+                && on(Feature::VulkanMemoryModelDeviceScope)
                 && has(khr::cooperative_matrix::NAME),
         }
     }
@@ -263,6 +274,7 @@ mod tests {
                 s.atomics.shader_buffer_float32_atomic_add,
                 s.v12.shader_float16,
                 s.v12.vulkan_memory_model,
+                s.v12.vulkan_memory_model_device_scope,
                 s.matrices.cooperative_matrix,
             ];
             let expected: Vec<u32> = Feature::ALL.iter().map(|f| u32::from(*f == feature)).collect();
@@ -286,7 +298,12 @@ mod tests {
         assert_eq!(all.only(&[], &[]), Optional::default());
         // The feature without its extension is nothing.
         assert!(!all.only(&Feature::ALL, &[]).float_atomics);
-        for needed in [Feature::ShaderFloat16, Feature::VulkanMemoryModel, Feature::CooperativeMatrix] {
+        for needed in [
+            Feature::ShaderFloat16,
+            Feature::VulkanMemoryModel,
+            Feature::VulkanMemoryModelDeviceScope,
+            Feature::CooperativeMatrix,
+        ] {
             let rest: Vec<Feature> = Feature::ALL.into_iter().filter(|f| *f != needed).collect();
             assert!(!all.only(&rest, &OPTIONAL_EXTENSIONS).cooperative_matrix, "{}", needed.name());
         }

@@ -175,6 +175,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         && cooperative.cooperative_matrix != 0
         && v12.shader_float16 != 0
         && v12.vulkan_memory_model != 0
+        && v12.vulkan_memory_model_device_scope != 0
         && cooperative_stages.cooperative_matrix_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
     let matrices = if usable { matrix_shapes(instance, gate, physical)? } else { Vec::new() };
     let optional = Optional {

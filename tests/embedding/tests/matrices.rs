@@ -83,6 +83,7 @@ unsafe extern "system" fn features(device: vk::PhysicalDevice, into: *mut vk::Ph
             if (*next).s_type == vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES {
                 let f: *mut vk::PhysicalDeviceVulkan12Features<'_> = next.cast();
                 ((*f).shader_float16, (*f).vulkan_memory_model) = (vk::TRUE, vk::TRUE);
+                (*f).vulkan_memory_model_device_scope = vk::TRUE;
             }
             next = (*next).p_next.cast();
         }
@@ -168,12 +169,18 @@ fn matrices_are_found_and_used_as_far_as_the_host_says() {
     let shape = MatrixShape { rows: 16, columns: 8, depth: 16 };
     assert_eq!(needs.info.matrices, [shape]);
     assert!(!needs.info.fallbacks.iter().any(|f| f.contains("cooperative")));
-    let mine = [Feature::ShaderFloat16, Feature::VulkanMemoryModel, Feature::CooperativeMatrix];
+    let mine = [
+        Feature::ShaderFloat16,
+        Feature::VulkanMemoryModel,
+        Feature::VulkanMemoryModelDeviceScope,
+        Feature::CooperativeMatrix,
+    ];
     assert!(mine.iter().all(|f| needs.optional.contains(f) && !needs.required.contains(f)));
     assert!(needs.extensions().contains(&khr::cooperative_matrix::NAME));
     let structs = needs.feature_structs();
-    let on = [structs.matrices.cooperative_matrix, structs.v12.shader_float16, structs.v12.vulkan_memory_model];
-    assert_eq!(on, [vk::TRUE; 3]);
+    let v12 = structs.v12;
+    let model = [v12.vulkan_memory_model, v12.vulkan_memory_model_device_scope];
+    assert_eq!([[structs.matrices.cooperative_matrix, v12.shader_float16], model], [[vk::TRUE; 2]; 2]);
 
     let adopt = |left_out: Option<Feature>| {
         let mut features: Vec<Feature> = host.features.iter().chain(&mine).copied().collect();

@@ -26,7 +26,9 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
         } else {
             println!("   cannot run: lacks {}", d.missing.join(", "));
         }
-        println!("   {}", units(&d));
+        if let Some(line) = units(&d) {
+            println!("   {line}");
+        }
         for f in d.fallbacks {
             println!("   {f}");
         }
@@ -34,15 +36,15 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What there is for `accuracy.visibility_operands = 16`.
-fn units(info: &DeviceInfo) -> String {
+/// What there is for `accuracy.visibility_operands = 16`; that the device has none is among its fallbacks.
+fn units(info: &DeviceInfo) -> Option<String> {
     let shape = |s: &MatrixShape| format!("{}x{}x{}", s.rows, s.columns, s.depth);
     let shapes: Vec<String> = info.matrices.iter().map(shape).collect();
+    let shapes = shapes.join(", ");
     match Matrices::for_device(info) {
-        Ok(m) => {
-            format!("matrix units of 16-bit operands: {}; pieces of {} are used", shapes.join(", "), shape(&m.shape))
-        }
-        Err(NoMatrices::Device) => "matrix units of 16-bit operands: none".to_owned(),
-        Err(why) => format!("matrix units of 16-bit operands: {}, not used: {why}", shapes.join(", ")),
+        Ok(m) => Some(format!("matrix units of 16-bit operands: {shapes}; pieces of {} are used", shape(&m.shape))),
+        Err(NoMatrices::Device) if Matrices::compiled() => None,
+        Err(NoMatrices::Device) => Some(format!("no kernels for matrix units: {}", NoMatrices::Compiler)),
+        Err(why) => Some(format!("matrix units of 16-bit operands: {shapes}, not used: {why}")),
     }
 }
