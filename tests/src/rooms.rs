@@ -3,11 +3,15 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use serde_json::json;
-use sgs_scene::{Camera, Image, write_exr, write_png};
+use sgs_scene::{Camera, Image, write_exr, write_ids, write_png};
 use std::path::Path;
 
 /// Half the sides of the box.
 const WALLS: DVec3 = DVec3::new(1.4, 1.0, 1.6);
+
+/// Albedo of each wall, sRGB, in the order of [`Room::walls`].
+pub const ALBEDO: [[f32; 3]; 6] =
+    [[0.7, 0.2, 0.2], [0.2, 0.7, 0.2], [0.2, 0.2, 0.7], [0.7, 0.7, 0.2], [0.2, 0.7, 0.7], [0.7, 0.2, 0.7]];
 
 /// What to write.
 #[derive(Clone, Copy, Debug)]
@@ -79,6 +83,26 @@ impl Room {
     pub fn split(&self) -> (Vec<String>, Vec<String>) {
         let names = |test: bool| (0..self.views).filter(|i| (i % 4 == 1) == test).map(|i| format!("{i:03}")).collect();
         (names(false), names(true))
+    }
+
+    /// Adds priors of albedo, roughness and metallic by wall, and masks of the walls, to a scene directory.
+    pub fn write_materials(&self, root: &Path) {
+        for kind in ["albedo", "roughness", "metallic", "masks"] {
+            std::fs::create_dir_all(root.join("priors").join(kind)).unwrap();
+        }
+        for camera in self.cameras() {
+            let walls = self.walls(&camera);
+            let (width, height) = (camera.width, camera.height);
+            let albedo = walls.iter().flat_map(|w| ALBEDO[*w]).collect();
+            let file = |kind: &str| root.join(format!("priors/{kind}/{}.png", camera.name));
+            write_png(&file("albedo"), &Image { width, height, channels: 3, data: albedo }).unwrap();
+            let one =
+                |f: fn(usize) -> f32| Image { width, height, channels: 1, data: walls.iter().map(|w| f(*w)).collect() };
+            write_png(&file("roughness"), &one(|w| 0.3 + 0.1 * w as f32)).unwrap();
+            write_png(&file("metallic"), &one(|w| if w == 2 { 0.9 } else { 0.1 })).unwrap();
+            let ids: Vec<u16> = walls.iter().map(|w| 1 + *w as u16).collect();
+            write_ids(&file("masks"), width, height, &ids).unwrap();
+        }
     }
 
     /// Writes the scene directory.

@@ -239,6 +239,43 @@ fn the_documentation_lists_every_line() {
     assert_eq!(rows.len(), LINES.len() + others.len(), "docs/EXTREMES.md has a line too many");
 }
 
+/// Of training: file, test, what is special.
+const TRAININGS: &[(&str, &str, &str)] = &[
+    (
+        "divergence",
+        "wild_rates_end_in_a_sentence_and_lower_ones_go_on",
+        "learning rates a hundred times too high, stopped and resumed with lower ones",
+    ),
+    (
+        "divergence",
+        "it_goes_back_repeats_and_resumes",
+        "the same, gone back from: twice with the same bits, and after kills",
+    ),
+    ("divergence", "what_was_good_until_late_is_kept", "rates of positions that grow until it diverges"),
+    ("divergence", "wild_materials_are_noticed_and_gone_back_from", "the same of materials and lights"),
+    (
+        "divergence",
+        "what_trains_is_left_alone",
+        "rates a thousand times too low and ten times too high, poses, points and priors that are wrong, resets after resets",
+    ),
+    ("long", "geometry_with_every_loss", "1000 steps of geometry with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
+    ("long", "materials_with_every_loss", "600 steps of materials with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
+];
+
+/// The same of trainings, whose tests are those of other files.
+#[test]
+fn the_documentation_lists_every_training() {
+    let text = include_str!("../../docs/EXTREMES.md");
+    for (file, name, what) in TRAININGS {
+        let row = format!("| {what} | `{file}::{name}` |");
+        assert!(text.lines().any(|l| l == row), "docs/EXTREMES.md lacks\n{row}");
+        let source = if *file == "long" { include_str!("long.rs") } else { include_str!("divergence.rs") };
+        assert!(source.contains(&format!("fn {name}()")), "there is no {file}::{name}");
+    }
+    let rows = text.lines().filter(|l| l.contains("| `divergence::") || l.contains("| `long::")).count();
+    assert_eq!(rows, TRAININGS.len(), "docs/EXTREMES.md has a training too many");
+}
+
 #[test]
 #[should_panic(expected = "is off by")]
 fn a_wrong_picture_is_noticed() {

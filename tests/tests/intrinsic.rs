@@ -1,6 +1,6 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
-use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
+use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
@@ -8,10 +8,6 @@ use sgs_train::{
     Geometry, Intrinsic, RunDirectory, Settings, Shading, VisibilityFile, VisibilityKind, displayed, light_of,
     read_lights, shaded_scene,
 };
-
-/// Albedo of each wall, sRGB.
-const WALLS: [[f32; 3]; 6] =
-    [[0.7, 0.2, 0.2], [0.2, 0.7, 0.2], [0.2, 0.2, 0.7], [0.7, 0.7, 0.2], [0.2, 0.7, 0.7], [0.7, 0.2, 0.7]];
 
 fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
@@ -31,22 +27,7 @@ fn settings(steps: u32) -> Settings {
 fn place() -> (Place, Room) {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(Room { priors: true, ..Room::default() });
-    for kind in ["albedo", "roughness", "metallic", "masks"] {
-        std::fs::create_dir_all(place.path(&format!("scene/priors/{kind}"))).unwrap();
-    }
-    for camera in room.cameras() {
-        let walls = room.walls(&camera);
-        let (width, height) = (camera.width, camera.height);
-        let albedo = walls.iter().flat_map(|w| WALLS[*w]).collect();
-        let file = |kind: &str| place.path(&format!("scene/priors/{kind}/{}.png", camera.name));
-        write_png(&file("albedo"), &Image { width, height, channels: 3, data: albedo }).unwrap();
-        let one =
-            |f: fn(usize) -> f32| Image { width, height, channels: 1, data: walls.iter().map(|w| f(*w)).collect() };
-        write_png(&file("roughness"), &one(|w| 0.3 + 0.1 * w as f32)).unwrap();
-        write_png(&file("metallic"), &one(|w| if w == 2 { 0.9 } else { 0.1 })).unwrap();
-        let ids: Vec<u16> = walls.iter().map(|w| 1 + *w as u16).collect();
-        write_ids(&file("masks"), width, height, &ids).unwrap();
-    }
+    room.write_materials(&place.path("scene"));
     (place, room)
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Promises: the file is written beside and renamed into place, so that a full disk or a kill loses no earlier one.
 
+use crate::divergence::RollBack;
 use crate::error::{Result, TrainError};
 use crate::floats::Floats;
 use safetensors::{Dtype, SafeTensors};
@@ -19,6 +20,39 @@ pub(crate) struct State {
     pub statistics: Vec<f32>,
     /// The semantic decoder and its moments, where there are features.
     pub decoder: Option<[Vec<f32>; 2]>,
+    /// What else there is to know of how it goes.
+    pub course: Course,
+}
+
+/// How a training goes: in metadata, and absent in checkpoints that are older.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Course {
+    /// [`crate::divergence::Watch::save`].
+    pub watch: String,
+    /// Returns to the last good state.
+    pub roll_backs: Vec<RollBack>,
+}
+
+impl Course {
+    /// As metadata.
+    pub fn write(&self, meta: &mut HashMap<String, String>) {
+        meta.insert("watch".to_owned(), self.watch.clone());
+        if !self.roll_backs.is_empty() {
+            meta.insert("roll_backs".to_owned(), serde_json::to_string(&self.roll_backs).unwrap_or_default());
+        }
+    }
+
+    /// From metadata.
+    pub fn read(path: &Path, meta: &HashMap<String, String>) -> Result<Course> {
+        let of = |name: &str| meta.get(name).cloned().unwrap_or_default();
+        let roll_backs = match meta.get("roll_backs") {
+            Some(text) => {
+                serde_json::from_str(text).map_err(|e| file(path, format!("damaged: \"roll_backs\": {e}")))?
+            }
+            None => Vec::new(),
+        };
+        Ok(Course { watch: of("watch"), roll_backs })
+    }
 }
 
 impl State {
@@ -42,11 +76,12 @@ impl State {
 }
 
 pub(crate) fn save(path: &Path, state: &State, model: Model) -> Result<()> {
-    let meta = HashMap::from([
+    let mut meta = HashMap::from([
         ("format".to_owned(), "sgs-geometry-1".to_owned()),
         ("step".to_owned(), state.step.to_string()),
         ("capacity".to_owned(), state.capacity.to_string()),
     ]);
+    state.course.write(&mut meta);
     let tensors = state.tensors(model);
     let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -117,7 +152,8 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
             return Err(file(path, "damaged: \"decoder\" has another size or holds values that are not finite".into()));
         }
     }
-    Ok(State { step, capacity, parameters, moments, statistics, decoder })
+    let course = Course::read(path, &meta)?;
+    Ok(State { step, capacity, parameters, moments, statistics, decoder, course })
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -89,6 +89,11 @@ impl Packed {
         &self.views
     }
 
+    /// How far one plain color would be from each photograph.
+    pub fn plain(&self) -> Vec<f64> {
+        self.images.par_iter().map(|image| crate::divergence::plain(image)).collect()
+    }
+
     /// Bytes of the photographs.
     pub fn image_bytes(&self) -> u64 {
         bytes(&self.images)

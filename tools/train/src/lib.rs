@@ -9,6 +9,7 @@ mod classify;
 mod convert;
 mod correspondence;
 mod data;
+mod divergence;
 mod error;
 mod evaluate;
 mod evaluate_shaded;
@@ -17,6 +18,7 @@ mod floats;
 mod geometry;
 mod head;
 mod intrinsic;
+mod kept;
 mod memory;
 pub mod metrics;
 mod normals;
@@ -35,6 +37,7 @@ pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use convert::{camera, gaussian_data, splats};
 pub use correspondence::Correspondence;
 pub use data::TrainingData;
+pub use divergence::RollBack;
 pub use error::{Result, TrainError};
 pub use evaluate::{
     Evaluation, Means, Nvs, Rendered, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth,
@@ -45,6 +48,7 @@ pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_excha
 pub use geometry::{Geometry, Progress};
 pub use head::SemanticHead;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, read_lights, write_lights};
+pub use kept::Kept;
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
@@ -58,8 +62,9 @@ pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     AccuracySettings, Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
-    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, PRESETS,
-    Preset, ProviderSettings, Rates, RelightSettings, Settings, VisibilityKind, VisibilitySettings, overlay,
+    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, OnDivergence,
+    PRESETS, Preset, ProviderSettings, Rates, RelightSettings, Settings, TrainSettings, VisibilityKind,
+    VisibilitySettings, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

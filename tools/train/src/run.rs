@@ -1,6 +1,7 @@
 //! The run directory: what training leaves, and where.
 
 use crate::error::{Result, TrainError};
+use crate::kept::Kept;
 use crate::settings::{Settings, one_line};
 use serde::Serialize;
 use sgs_passes::pipeline::{IntrinsicReport, StepReport};
@@ -10,6 +11,9 @@ use std::path::{Path, PathBuf};
 
 /// The file with the semantic head of a run.
 const SEMANTICS: &str = "semantics.safetensors";
+
+/// What says that a stage has diverged.
+const DIVERGED: &str = "diverged.json";
 
 /// A run directory.
 #[derive(Clone, Debug)]
@@ -46,6 +50,9 @@ pub struct StepLog {
     pub entries: u32,
     /// Splats skipped so far because their gradients were not finite.
     pub skipped: u32,
+    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
+    #[serde(skip_serializing_if = "is_one")]
+    pub rates: f64,
 }
 
 /// One line of `log.jsonl` of the intrinsic stage.
@@ -69,6 +76,9 @@ pub struct IntrinsicLog {
     pub metallic: f32,
     /// Gradients skipped so far because they were not finite.
     pub skipped: u32,
+    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
+    #[serde(skip_serializing_if = "is_one")]
+    pub rates: f64,
 }
 
 impl From<&IntrinsicReport> for IntrinsicLog {
@@ -83,6 +93,7 @@ impl From<&IntrinsicReport> for IntrinsicLog {
             roughness: r.roughness,
             metallic: r.metallic,
             skipped: r.skipped,
+            rates: 1.0,
         }
     }
 }
@@ -103,8 +114,13 @@ impl From<&StepReport> for StepLog {
             visible: r.visible,
             entries: r.entries,
             skipped: r.skipped,
+            rates: 1.0,
         }
     }
+}
+
+fn is_one(rates: &f64) -> bool {
+    *rates == 1.0
 }
 
 impl RunDirectory {
@@ -150,6 +166,37 @@ impl RunDirectory {
         self.root.join("checkpoint").join("intrinsic.safetensors")
     }
 
+    /// What the geometry stage may go back to.
+    pub fn kept(&self) -> Kept {
+        Kept::of(self.checkpoint())
+    }
+
+    /// What the intrinsic stage may go back to.
+    pub fn intrinsic_kept(&self) -> Kept {
+        Kept::of(self.intrinsic_checkpoint())
+    }
+
+    /// Says that a stage has diverged: until it is resumed, with other learning rates if one likes.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn set_diverged(&self, about: &impl Serialize) -> Result<()> {
+        self.write_json(DIVERGED, about)
+    }
+
+    /// Whether a stage has diverged.
+    pub fn has_diverged(&self) -> bool {
+        self.path(DIVERGED).is_file()
+    }
+
+    /// Forgets that a stage has diverged.
+    ///
+    /// # Errors
+    /// If the file cannot be removed.
+    pub fn forget_diverged(&self) -> Result<()> {
+        self.remove([self.path(DIVERGED)])
+    }
+
     /// The settings it was trained with.
     ///
     /// # Errors
@@ -173,9 +220,10 @@ impl RunDirectory {
     /// # Errors
     /// If something cannot be removed.
     pub fn forget(&self) -> Result<()> {
-        let names = ["scene.ply", SEMANTICS, "training.json", "log.jsonl"];
+        let names = ["scene.ply", SEMANTICS, "training.json", "log.jsonl", DIVERGED];
         // The checkpoint goes first: were it left with other settings, resuming would go on from it.
-        self.remove(std::iter::once(self.checkpoint()))?;
+        self.remove([self.checkpoint()])?;
+        self.kept().forget()?;
         self.forget_intrinsic()?;
         self.remove(names.map(|n| self.path(n)))
     }
@@ -186,19 +234,12 @@ impl RunDirectory {
     /// If something cannot be removed.
     pub fn forget_intrinsic(&self) -> Result<()> {
         let names = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
-        self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))
+        self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))?;
+        self.intrinsic_kept().forget()
     }
 
     fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {
-        for path in paths {
-            match std::fs::remove_file(&path) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(error(&path, format!("cannot be removed: {e}")));
-                }
-                _ => {}
-            }
-        }
-        Ok(())
+        paths.into_iter().try_for_each(|path| remove(&path))
     }
 
     /// Removes files that a killed training had begun to write. They are incomplete, and only take up room.
@@ -298,6 +339,13 @@ impl RunDirectory {
     }
 }
 
-fn error(path: &Path, reason: String) -> TrainError {
+pub(crate) fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(error(path, format!("cannot be removed: {e}"))),
+        _ => Ok(()),
+    }
+}
+
+pub(crate) fn error(path: &Path, reason: String) -> TrainError {
     TrainError::File { path: path.to_owned(), reason }
 }

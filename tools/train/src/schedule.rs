@@ -1,6 +1,6 @@
 //! What a step is made of, as a function of its number alone: resuming needs nothing but the number.
 
-use crate::settings::Settings;
+use crate::settings::{Rates, Settings};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Schedules of a run.
@@ -9,12 +9,29 @@ pub struct Schedule {
     settings: Settings,
     extent: f64,
     views: usize,
+    /// Factor on all learning rates.
+    rates: f64,
 }
 
 impl Schedule {
     /// For a scene of that extent and so many training views.
     pub fn new(settings: &Settings, extent: f64, views: usize) -> Schedule {
-        Schedule { settings: settings.clone(), extent, views: views.max(1) }
+        Schedule { settings: settings.clone(), extent, views: views.max(1), rates: 1.0 }
+    }
+
+    /// The unit of lengths.
+    pub fn extent(&self) -> f64 {
+        self.extent
+    }
+
+    /// Multiplies all learning rates from here on.
+    pub fn set_rates(&mut self, factor: f64) {
+        self.rates = factor;
+    }
+
+    /// What all learning rates are multiplied by.
+    pub fn rates(&self) -> f64 {
+        self.rates
     }
 
     /// Which training view a step (from 1) sees: every view once, in a new order each time around.
@@ -29,6 +46,20 @@ impl Schedule {
         order[position]
     }
 
+    /// How many times their defaults the learning rates of geometry are, at most.
+    pub fn roughness(&self) -> f64 {
+        let (r, d) = (&self.settings.geometry.rates, Rates::default());
+        let times = [
+            r.means / d.means,
+            r.scales / d.scales,
+            r.rotations / d.rotations,
+            r.opacities / d.opacities,
+            r.sh0 / d.sh0,
+            r.sh_rest / d.sh_rest,
+        ];
+        self.settings.geometry.rate_factor() * self.rates * times.into_iter().fold(0.0, f64::max)
+    }
+
     /// The uniform of a step.
     pub fn step(&self, step: u32, camera: &Camera, target_offset: u32) -> Step {
         let g = &self.settings.geometry;
@@ -38,7 +69,7 @@ impl Schedule {
             0 => g.sh_degree,
             interval => g.sh_degree.min((step - 1) / interval),
         };
-        let factor = g.rate_factor();
+        let factor = g.rate_factor() * self.rates;
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(100.0) as f32;
         Step {
             camera: *camera,

@@ -1,6 +1,7 @@
 //! The intrinsic stage of `sgs train`: materials, lights and shadows into a run directory that has geometry.
 
-use super::train::write_profile;
+use super::diverged::{diverged, may_roll_back, say_roll_back};
+use super::geometry::write_profile;
 use crate::common::Common;
 use crate::ui::Bar;
 use crate::watch::Watch;
@@ -8,7 +9,7 @@ use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::html;
 use sgs_scene::Scene;
-use sgs_train::{Intrinsic, IntrinsicLog, RunDirectory, Settings, read_splats};
+use sgs_train::{Intrinsic, IntrinsicLog, OnDivergence, RollBack, RunDirectory, Settings, TrainError, read_splats};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,8 @@ pub struct IntrinsicSummary {
     steps_per_second: f64,
     peak_device_bytes: u64,
     device: String,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    roll_backs: Vec<RollBack>,
 }
 
 /// How it ended.
@@ -75,6 +78,16 @@ pub fn intrinsic_into(
         }
     }
     run.write_settings(training.settings())?;
+    let watched = settings.train.on_divergence != OnDivergence::GoOn;
+    let kept = run.intrinsic_kept();
+    // What a training that has diverged goes on from is good; where another was stopped, a kill may have come between.
+    if run.has_diverged() && training.step() > 0 {
+        kept.saved()?;
+        kept.vouched_for()?;
+    } else if watched && training.is_proposed() {
+        kept.saved()?;
+    }
+    run.forget_diverged()?;
     let steps = settings.intrinsic.steps;
     let mut log = run.intrinsic_log(training.step())?;
     let mut bar = Bar::new(common, "materials", u64::from(steps), u64::from(training.step()));
@@ -94,9 +107,10 @@ pub fn intrinsic_into(
         } else {
             training.set_timestamps(true)?;
         }
+        let rates = training.roll_backs().last().map_or(1.0, |r| r.rates);
         let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
             if r.step.is_multiple_of(10) || r.step == 1 || r.step == steps {
-                let line = serde_json::to_string(&IntrinsicLog::from(r)).unwrap_or_default();
+                let line = serde_json::to_string(&IntrinsicLog { rates, ..IntrinsicLog::from(r) }).unwrap_or_default();
                 if let Err(e) = writeln!(log, "{line}") {
                     failure.get_or_insert(e);
                 }
@@ -108,13 +122,46 @@ pub fn intrinsic_into(
             }
         };
         let due = || watch.as_ref().is_some_and(|w| w.is_due());
-        training.train(next, heard, || !stop.load(Ordering::SeqCst) && !due())?;
+        match training.train(next, heard, || !stop.load(Ordering::SeqCst) && !due()) {
+            Err(error @ TrainError::Diverged { step, .. }) if watched => {
+                let before = training.roll_backs().to_vec();
+                if training.vouched_for() {
+                    kept.vouched_for()?;
+                }
+                // Two would not fit into memory.
+                drop(training);
+                training = Intrinsic::new(device, scene, settings, &splats)?;
+                if let Some(good) = kept.go_back()? {
+                    training.restore(good)?;
+                }
+                if !may_roll_back(settings, &before) {
+                    training.save(&run.intrinsic_checkpoint())?;
+                    training.write(&run)?;
+                    let lower = format!("--set intrinsic.rates.lights={:.5}", settings.intrinsic.rates.lights * 0.1);
+                    kept.forget()?;
+                    return Err(diverged(&run, "intrinsic", error, training.step(), &before, &lower)?);
+                }
+                training.roll_back(&before, step);
+                say_roll_back(&error, training.roll_backs());
+                log = run.intrinsic_log(training.step())?;
+                continue;
+            }
+            other => other?,
+        }
         if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
             watch.intrinsic(&training);
         }
         let step = training.step();
         if step > 0 && step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
+            if watched && training.vouched_for() {
+                kept.vouched_for()?;
+            }
+            // Nobody goes back to where it was stopped by hand: the result would depend on it.
+            let proposed = watched && step % interval == 0 && training.propose();
             training.save(&run.intrinsic_checkpoint())?;
+            if proposed {
+                kept.saved()?;
+            }
         }
     }
     bar.finish();
@@ -139,7 +186,9 @@ pub fn intrinsic_into(
         steps_per_second: f64::from(steps - first) / seconds.max(1e-9),
         peak_device_bytes: device.memory_use().1,
         device: device.info().name.clone(),
+        roll_backs: training.roll_backs().to_vec(),
     };
     run.add_intrinsic_summary(&summary)?;
+    kept.forget()?;
     Ok(IntrinsicEnded::Done(summary))
 }

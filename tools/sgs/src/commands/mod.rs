@@ -2,8 +2,10 @@
 
 pub mod ablate;
 pub mod devices;
+pub mod diverged;
 pub mod eval;
 pub mod export;
+pub mod geometry;
 pub mod intrinsic;
 pub mod plan;
 mod plan_intrinsic;

@@ -3,8 +3,9 @@
 //! Promises: what is done is recognized and not done again; the table is on the disk after every run.
 
 use super::eval::{Split, measure};
+use super::geometry::{Ended, train_into};
 use super::intrinsic::{IntrinsicEnded, intrinsic_into};
-use super::train::{Ended, Options, Stage, open_scene, settings, train_into, validated};
+use super::train::{Options, Stage, open_scene, settings, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::ui::interrupted;

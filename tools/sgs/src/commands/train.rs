@@ -1,22 +1,15 @@
 //! `sgs train`: from a scene directory to a run directory.
 
+use super::geometry::{Ended, train_into};
 use super::intrinsic::{IntrinsicEnded, intrinsic_into};
 use crate::common::Common;
-use crate::ui::{Bar, interrupted};
+use crate::ui::interrupted;
 use crate::watch::{Port, Watch};
 use anyhow::bail;
 use sgs_engine::Device;
-use sgs_engine::graph::dump::{Track, html, trace};
-use sgs_engine::graph::exec::PassTime;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{AccuracySettings, Backward, Geometry, Preset, Progress, RunDirectory, Settings, StepLog, overlay};
-use std::io::Write;
+use sgs_train::{AccuracySettings, Backward, Preset, RunDirectory, Settings, overlay};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
-
-/// Steps at the end whose passes are timed for `profile.json`.
-const TIMED: u32 = 4;
 
 /// Options that shape training; `sgs plan` takes them too.
 #[derive(clap::Args)]
@@ -218,7 +211,13 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
         asked.exposure = began.exposure;
     }
     // The scene may have moved, and there may be more memory than before.
-    let began = Settings { scene: asked.scene.clone(), memory: asked.memory, ..began };
+    let mut began = Settings { scene: asked.scene.clone(), memory: asked.memory, ..began };
+    // What has diverged goes on with lower rates.
+    if RunDirectory::open(&a.output)?.has_diverged() {
+        began.train = asked.train;
+        began.geometry.rates = asked.geometry.rates;
+        began.intrinsic.rates = asked.intrinsic.rates;
+    }
     if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
         bail!(
             "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
@@ -333,133 +332,6 @@ fn untouched(output: &Path) -> anyhow::Result<()> {
         );
     }
     Ok(())
-}
-
-/// How training ended.
-pub enum Ended {
-    /// With all steps.
-    Done(Summary),
-    /// Because somebody wanted it to, after this step.
-    Stopped(u32),
-}
-
-/// What `training.json` holds.
-#[derive(serde::Serialize)]
-pub struct Summary {
-    steps: u32,
-    /// The step that this part of the training began after; seconds are those of this part.
-    resumed_from: u32,
-    seconds: f64,
-    steps_per_second: f64,
-    gaussians: u32,
-    peak_device_bytes: u64,
-    device: String,
-}
-
-/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised; leaves all that
-/// a run holds. `what`: the name of the progress. Somebody may watch.
-pub fn train_into(
-    common: &Common,
-    device: &Device,
-    scene: &Scene,
-    settings: &Settings,
-    output: &Path,
-    resuming: bool,
-    stop: &AtomicBool,
-    what: &str,
-    mut watch: Option<&mut Watch>,
-) -> anyhow::Result<Ended> {
-    let run = RunDirectory::create(output)?;
-    let mut training = Geometry::new(device, scene, settings, None)?;
-    if stop.load(Ordering::SeqCst) {
-        return Ok(Ended::Stopped(0));
-    }
-    if !resuming {
-        run.forget()?;
-    } else if run.checkpoint().is_file() {
-        training.restore(&run.checkpoint())?;
-    }
-    run.write_settings(training.settings())?;
-    let steps = settings.geometry.steps;
-    let mut log = run.log(training.step())?;
-    let mut bar = Bar::new(common, what, u64::from(steps), u64::from(training.step()));
-    let started = Instant::now();
-    let first = training.step();
-    let mut failure = None;
-    let teller = watch.as_ref().map(|w| w.teller());
-    while training.step() < steps && !stop.load(Ordering::SeqCst) {
-        let interval = match settings.geometry.checkpoint_interval {
-            0 => steps,
-            n => n,
-        };
-        let mut next = ((training.step() / interval + 1) * interval).min(steps);
-        let timed = steps.saturating_sub(TIMED);
-        if training.step() < timed {
-            next = next.min(timed);
-        } else {
-            training.set_timestamps(true)?;
-        }
-        let heard = |p: &Progress| {
-            if let Progress::Step(r) = p {
-                if r.step % 10 == 0 || r.step == 1 || r.step == steps {
-                    let line = serde_json::to_string(&StepLog::from(r)).unwrap_or_default();
-                    if let Err(e) = writeln!(log, "{line}") {
-                        failure.get_or_insert(e);
-                    }
-                }
-                let said = || format!("loss {:.4}, {} Gaussians", r.losses.total, r.gaussians);
-                bar.set(u64::from(r.step), said);
-                if let Some(teller) = &teller {
-                    teller.step("geometry", r.step, steps, |text| text.push_str(&said()));
-                }
-            }
-        };
-        let due = || watch.as_ref().is_some_and(|w| w.is_due());
-        training.train(next, heard, || !stop.load(Ordering::SeqCst) && !due())?;
-        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
-            watch.geometry(&training);
-        }
-        // What was chosen by measurement belongs to the run.
-        run.write_settings(training.settings())?;
-        let step = training.step();
-        if step > 0 && step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
-            training.save(&run.checkpoint())?;
-        }
-    }
-    bar.finish();
-    if let Some(e) = failure {
-        tracing::warn!("log.jsonl could not be written: {e}");
-    }
-    if training.step() < steps {
-        return Ok(Ended::Stopped(training.step()));
-    }
-    training.splats()?.write_ply(&run.path("scene.ply"))?;
-    if let Some(head) = training.head()? {
-        head.save(&run.semantics())?;
-    }
-    let times = training.take_times();
-    write_profile(&run, "profile.json", "geometry step", &times)?;
-    let page = html(training.executor()?.plan(), &times);
-    sgs_scene::atomic_write(&run.path("graph.html"), |f| f.write_all(page.as_bytes()))?;
-    let seconds = started.elapsed().as_secs_f64();
-    let summary = Summary {
-        steps,
-        resumed_from: first,
-        seconds,
-        steps_per_second: f64::from(steps - first) / seconds.max(1e-9),
-        gaussians: training.gaussians().count(device)?,
-        peak_device_bytes: device.memory_use().1,
-        device: device.info().name.clone(),
-    };
-    run.write_json("training.json", &summary)?;
-    Ok(Ended::Done(summary))
-}
-
-/// The last step as a Chrome trace.
-pub fn write_profile(run: &RunDirectory, file: &str, name: &str, times: &[PassTime]) -> anyhow::Result<()> {
-    let replay = times.iter().map(|t| t.start.len()).min().unwrap_or(0).saturating_sub(1);
-    let text = trace(&[Track { name, times, replay }]);
-    Ok(sgs_scene::atomic_write(&run.path(file), |f| f.write_all(text.as_bytes()))?)
 }
 
 /// In validation mode any message is a failure.

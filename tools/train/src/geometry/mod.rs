@@ -6,12 +6,14 @@
 
 mod backward;
 mod given;
+mod look;
 mod room;
 mod state;
 
 use crate::convert::{gaussian_data, splats};
 use crate::correspondence::Correspondence;
 use crate::data::TrainingData;
+use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::head::SemanticHead;
 use crate::memory::{Needs, allowed};
@@ -81,6 +83,10 @@ pub struct Geometry {
     done: u32,
     /// Last step after which densification and reset had their turn; an overflow may take steps back across it.
     settled: u32,
+    /// Whether it gets anywhere.
+    watch: Watch,
+    /// Returns to the last good state.
+    roll_backs: Vec<RollBack>,
 }
 
 impl Geometry {
@@ -160,6 +166,7 @@ impl Geometry {
                  use fewer points, a lower geometry.sh_degree, or a larger budget."
             )));
         }
+        let watch = Watch::new(data.plain());
         let data = data.upload(device)?;
         let semantics = given.semantics(device, maps, settings.seed)?;
         let correspondence = match &semantics {
@@ -200,6 +207,8 @@ impl Geometry {
             submitted: 0,
             done: 0,
             settled: 0,
+            watch,
+            roll_backs: Vec::new(),
         };
         training.rebuild()?;
         Ok(training)
@@ -315,53 +324,6 @@ impl Geometry {
         values
     }
 
-    /// Looks at the reports up to a step that is known to be done. False if an overflow took steps back.
-    fn look(&mut self, until: u32, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
-        while self.done < until {
-            let step = self.done + 1;
-            let report = self.status.report(step)?;
-            if report.step != step {
-                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
-            }
-            if report.flags != 0 {
-                self.grow_entries(step)?;
-                return Ok(false);
-            }
-            if !report.losses.total.is_finite() {
-                let reason = format!(
-                    "the loss is {} with {} Gaussians visible; lower the learning rates",
-                    report.losses.total, report.visible
-                );
-                return Err(TrainError::Diverged { step, reason });
-            }
-            self.done = step;
-            heard(&Progress::Step(report));
-        }
-        Ok(true)
-    }
-
-    /// Waits for everything submitted and looks at it. False if an overflow took steps back.
-    fn drain(&mut self, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
-        self.exec()?.finish()?;
-        self.look(self.submitted, heard)
-    }
-
-    /// The entries of a step did not fit. Nothing was changed from that step on: make room and go back to it.
-    fn grow_entries(&mut self, step: u32) -> Result<()> {
-        self.exec()?.finish()?;
-        let mut wanted = 0;
-        for s in step..=self.submitted {
-            wanted = wanted.max(self.status.report(s)?.entries);
-        }
-        let room = u64::from(wanted) + u64::from(wanted) / 8;
-        self.options.entry_capacity = u32::try_from(room).unwrap_or(u32::MAX);
-        tracing::debug!(step, wanted, capacity = self.options.entry_capacity, "tile entries grow");
-        self.rebuild()?;
-        self.status.clear_flags(&self.device)?;
-        self.submitted = step - 1;
-        Ok(())
-    }
-
     fn rebuild(&mut self) -> Result<()> {
         self.densify = None;
         self.reset = None;
@@ -417,6 +379,7 @@ impl Geometry {
             if let Some(reset) = &mut self.reset {
                 reset.run()?;
             }
+            self.watch.restart(step);
         }
         Ok(())
     }

@@ -1,8 +1,10 @@
 //! Checkpoints of the geometry stage.
 
 use super::{Geometry, first_entry_capacity};
-use crate::checkpoint::{self, State};
+use crate::checkpoint::{self, Course, State};
+use crate::divergence::HALF;
 use crate::error::Result;
+use sgs_passes::pipeline::Status;
 use sgs_passes::scene::Gaussians;
 use std::path::Path;
 
@@ -25,6 +27,7 @@ impl Geometry {
             moments,
             statistics,
             decoder,
+            course: Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() },
         };
         checkpoint::save(path, &state, self.gaussians.model)
     }
@@ -48,10 +51,15 @@ impl Geometry {
         }
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
         self.options.entry_capacity = self.options.entry_capacity.max(first);
+        // It counts from the start again.
+        self.status = Status::new(&self.device)?;
         self.rebuild()?;
         self.submitted = state.step;
         self.done = state.step;
         self.settled = state.step;
+        self.watch.restore(&state.course.watch);
+        self.schedule.set_rates(HALF.powi(state.course.roll_backs.len() as i32));
+        self.roll_backs = state.course.roll_backs;
         Ok(())
     }
 }

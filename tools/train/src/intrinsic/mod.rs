@@ -7,6 +7,7 @@
 mod consistency;
 mod data;
 mod files;
+mod look;
 mod modeled;
 mod needs;
 mod relit;
@@ -22,6 +23,7 @@ pub(crate) use values::field_box;
 
 use crate::convert::gaussian_data;
 use crate::data::{Packed, TrainingData};
+use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
@@ -85,6 +87,10 @@ pub struct Intrinsic {
     execs: [Option<IntrinsicStep>; StepKind::ALL.len()],
     submitted: u32,
     done: u32,
+    /// Whether it gets anywhere.
+    watch: Watch,
+    /// Returns to the last good state.
+    roll_backs: Vec<RollBack>,
 }
 
 /// Priors in device memory.
@@ -257,6 +263,7 @@ impl Intrinsic {
             let bytes = all.surfaces;
             tracing::info!("what views see of the geometry takes {bytes} bytes: it is worked out anew in each step");
         }
+        let watch = Watch::new(packed.plain());
         let data = packed.upload(device)?;
         let up =
             |priors: &Option<MaterialPriors>, name: &str| priors.as_ref().map(|p| p.upload(device, name)).transpose();
@@ -358,6 +365,8 @@ impl Intrinsic {
             execs: [None, None, None],
             submitted: 0,
             done: 0,
+            watch,
+            roll_backs: Vec::new(),
         };
         Ok(training)
     }
@@ -439,25 +448,6 @@ impl Intrinsic {
         }
         self.finish()?;
         self.look(self.submitted, &mut heard)
-    }
-
-    /// Looks at the reports up to a step that is known to be done.
-    fn look(&mut self, until: u32, heard: &mut impl FnMut(&IntrinsicReport)) -> Result<()> {
-        while self.done < until {
-            let step = self.done + 1;
-            let report = self.status.report(step)?;
-            if report.step != step {
-                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
-            }
-            let losses = [report.shaded, report.albedo, report.roughness, report.metallic];
-            if losses.iter().any(|l| !l.is_finite()) {
-                let reason = format!("the losses are {losses:?}; lower the learning rates");
-                return Err(TrainError::Diverged { step, reason });
-            }
-            self.done = step;
-            heard(&report);
-        }
-        Ok(())
     }
 
     /// What a step is, given what the scene has.

@@ -1,6 +1,8 @@
 //! Checkpoints of the intrinsic stage, and what it leaves.
 
 use super::{Intrinsic, LightFile, write_lights};
+use crate::checkpoint::Course;
+use crate::divergence::HALF;
 use crate::error::{Result, TrainError};
 use crate::floats::{Floats, Numbers};
 use crate::run::RunDirectory;
@@ -10,6 +12,7 @@ use crate::shadows::Rays;
 use crate::visibility::VisibilityFile;
 use safetensors::{Dtype, SafeTensors};
 use sgs_engine::DeviceBuffer;
+use sgs_passes::pipeline::IntrinsicStatus;
 use sgs_passes::shade::environment::latlong;
 use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
@@ -55,11 +58,12 @@ impl Intrinsic {
         let tensors = values.iter().map(|(name, v)| (name.clone(), Numbers::Floats(Floats(v, vec![v.len()]))));
         let words = words.iter().map(|(name, v)| (name.clone(), Numbers::Words(v, vec![v.len()])));
         let tensors: Vec<_> = tensors.chain(words).collect();
-        let meta = HashMap::from([
+        let mut meta = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("step".to_owned(), self.done.to_string()),
             ("splats".to_owned(), self.splats.len().to_string()),
         ]);
+        Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
@@ -99,6 +103,7 @@ impl Intrinsic {
             Ok(values)
         };
         // Everything is read before anything is changed.
+        let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
         for p in self.parameters.all() {
             let count = p.floats() as usize;
@@ -146,6 +151,11 @@ impl Intrinsic {
         }
         self.submitted = step;
         self.done = step;
+        self.watch.restore(&course.watch);
+        // What is counted on the device counts from the start again; graphs are made when they are due.
+        self.status = IntrinsicStatus::new(&self.device)?;
+        self.set_rates(HALF.powi(course.roll_backs.len() as i32));
+        self.roll_backs = course.roll_backs;
         Ok(())
     }
 

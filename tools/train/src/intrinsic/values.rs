@@ -50,7 +50,7 @@ impl Intrinsic {
             pixels,
             lights: self.light_model.lights,
             seed: step.seed,
-            rate: s.rates.visibility,
+            rate: self.options.rates.visibility,
             correction1: step.correction1,
             correction2: step.correction2,
             ..field_box(low, high)

@@ -7,6 +7,7 @@ mod names;
 mod noise;
 mod presets;
 mod provider;
+mod train;
 
 pub use accuracy::AccuracySettings;
 pub use intrinsic::{
@@ -18,6 +19,7 @@ pub(crate) use names::{distance, one_line};
 pub use noise::NoiseSettings;
 pub use presets::{PRESETS, Preset, overlay};
 pub use provider::ProviderSettings;
+pub use train::{OnDivergence, TrainSettings};
 
 use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;
@@ -50,6 +52,8 @@ pub struct Settings {
     pub noise: NoiseSettings,
     /// A network that is asked while training.
     pub provider: ProviderSettings,
+    /// What becomes of a training that goes wrong.
+    pub train: TrainSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
     /// The intrinsic stage.
@@ -70,6 +74,7 @@ impl Default for Settings {
             accuracy: AccuracySettings::default(),
             noise: NoiseSettings::default(),
             provider: ProviderSettings::default(),
+            train: TrainSettings::default(),
             geometry: GeometrySettings::default(),
             intrinsic: IntrinsicSettings::default(),
         }

@@ -1,0 +1,143 @@
+//! Long trainings of a tiny room with every loss on: numbers stay finite, losses do not creep up, memory does not grow.
+//!
+//! `SGS_TEST_LONG=1` asks for 100 000 steps of each stage, `SGS_TEST_LONG=N` for N.
+
+use sgs_scene::{Scene, SceneOptions};
+use sgs_tests::meaning::Meaning;
+use sgs_tests::rooms::Room;
+use sgs_tests::{Gpu, Place};
+use sgs_train::{Geometry, Intrinsic, Metallic, Progress, Settings};
+
+/// Steps of a stage: so many in the suite, and what is asked for otherwise.
+fn steps(usual: u32) -> u32 {
+    match std::env::var("SGS_TEST_LONG").ok().and_then(|n| n.parse().ok()) {
+        None => usual,
+        Some(1) => 100_000,
+        Some(n) => n,
+    }
+}
+
+fn place() -> Place {
+    let room = Room { size: [24, 16], priors: true, ..Room::default() };
+    let place = Place::new(room);
+    room.write_materials(&place.path("scene"));
+    Meaning::default().write(&room, &place.path("scene"));
+    place
+}
+
+fn settings() -> Settings {
+    let mut s = Settings::default();
+    let g = &mut s.geometry;
+    g.correspondence_from = 1;
+    g.pseudo.poses = 3;
+    (g.densify.max_gaussians, g.entry_capacity) = (1000, 1 << 14);
+    let i = &mut s.intrinsic;
+    i.metallic = Metallic::On;
+    i.environment.resolution = 16;
+    i.lights.grid = 2;
+    i.relight_from = 1;
+    i.rates.normals = 1e-3;
+    (i.visibility.levels, i.visibility.log2_table) = (4, 10);
+    (i.visibility.coarsest, i.visibility.finest) = (4, 32);
+    s
+}
+
+/// Bytes that this process has in memory.
+fn resident() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find(|l| l.starts_with("VmRSS:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
+}
+
+/// What is kept of a long training: the losses of its tenths, and memory after the first and the last.
+#[derive(Default)]
+struct Course {
+    steps: u32,
+    sums: [[f64; 4]; 10],
+    counts: [u32; 10],
+    resident: [Option<u64>; 2],
+}
+
+impl Course {
+    fn see(&mut self, step: u32, losses: [f32; 4]) {
+        assert!(losses.iter().all(|l| l.is_finite()), "step {step}: {losses:?}");
+        let tenth = ((step - 1) as u64 * 10 / u64::from(self.steps)) as usize;
+        self.counts[tenth] += 1;
+        (0..4).for_each(|i| self.sums[tenth][i] += f64::from(losses[i]));
+        // Past the first, the device's compiler has made all that it will make.
+        if step == self.steps / 5 || step == self.steps {
+            self.resident[usize::from(step == self.steps)] = resident();
+        }
+    }
+
+    /// Fails if it has got worse, or larger.
+    fn check(&self, what: &str, device: &sgs_engine::Device) {
+        let mean = |tenth: usize| self.sums[tenth].map(|s| s / f64::from(self.counts[tenth]));
+        for tenth in 0..10 {
+            println!("{what} {tenth}: {:.5?}", mean(tenth));
+        }
+        println!("resident {:?}, device {:?}", self.resident, device.memory_use());
+        for (i, (second, last)) in mean(1).into_iter().zip(mean(9)).enumerate() {
+            assert!(last <= 1.05 * second + 1e-4, "{what}: loss {i} went from {second} to {last}");
+        }
+        if let [Some(then), Some(now)] = self.resident {
+            assert!(now < then + (16 << 20), "{what}: {then} bytes in memory became {now}");
+        }
+    }
+}
+
+#[test]
+fn geometry_with_every_loss() {
+    let place = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings();
+    s.geometry.steps = steps(1000);
+    let mut course = Course { steps: s.geometry.steps, ..Course::default() };
+    let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    let (mut compared, mut skipped) = (0, 0);
+    let heard = |p: &Progress| {
+        if let Progress::Step(r) = p {
+            let l = &r.losses;
+            assert!(l.total.is_finite() && l.depth_variance.is_finite() && l.correspondence.is_finite());
+            course.see(r.step, [0.8 * l.l1 + 0.2 * (1.0 - l.ssim), l.normal, l.semantic, l.semantic_class]);
+            compared += l.correspondence_pairs;
+            skipped = r.skipped;
+        }
+    };
+    training.train(s.geometry.steps, heard, || true).unwrap();
+    course.check("geometry", gpu.device());
+    assert!(compared > 0 && skipped == 0, "{compared} regions were compared, {skipped} gradients were skipped");
+    let splats = training.splats().unwrap();
+    let all = [splats.means.as_flattened(), splats.log_scales.as_flattened(), splats.rotations.as_flattened()];
+    assert!(all.into_iter().flatten().chain(&splats.opacity_logits).all(|v| v.is_finite()));
+}
+
+#[test]
+fn materials_with_every_loss() {
+    let place = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings();
+    (s.geometry.steps, s.intrinsic.steps) = (100, steps(600));
+    let mut geometry = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    geometry.train(100, |_| {}, || true).unwrap();
+    let splats = geometry.splats().unwrap();
+    drop(geometry);
+    let mut course = Course { steps: s.intrinsic.steps, ..Course::default() };
+    let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+    let (mut crossed, mut relit, mut skipped) = (0, 0, 0);
+    let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+        course.see(r.step, [r.shaded, r.albedo, r.roughness, r.metallic]);
+        assert!(r.materials.total.is_finite());
+        (crossed, relit, skipped) = (crossed + r.materials.cross_pairs, relit + r.materials.relight_count, r.skipped);
+    };
+    training.train(s.intrinsic.steps, heard, || true).unwrap();
+    course.check("materials", gpu.device());
+    assert!(crossed > 0 && relit > 0 && skipped == 0, "{crossed} {relit} {skipped}");
+    let trained = training.splats().unwrap();
+    let all = [trained.albedo.as_ref().unwrap().as_flattened(), trained.roughness.as_ref().unwrap()];
+    assert!(all.into_iter().flatten().chain(trained.metallic.as_ref().unwrap()).all(|v| v.is_finite()));
+    let lights = training.lights().unwrap().unwrap();
+    assert!(lights.lights.iter().flat_map(|l| &l.lobes).all(|l| l.amplitude.iter().all(|a| a.is_finite())));
+}

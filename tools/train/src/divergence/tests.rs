@@ -1,0 +1,124 @@
+use super::*;
+
+/// So many views, of which plain colors are off by 0.2.
+fn watch(views: usize) -> Watch {
+    Watch::new(vec![0.2; views])
+}
+
+/// Steps from `first` on with this loss and difference, until something is wrong; the step and what.
+fn run(w: &mut Watch, steps: std::ops::RangeInclusive<u32>, of: impl Fn(u32) -> (f32, f32)) -> Option<(u32, String)> {
+    let views = w.sums.len() as u32;
+    steps.into_iter().find_map(|step| {
+        let (loss, l1) = of(step);
+        let seen = Seen { step, view: (step % views) as usize, loss, l1, skipped: 0, of: 10, rates: 1.0 };
+        w.see(&seen).map(|wrong| (step, wrong))
+    })
+}
+
+#[test]
+fn what_is_bad_from_the_second_step_on_is_noticed() {
+    for views in [1, 6, 21, 300] {
+        let mut w = watch(views);
+        let block = w.block;
+        let (step, wrong) = run(&mut w, 1..=4000, |s| if s == 1 { (0.24, 0.17) } else { (0.3, 0.21) }).unwrap();
+        assert!(step > GRACE && step <= GRACE + 2 * block && w.good_until == 0, "{step} of {views} views");
+        assert!(wrong.contains("1.25 times") && wrong.contains("0.210") && wrong.contains("0.200"), "{wrong}");
+    }
+}
+
+#[test]
+fn what_gets_somewhere_or_nowhere_is_left_alone() {
+    let never = |of: fn(u32) -> (f32, f32)| {
+        let mut w = watch(7);
+        assert_eq!(run(&mut w, 1..=5000, of), None);
+        w
+    };
+    // Better and better; a bad start that stays what it is; good splats that get much worse, but not bad.
+    assert!(never(|s| (0.3 / s as f32, 0.2 / s as f32)).good_until > 4000);
+    assert!(never(|_| (0.9, 0.8)).good_until > 4000);
+    assert!(never(|s| if s < 2 { (0.01, 0.01) } else { (0.16, 0.15) }).good_until > 4000);
+    // Views differ: the first one is the easiest.
+    never(|s| if s % 7 == 1 { (0.1, 0.3) } else { (0.9, 0.7) });
+}
+
+#[test]
+fn what_is_proposed_waits_for_a_good_block() {
+    let mut w = watch(6);
+    let good = |_| (0.1, 0.1);
+    assert_eq!(run(&mut w, 1..=150, good), None);
+    assert!(w.propose(150) && !w.vouched_for());
+    assert_eq!(run(&mut w, 151..=200, good), None);
+    assert!(!w.propose(200) && w.is_proposed(150) && !w.vouched_for());
+    assert_eq!(run(&mut w, 201..=240, good), None);
+    assert!(w.vouched_for() && !w.vouched_for() && w.propose(240));
+    let (step, _) = run(&mut w, 241..=900, |_| (0.5, 0.5)).unwrap();
+    assert!(step == 300 && !w.vouched_for());
+}
+
+#[test]
+fn rough_rates_explain_what_is_far_off_and_are_not_trusted() {
+    let of = |rates: f64, l1: f32| {
+        let mut w = watch(6);
+        let found = (1..=1000)
+            .find_map(|step| w.see(&Seen { step, view: (step % 6) as usize, loss: 0.3, l1, skipped: 0, of: 0, rates }));
+        (found, w.good_until)
+    };
+    let (found, trusted) = of(100.0, 0.19);
+    assert!(found.unwrap().ends_with("learning rates are up to 100 times their defaults") && trusted == 0);
+    assert_eq!(of(100.0, 0.1), (None, 0));
+    assert_eq!(of(10.0, 0.19), (None, 960));
+}
+
+#[test]
+fn a_reset_begins_anew() {
+    let mut w = watch(7);
+    let good = |_| (0.03, 0.02);
+    let bad = |_| (0.5, 0.4);
+    assert_eq!(run(&mut w, 1..=200, good), None);
+    w.restart(200);
+    // Dark for long, and no worse than just after the reset.
+    assert_eq!(run(&mut w, 201..=900, bad), None);
+    assert_eq!(run(&mut w, 901..=1200, good), None);
+    let (step, wrong) = run(&mut w, 1201..=2000, bad).unwrap();
+    assert!(step < 1400 && wrong.contains("all views"), "{step}: {wrong}");
+}
+
+#[test]
+fn gradients_that_are_no_numbers_are_noticed_when_most_are() {
+    let of = |share: u32| {
+        let mut w = watch(5);
+        (1..=400).find_map(|step| {
+            let seen = Seen {
+                step,
+                view: (step % 5) as usize,
+                loss: 0.1,
+                l1: 0.1,
+                skipped: step * share,
+                of: 100,
+                rates: 1.0,
+            };
+            w.see(&seen)
+        })
+    };
+    assert_eq!(of(50), None);
+    assert!(of(51).unwrap().contains("of 6000 gradients were not finite"));
+}
+
+#[test]
+fn it_goes_on_as_if_nothing_had_happened() {
+    let of = |s: u32| if s == 1 { (0.24, 0.17) } else { (0.2 + 0.001 * s as f32, 0.15 + 0.0007 * s as f32) };
+    let straight = run(&mut watch(7), 1..=500, of).unwrap();
+    for at in [1, 77, 160] {
+        let mut first = watch(7);
+        assert_eq!(run(&mut first, 1..=at, of), None);
+        let mut second = watch(7);
+        assert!(second.restore(&first.save()));
+        assert_eq!(second, first);
+        assert_eq!(run(&mut second, at + 1..=500, of).unwrap(), straight);
+    }
+    let mut w = watch(7);
+    for text in ["", "nonsense", "1 2 3", &watch(6).save()] {
+        assert!(!w.restore(text));
+        assert_eq!(w, watch(7));
+    }
+}

@@ -1,0 +1,150 @@
+//! What steps report, a little later: overflows, losses, and whether training still gets anywhere.
+
+use super::{Geometry, Progress};
+use crate::divergence::{Group, HALF, RollBack, Seen, worst};
+use crate::error::{Result, TrainError};
+use crate::settings::OnDivergence;
+use sgs_passes::pipeline::StepReport;
+use sgs_passes::scene::Group as Parameters;
+
+impl Geometry {
+    /// Returns to the last good state so far.
+    pub fn roll_backs(&self) -> &[RollBack] {
+        &self.roll_backs
+    }
+
+    /// Says that this state was gone back to from a later step; from here on learning rates are half of what they were. `before`: the
+    /// returns until then.
+    pub fn roll_back(&mut self, before: &[RollBack], step: u32) {
+        let rates = HALF.powi(before.len() as i32 + 1);
+        self.roll_backs = before.to_vec();
+        self.roll_backs.push(RollBack { step, to: self.done, rates });
+        self.schedule.set_rates(rates);
+    }
+
+    /// Whether training is known to have gone well from the proposed checkpoint on, so that it is worth going back to. Says so once.
+    pub fn vouched_for(&mut self) -> bool {
+        self.watch.vouched_for()
+    }
+
+    /// Proposes the state as it is to be gone back to, unless one is proposed that nobody has vouched for. Whether it is the one.
+    pub fn propose(&mut self) -> bool {
+        self.watch.propose(self.done)
+    }
+
+    /// Whether the state as it is is the proposed one.
+    pub fn is_proposed(&self) -> bool {
+        self.watch.is_proposed(self.done)
+    }
+
+    /// Looks at the reports up to a step that is known to be done. False if an overflow took steps back.
+    pub(super) fn look(&mut self, until: u32, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
+        while self.done < until {
+            let step = self.done + 1;
+            let report = self.status.report(step)?;
+            if report.step != step {
+                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+            }
+            if report.flags != 0 {
+                self.grow_entries(step)?;
+                return Ok(false);
+            }
+            if !report.losses.total.is_finite() {
+                let reason = format!("the loss is {} with {} Gaussians visible", report.losses.total, report.visible);
+                return Err(self.diverged(step, &reason)?);
+            }
+            self.done = step;
+            heard(&Progress::Step(report));
+            if let Some(reason) = self.judge(&report) {
+                return Err(self.diverged(step, &reason)?);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Waits for everything submitted and looks at it. False if an overflow took steps back.
+    pub(super) fn drain(&mut self, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
+        self.exec()?.finish()?;
+        self.look(self.submitted, heard)
+    }
+
+    /// The entries of a step did not fit. Nothing was changed from that step on: make room and go back to it.
+    fn grow_entries(&mut self, step: u32) -> Result<()> {
+        self.exec()?.finish()?;
+        let mut wanted = 0;
+        for s in step..=self.submitted {
+            wanted = wanted.max(self.status.report(s)?.entries);
+        }
+        let room = u64::from(wanted) + u64::from(wanted) / 8;
+        self.options.entry_capacity = u32::try_from(room).unwrap_or(u32::MAX);
+        tracing::debug!(step, wanted, capacity = self.options.entry_capacity, "tile entries grow");
+        self.rebuild()?;
+        self.status.clear_flags(&self.device)?;
+        self.submitted = step - 1;
+        Ok(())
+    }
+
+    /// What is wrong, if a step that is done shows that training has diverged.
+    fn judge(&mut self, report: &StepReport) -> Option<String> {
+        if self.settings.train.on_divergence == OnDivergence::GoOn {
+            return None;
+        }
+        let l = &self.settings.geometry.losses;
+        let picture = l.l1 * report.losses.l1 + l.dssim * (1.0 - report.losses.ssim);
+        self.watch.see(&Seen {
+            step: report.step,
+            view: self.schedule.view(report.step),
+            loss: if l.l1 + l.dssim > 0.0 { picture } else { report.losses.l1 },
+            l1: report.losses.l1,
+            skipped: report.skipped,
+            of: report.visible,
+            rates: self.schedule.roughness(),
+        })
+    }
+
+    /// The error of a training that has diverged, with the parameter that is farthest out.
+    fn diverged(&mut self, step: u32, reason: &str) -> Result<TrainError> {
+        self.exec()?.finish()?;
+        let data = self.gaussians.download(&self.device)?;
+        let extent = self.schedule.extent() as f32;
+        let decoder = match &self.semantics {
+            Some((_, decoder)) => decoder.download(&self.device)?,
+            None => Vec::new(),
+        };
+        let gaussian = |g: Parameters| {
+            // Where parameters of a trained scene lie, generously.
+            let (middle, reach) = match g {
+                Parameters::Means => (None, 2.0 * extent),
+                Parameters::LogScales => (Some((0.01 * extent).ln()), 6.0),
+                Parameters::OpacityLogits => (Some(0.0), 12.0),
+                Parameters::Rotations => (Some(0.0), 2.0),
+                Parameters::Sh0 => (Some(0.0), 3.0),
+                Parameters::Sh1 | Parameters::Sh2 | Parameters::Sh3 => (Some(0.0), 1.0),
+                // Normals are of any length, and features of any unit.
+                Parameters::Normals | Parameters::Semantics => (Some(0.0), 50.0),
+            };
+            let pass = if g == Parameters::Semantics { "features_bwd_adam" } else { "project_bwd_adam" };
+            Group {
+                name: g.name(),
+                pass,
+                values: data.group(g),
+                width: g.width() as usize,
+                element: "splat",
+                middle,
+                reach,
+            }
+        };
+        let mut groups: Vec<Group<'_>> = self.gaussians.model.groups().map(gaussian).collect();
+        groups.push(Group {
+            name: "decoder",
+            pass: "adam.decoder",
+            values: &decoder,
+            width: 1,
+            element: "weight",
+            middle: Some(0.0),
+            reach: 2.0,
+        });
+        let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
+        Ok(TrainError::Diverged { step, reason: format!("it has diverged: {reason}{found}") })
+    }
+}

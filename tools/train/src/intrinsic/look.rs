@@ -1,0 +1,152 @@
+//! What steps report, a little later: losses, and whether training still gets anywhere.
+
+use super::Intrinsic;
+use crate::divergence::{Group, HALF, RollBack, Seen, worst};
+use crate::error::{Result, TrainError};
+use crate::settings::{IntrinsicRates, OnDivergence};
+use sgs_passes::pipeline::IntrinsicReport;
+
+impl Intrinsic {
+    /// Whether training is known to have gone well from the proposed checkpoint on, so that it is worth going back to. Says so once.
+    pub fn vouched_for(&mut self) -> bool {
+        self.watch.vouched_for()
+    }
+
+    /// Proposes the state as it is to be gone back to, unless one is proposed that nobody has vouched for. Whether it is the one.
+    pub fn propose(&mut self) -> bool {
+        self.watch.propose(self.done)
+    }
+
+    /// Whether the state as it is is the proposed one.
+    pub fn is_proposed(&self) -> bool {
+        self.watch.is_proposed(self.done)
+    }
+
+    /// Returns to the last good state so far.
+    pub fn roll_backs(&self) -> &[RollBack] {
+        &self.roll_backs
+    }
+
+    /// Says that this state was gone back to from a later step; from here on learning rates are half of what they were. `before`: the
+    /// returns until then.
+    pub fn roll_back(&mut self, before: &[RollBack], step: u32) {
+        let rates = HALF.powi(before.len() as i32 + 1);
+        self.roll_backs = before.to_vec();
+        self.roll_backs.push(RollBack { step, to: self.done, rates });
+        self.set_rates(rates);
+    }
+
+    /// Multiplies all learning rates by a power of two.
+    pub(super) fn set_rates(&mut self, factor: f64) {
+        let ratio = (factor / self.schedule.rates()) as f32;
+        self.schedule.set_rates(factor);
+        let r = &mut self.options.rates;
+        for rate in [
+            &mut r.albedo,
+            &mut r.roughness,
+            &mut r.metallic,
+            &mut r.light_positions,
+            &mut r.lights,
+            &mut r.environment,
+            &mut r.visibility,
+            &mut r.normals,
+        ] {
+            *rate *= ratio;
+        }
+        // They are part of the graphs.
+        self.execs = [None, None, None];
+    }
+
+    /// Looks at the reports up to a step that is known to be done.
+    pub(super) fn look(&mut self, until: u32, heard: &mut impl FnMut(&IntrinsicReport)) -> Result<()> {
+        while self.done < until {
+            let step = self.done + 1;
+            let report = self.status.report(step)?;
+            if report.step != step {
+                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+            }
+            let losses = [report.shaded, report.albedo, report.roughness, report.metallic];
+            if losses.iter().any(|l| !l.is_finite()) {
+                return Err(self.diverged(step, &format!("the losses are {losses:?}"))?);
+            }
+            self.done = step;
+            heard(&report);
+            if let Some(reason) = self.judge(&report) {
+                return Err(self.diverged(step, &reason)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// What is wrong, if a step that is done shows that training has diverged.
+    fn judge(&mut self, report: &IntrinsicReport) -> Option<String> {
+        if self.settings.train.on_divergence == OnDivergence::GoOn {
+            return None;
+        }
+        let l = &self.settings.intrinsic.losses;
+        self.watch.see(&Seen {
+            step: report.step,
+            view: self.schedule.view(report.step),
+            loss: if l.l1 + l.dssim > 0.0 { report.shaded } else { report.shaded_l1 },
+            l1: report.shaded_l1,
+            skipped: report.skipped,
+            of: 0,
+            rates: self.roughness(),
+        })
+    }
+
+    /// How many times their defaults learning rates are, at most.
+    fn roughness(&self) -> f64 {
+        let (r, d) = (&self.options.rates, IntrinsicRates::default());
+        let times = [
+            r.albedo / d.albedo,
+            r.roughness / d.roughness,
+            r.metallic / d.metallic,
+            r.lights / d.lights,
+            r.environment / d.environment,
+            r.visibility / d.visibility,
+        ];
+        f64::from(times.into_iter().fold(0.0, f32::max))
+    }
+
+    /// The error of a training that has diverged, with the parameter that is farthest out.
+    fn diverged(&mut self, step: u32, reason: &str) -> Result<TrainError> {
+        self.finish()?;
+        // Where parameters of a trained scene lie, generously.
+        let side = (0..3).map(|i| self.bounds[1][i] - self.bounds[0][i]).fold(0.0, f32::max);
+        let mut values = Vec::new();
+        for p in self.parameters.all() {
+            let (width, element, reach, pass) = match p.name() {
+                "albedo" => (3, "splat", 12.0, "adam.albedo"),
+                "roughness" => (1, "splat", 12.0, "adam.roughness"),
+                "metallic" => (1, "splat", 12.0, "adam.metallic"),
+                "gaussian_normals" => (3, "splat", 50.0, "adam.gaussian_normals"),
+                "light_positions" => (3, "light", side, "adam.light_positions"),
+                "light_lobes" => (self.light_model.row() as usize, "lobe", 20.0, "adam.light_lobes"),
+                "environment" => (3, "texel", 100.0, "adam.environment"),
+                _ => (1, "number", 10.0, "adam"),
+            };
+            let middle = (p.name() != "light_positions").then_some(0.0);
+            values.push((p.name(), pass, width, element, middle, reach, p.download(&self.device)?));
+        }
+        if let Some(field) = &self.parameters.visibility {
+            let [tables, mlp] = field.download(&self.device)?;
+            values.push(("visibility_tables", "visibility_adam", 2, "entry", Some(0.0), 5.0, tables));
+            values.push(("visibility_mlp", "visibility_adam_layers", 1, "weight", Some(0.0), 10.0, mlp));
+        }
+        let groups: Vec<Group<'_>> = values
+            .iter()
+            .map(|(name, pass, width, element, middle, reach, values)| Group {
+                name,
+                pass,
+                values,
+                width: *width,
+                element,
+                middle: *middle,
+                reach: *reach,
+            })
+            .collect();
+        let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
+        Ok(TrainError::Diverged { step, reason: format!("it has diverged: {reason}{found}") })
+    }
+}
