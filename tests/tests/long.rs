@@ -7,6 +7,7 @@ use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Intrinsic, Metallic, Progress, Settings};
+use std::sync::{Mutex, PoisonError};
 
 /// Steps of a stage: so many in the suite, and what is asked for otherwise.
 fn steps(usual: u32) -> u32 {
@@ -42,6 +43,9 @@ fn settings() -> Settings {
     s
 }
 
+/// One training at a time: both are in this process's memory.
+static ALONE: Mutex<()> = Mutex::new(());
+
 /// Bytes that this process has in memory.
 fn resident() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -49,7 +53,7 @@ fn resident() -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// What is kept of a long training: the losses of its tenths, and memory after the first and the last.
+/// What is kept of a long training: the losses of its tenths, and memory at the middle and the end.
 #[derive(Default)]
 struct Course {
     steps: u32,
@@ -64,8 +68,8 @@ impl Course {
         let tenth = ((step - 1) as u64 * 10 / u64::from(self.steps)) as usize;
         self.counts[tenth] += 1;
         (0..4).for_each(|i| self.sums[tenth][i] += f64::from(losses[i]));
-        // Past the first, the device's compiler has made all that it will make.
-        if step == self.steps / 5 || step == self.steps {
+        // In the second half the device's compiler has made all that it will make, and Gaussians are as many as there may be.
+        if step == self.steps / 2 || step == self.steps {
             self.resident[usize::from(step == self.steps)] = resident();
         }
     }
@@ -88,6 +92,7 @@ impl Course {
 
 #[test]
 fn geometry_with_every_loss() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let place = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -115,6 +120,7 @@ fn geometry_with_every_loss() {
 
 #[test]
 fn materials_with_every_loss() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let place = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
