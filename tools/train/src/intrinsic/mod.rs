@@ -391,19 +391,6 @@ impl Intrinsic {
         self.bounds
     }
 
-    /// Bytes of what is kept of what views see of the geometry.
-    pub fn surface_bytes(&self) -> u64 {
-        self.surfaces.bytes()
-    }
-
-    /// Entries of the sparse matrices that blend materials, mean over the views of which they are kept.
-    ///
-    /// # Errors
-    /// If the device is lost.
-    pub fn surface_weights(&self) -> Result<f64> {
-        self.surfaces.weights(&self.device)
-    }
-
     /// How many splats.
     pub fn gaussians(&self) -> usize {
         self.splats.len()

@@ -1,6 +1,7 @@
 //! What views see of the geometry: kept for all training views where that fits, else worked out anew before each step, as it
 //! always is for pseudo-views.
 
+use super::Intrinsic;
 use crate::data::TrainingData;
 use crate::error::Result;
 use sgs_engine::Device;
@@ -121,5 +122,20 @@ impl Surfaces {
         }
         exec.submit(mine, others, values)?;
         Ok(())
+    }
+}
+
+impl Intrinsic {
+    /// Bytes of what is kept of what views see of the geometry.
+    pub fn surface_bytes(&self) -> u64 {
+        self.surfaces.bytes()
+    }
+
+    /// Entries of the sparse matrices that blend materials, mean over the views of which they are kept.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    pub fn surface_weights(&self) -> Result<f64> {
+        self.surfaces.weights(&self.device)
     }
 }
