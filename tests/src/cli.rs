@@ -117,7 +117,7 @@ pub fn until(child: &mut Child, mut holds: impl FnMut() -> bool) -> bool {
         if child.try_wait().is_ok_and(|s| s.is_some()) {
             return false;
         }
-        assert!(begun.elapsed() < Duration::from_secs(120), "nothing happened within two minutes");
+        assert!(begun.elapsed() < Duration::from_secs(300), "nothing happened within five minutes");
         std::thread::sleep(Duration::from_millis(1));
     }
 }

@@ -220,9 +220,10 @@ impl RunDirectory {
     /// # Errors
     /// If something cannot be removed.
     pub fn forget(&self) -> Result<()> {
-        let names = ["scene.ply", SEMANTICS, "training.json", "log.jsonl", DIVERGED];
-        // The checkpoint goes first: were it left with other settings, resuming would go on from it.
-        self.remove([self.checkpoint()])?;
+        let names = ["scene.ply", SEMANTICS, "log.jsonl", DIVERGED];
+        // The checkpoint goes first: were it left with other settings, resuming would go on from it. A summary that is damaged is
+        // in nobody's way.
+        self.remove([self.checkpoint(), self.path("training.json")])?;
         self.kept().forget()?;
         self.forget_intrinsic()?;
         self.remove(names.map(|n| self.path(n)))
@@ -231,11 +232,17 @@ impl RunDirectory {
     /// Removes what an earlier intrinsic stage left.
     ///
     /// # Errors
-    /// If something cannot be removed.
+    /// If something cannot be removed, or `training.json` is damaged.
     pub fn forget_intrinsic(&self) -> Result<()> {
         let names = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
         self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))?;
-        self.intrinsic_kept().forget()
+        self.intrinsic_kept().forget()?;
+        // What the geometry came to stays known.
+        let serde_json::Value::Object(mut all) = self.training_summary()? else { return Ok(()) };
+        if all.remove("intrinsic").is_none() {
+            return Ok(());
+        }
+        if all.is_empty() { self.remove([self.path("training.json")]) } else { self.write_json("training.json", &all) }
     }
 
     fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {

@@ -1,31 +1,74 @@
 //! `sgs ablate`: variants of the method trained one after another, and a table of what they came to.
 
-use super::series::{self, Row};
+use super::series::{self, About, Row, Start};
 use super::train::Stage;
 use crate::common::Common;
-use sgs_train::ablate::Variant;
+use anyhow::bail;
+use sgs_train::Settings;
+use sgs_train::ablate::{Entry, Scope, Variant};
+use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Variants: rgb, normal, semantic, correspondence; each uses what those before it use. By default all that differ on
-    /// this scene.
+    /// Variants. Of geometry: rgb, normal, semantic, correspondence; each uses what those before it use. Of materials, each with
+    /// one thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_priors; and full,
+    /// with --stage intrinsic. By default all that differ on this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
+    /// What is compared: geometry; materials on the same geometry; or all, so that variants of geometry get materials, too, and
+    /// those of materials lie on the geometry that uses most.
+    #[arg(long, value_enum, default_value = "geometry")]
+    stage: Stage,
+    /// Geometry for --stage intrinsic from elsewhere: a PLY of any 3DGS program, or glTF. By default it is trained for each seed.
+    #[arg(long, value_name = "FILE")]
+    start: Option<PathBuf>,
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let wanted = Variant::named(&a.only)?;
-    let series::Base { settings, scene } = series::base(&a.series)?;
-    let wanted = series::possible("variant", wanted, !a.only.is_empty(), |variant| {
-        Ok(variant.lacks(&scene, &settings)?.map(|lacking| (variant.name, lacking)))
-    })?;
-    let row = |variant: &Variant| Row {
-        entry: variant.entry(),
-        settings: variant.settings(&settings),
-        wanted: wanted.contains(variant),
+    if a.start.is_some() && a.stage != Stage::Intrinsic {
+        bail!("--start gives geometry to variants of materials; add --stage intrinsic.");
+    }
+    if let Some(file) = a.start.as_deref().filter(|file| !file.is_file()) {
+        bail!("There is no file \"{}\" to start with.", file.display());
+    }
+    let scope = match a.stage {
+        Stage::Geometry => Scope::Geometry,
+        Stage::Intrinsic => Scope::Materials,
+        Stage::All => Scope::Whole,
     };
-    let rows: Vec<Row> = Variant::all().iter().map(row).collect();
-    series::run(common, &a.series, "ablation", &settings, &rows, Stage::Geometry)
+    let wanted = Variant::named(scope, &a.only)?;
+    let series::Base { settings, scene } = series::base(&a.series)?;
+    let possible = |variant: &Variant| Ok(variant.lacks(&scene, &settings)?.map(|lacking| (variant.name, lacking)));
+    // The geometry that uses most of what there is: materials lie on it, whoever else is wanted.
+    let mut fullest = None;
+    for variant in scope.variants().into_iter().filter(|v| !v.is_of_materials()) {
+        if variant.lacks(&scene, &settings)?.is_none() {
+            fullest = Some(variant);
+        }
+    }
+    let wanted = series::possible("variant", wanted, !a.only.is_empty(), possible)?;
+    let common_geometry = fullest.as_ref().map_or_else(|| settings.clone(), |v| v.settings(&settings));
+    let start = match &a.start {
+        Some(file) => Start::File(file.clone()),
+        None => {
+            let own = Entry { order: 0, name: "geometry", about: String::new() };
+            let entry = fullest.as_ref().map_or(own, Variant::entry);
+            Start::Training { entry, settings: Box::new(common_geometry.clone()) }
+        }
+    };
+    let row = |variant: &Variant| {
+        let of_materials = variant.is_of_materials();
+        let base: &Settings = if of_materials { &common_geometry } else { &settings };
+        Row {
+            entry: variant.entry(),
+            settings: variant.settings(base),
+            wanted: wanted.contains(variant),
+            start: of_materials.then(|| start.clone()),
+        }
+    };
+    let rows: Vec<Row> = scope.variants().iter().map(row).collect();
+    let about = About { name: "ablation", stage: a.stage, start: a.start.as_deref() };
+    series::run(common, &a.series, &about, &settings, &rows)
 }

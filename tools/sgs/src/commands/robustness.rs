@@ -1,6 +1,6 @@
 //! `sgs robustness`: training from noisy inputs, one kind after another, and a table of what it came to.
 
-use super::series::{self, Row};
+use super::series::{self, About, Row};
 use super::train::Stage;
 use crate::common::Common;
 use anyhow::bail;
@@ -32,7 +32,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         entry: case.entry(&settings),
         settings: case.settings(&settings),
         wanted: wanted.contains(case),
+        start: None,
     };
     let rows: Vec<Row> = Case::all().iter().map(row).collect();
-    series::run(common, &a.series, "robustness", &settings, &rows, a.stage)
+    let about = About { name: "robustness", stage: a.stage, start: None };
+    series::run(common, &a.series, &about, &settings, &rows)
 }

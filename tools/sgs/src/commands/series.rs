@@ -13,7 +13,7 @@ use anyhow::bail;
 use sgs_scene::Scene;
 use sgs_train::ablate::{Ablation, Entry, Goal, Measures, State};
 use sgs_train::metrics::Lpips;
-use sgs_train::{RunDirectory, Settings};
+use sgs_train::{RunDirectory, Settings, read_splats};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,6 +48,27 @@ pub struct Row {
     pub settings: Settings,
     /// Whether it is to be trained; else it stays in the table where it was measured before.
     pub wanted: bool,
+    /// The geometry of its materials, where that is not its own.
+    pub start: Option<Start>,
+}
+
+/// Geometry that rows have in common.
+#[derive(Clone)]
+pub enum Start {
+    /// A file.
+    File(PathBuf),
+    /// What this training comes to, of each seed; its folder may be that of a row.
+    Training { entry: Entry, settings: Box<Settings> },
+}
+
+impl Start {
+    /// Its file for a seed.
+    fn file(&self, output: &Path, seed: u64) -> PathBuf {
+        match self {
+            Start::File(path) => path.clone(),
+            Start::Training { entry, .. } => output.join(entry.folder(seed)).join("scene.ply"),
+        }
+    }
 }
 
 /// Settings and scene, which must have test views.
@@ -80,30 +101,40 @@ pub fn possible<T: Copy>(
     Ok(kept)
 }
 
+/// What the table of a series is.
+pub struct About<'a> {
+    /// Its files' name.
+    pub name: &'a str,
+    /// Up to where rows are trained.
+    pub stage: Stage,
+    /// What all begin with, if it is a file.
+    pub start: Option<&'a Path>,
+}
+
 /// Trains and measures what is wanted and was not done before; writes `NAME.json` and `NAME.md`.
-pub fn run(common: &Common, a: &Series, name: &str, base: &Settings, rows: &[Row], stage: Stage) -> anyhow::Result<()> {
+pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows: &[Row]) -> anyhow::Result<()> {
     let Some(last) = base.seed.checked_add(a.seeds - 1) else {
         bail!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
     };
     let lpips = a.lpips.as_deref().map(|file| Lpips::load(file, Default::default())).transpose()?;
-    let goal = Goal { materials: stage != Stage::Geometry, lpips: lpips.as_ref().map(|l| l.about()) };
+    let goal = Goal { materials: about.stage != Stage::Geometry, lpips: lpips.as_ref().map(|l| l.about()) };
     let stop = interrupted()?;
     let mut table = Ablation {
         scene: a.scene.display().to_string(),
-        steps: base.geometry.steps,
+        steps: about.start.is_none().then_some(base.geometry.steps),
+        start: about.start.map(|file| file.display().to_string()),
         intrinsic_steps: goal.materials.then_some(base.intrinsic.steps),
         lpips: goal.lpips,
         ..Ablation::default()
     };
     std::fs::create_dir_all(&a.output)
         .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
-    let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop };
+    let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop, output: &a.output };
     // Seed by seed, so that an early look compares all rows. One that was measured before stays in the table.
     for seed in base.seed..=last {
         for row in rows {
-            let asked = Settings { seed, ..row.settings.clone() };
             let root = a.output.join(row.entry.folder(seed));
-            match runs.come_to(&row.entry, asked, &root, row.wanted)? {
+            match runs.come_to(row, seed, &root)? {
                 Came::To(device, measures) => table.add(&row.entry, seed, device, *measures),
                 Came::Nowhere => continue,
                 Came::Stopped => {
@@ -111,7 +142,7 @@ pub fn run(common: &Common, a: &Series, name: &str, base: &Settings, rows: &[Row
                     std::process::exit(1);
                 }
             }
-            write(&a.output, name, &table)?;
+            write(&a.output, about.name, &table)?;
         }
     }
     if !common.answer(&table)? {
@@ -136,32 +167,42 @@ struct Runs<'a> {
     goal: Goal,
     lpips: Option<&'a Lpips>,
     stop: &'a AtomicBool,
+    output: &'a Path,
 }
 
 impl Runs<'_> {
     /// Trains and measures a run as far as that is wanted and was not done before.
-    fn come_to(&self, entry: &Entry, mut asked: Settings, root: &Path, wanted: bool) -> anyhow::Result<Came> {
-        if !wanted && !root.is_dir() {
+    fn come_to(&self, row: &Row, seed: u64, root: &Path) -> anyhow::Result<Came> {
+        if !row.wanted && !root.is_dir() {
             return Ok(Came::Nowhere);
         }
-        // Random points are drawn by the seed.
-        let scene = Scene::open(&asked.scene, &asked.scene_options())?;
-        asked.exposure = scene.exposure();
-        asked.check()?;
-        let state = State::of(root, &asked, &self.goal);
+        let (scene, asked) = of_seed(&row.settings, seed)?;
+        let mut state = State::of(root, &asked, &self.goal);
+        let start = row.start.as_ref().map(|start| start.file(self.output, seed));
+        if start.as_deref().is_some_and(|start| state != State::Absent && !is_on(root, start)) {
+            state = State::Absent;
+        }
         if let State::Measured(measures) = state {
             return Ok(Came::To(trained_on(root), measures));
         }
-        if !wanted {
+        if !row.wanted {
             return Ok(Came::Nowhere);
+        }
+        if let Some(Start::Training { entry, settings }) = &row.start
+            && !self.formed(entry, settings, seed)?
+        {
+            return Ok(Came::Stopped);
         }
         if self.stop.load(Ordering::SeqCst) {
             return Ok(Came::Stopped);
         }
+        // Materials are gone on with if they were begun with the same settings.
+        let began = RunDirectory::open(root).and_then(|run| run.settings()).ok();
+        let same = state != State::Absent && began.is_some_and(|began| began.intrinsic == asked.intrinsic);
         // A device of its own, so that its memory's peak is that of this run.
         let device = self.common.open_device()?;
-        if matches!(state, State::Absent | State::Begun) {
-            let what = format!("{}, seed {}", entry.name, asked.seed);
+        if row.start.is_none() && matches!(state, State::Absent | State::Begun) {
+            let what = format!("{}, seed {seed}", row.entry.name);
             let begun = state == State::Begun;
             let ended = train_into(self.common, &device, &scene, &asked, root, begun, self.stop, &what, None)?;
             if let Ended::Stopped(_) = ended {
@@ -169,8 +210,15 @@ impl Runs<'_> {
             }
         }
         if self.goal.materials && state != State::Trained {
-            let begun = RunDirectory::open(root)?.intrinsic_checkpoint().is_file();
-            let ended = intrinsic_into(self.common, &device, &scene, &asked, root, None, begun, self.stop, None)?;
+            let run = RunDirectory::create(root)?;
+            if start.is_some() && state == State::Absent {
+                run.forget()?;
+            }
+            let (begun, start) = (same && run.intrinsic_checkpoint().is_file(), start.as_deref());
+            if !self.common.quiet && start.is_some() {
+                eprintln!("{}, seed {seed}", row.entry.name);
+            }
+            let ended = intrinsic_into(self.common, &device, &scene, &asked, root, start, begun, self.stop, None)?;
             if let IntrinsicEnded::Stopped(_) = ended {
                 return Ok(Came::Stopped);
             }
@@ -184,13 +232,53 @@ impl Runs<'_> {
             None => bail!("\"{}\" was measured, but its metrics.json does not say so.", root.display()),
         }
     }
+
+    /// Trains the geometry that rows have in common, as far as that was not done before; whether it is whole.
+    fn formed(&self, entry: &Entry, settings: &Settings, seed: u64) -> anyhow::Result<bool> {
+        let root = self.output.join(entry.folder(seed));
+        let (scene, asked) = of_seed(settings, seed)?;
+        let state = State::of(&root, &asked, &Goal::default());
+        if !matches!(state, State::Absent | State::Begun) {
+            return Ok(true);
+        }
+        let (begun, what) = (state == State::Begun, format!("{}, seed {seed}", entry.name));
+        let device = self.common.open_device()?;
+        let ended = train_into(self.common, &device, &scene, &asked, &root, begun, self.stop, &what, None)?;
+        validated(&device)?;
+        Ok(matches!(ended, Ended::Done(_)))
+    }
+}
+
+/// Scene and settings of a run. Random points are drawn by the seed.
+fn of_seed(settings: &Settings, seed: u64) -> anyhow::Result<(Scene, Settings)> {
+    let mut asked = Settings { seed, ..settings.clone() };
+    let scene = Scene::open(&asked.scene, &asked.scene_options())?;
+    asked.exposure = scene.exposure();
+    asked.check()?;
+    Ok((scene, asked))
+}
+
+/// Whether the materials of a run lie on the geometry of a file, as far as both are there.
+fn is_on(root: &Path, start: &Path) -> bool {
+    let own = root.join("scene.ply");
+    if !own.is_file() || !start.is_file() {
+        return true;
+    }
+    match (read_splats(&own), read_splats(start)) {
+        (Ok(a), Ok(b)) => {
+            (&a.means, &a.log_scales, &a.rotations) == (&b.means, &b.log_scales, &b.rotations)
+                && (&a.opacity_logits, &a.sh) == (&b.opacity_logits, &b.sh)
+        }
+        _ => false,
+    }
 }
 
 /// The device that a run names.
 fn trained_on(root: &Path) -> String {
     let text = std::fs::read_to_string(root.join("training.json")).unwrap_or_default();
     let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    value["device"].as_str().unwrap_or("an unknown device").to_owned()
+    let named = value["device"].as_str().or_else(|| value["intrinsic"]["device"].as_str());
+    named.unwrap_or("an unknown device").to_owned()
 }
 
 /// Writes what is known so far.

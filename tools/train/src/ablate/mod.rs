@@ -5,6 +5,7 @@
 //! measuring themselves are the caller's.
 
 mod case;
+mod change;
 mod state;
 mod table;
 mod variant;
@@ -12,4 +13,4 @@ mod variant;
 pub use case::Case;
 pub use state::{Goal, Measures, State};
 pub use table::{Ablation, AblationRow, AblationRun, Entry};
-pub use variant::Variant;
+pub use variant::{Scope, Variant};

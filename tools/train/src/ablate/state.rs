@@ -14,7 +14,7 @@ pub enum State {
     Absent,
     /// It was begun and can be gone on with.
     Begun,
-    /// Its geometry is trained, but not the materials that are wanted, too.
+    /// Its geometry is trained, but not the materials that are wanted, too, or with other settings.
     Formed,
     /// It is trained, but not measured.
     Trained,
@@ -42,13 +42,16 @@ impl State {
             asked.geometry.backward = began.geometry.backward;
         }
         asked.memory = began.memory;
+        // Geometry does not depend on what becomes of it.
+        let same_materials = asked.intrinsic == began.intrinsic;
+        asked.intrinsic.clone_from(&began.intrinsic);
         if asked != began {
             return State::Absent;
         }
         if !(run.path("scene.ply").is_file() && run.path("training.json").is_file()) {
             return State::Begun;
         }
-        if goal.materials && json(&run, "training.json").get("intrinsic").is_none() {
+        if goal.materials && !(same_materials && json(&run, "training.json").get("intrinsic").is_some()) {
             return State::Formed;
         }
         let wanted = goal.lpips.and_then(|about| serde_json::to_value(about).ok());
@@ -73,7 +76,7 @@ pub(super) struct Measure {
 }
 
 /// All measures, in the order of the table.
-pub(super) const MEASURES: [Measure; 16] = [
+pub(super) const MEASURES: [Measure; 18] = [
     measure("psnr", "PSNR, dB ↑", 2, "/test/mean/nvs/psnr"),
     measure("ssim", "SSIM ↑", 4, "/test/mean/nvs/ssim"),
     measure("lpips", "LPIPS ↓", 4, "/test/mean/nvs/lpips"),
@@ -85,10 +88,12 @@ pub(super) const MEASURES: [Measure; 16] = [
     measure("albedo_lpips", "albedo LPIPS ↓", 4, "/test/mean/albedo/lpips"),
     measure("roughness_mse", "roughness MSE ↓", 5, "/test/mean/roughness_mse"),
     measure("metallic_mse", "metallic MSE ↓", 5, "/test/mean/metallic_mse"),
+    measure("relit_psnr", "relit, dB ↑", 2, "/test/mean/relit"),
     measure("normal_mae_deg", "normals, ° ↓", 2, "/test/mean/normal_mae_deg"),
     measure("depth_rel", "depth, relative ↓", 4, "/test/mean/depth_rel"),
     measure("accuracy", "labels right ↑", 4, "/test/mean/semantic/accuracy"),
     measure("seconds_per_step", "seconds a step ↓", 4, "/steps_per_second"),
+    measure("intrinsic_seconds_per_step", "seconds a step of materials ↓", 4, "/intrinsic/steps_per_second"),
     measure("gaussians", "Gaussians", 0, "/gaussians"),
 ];
 
@@ -104,21 +109,33 @@ impl Measures {
     /// What the evaluation of a run left, if it is there and whole.
     pub fn read(run: &RunDirectory) -> Option<Measures> {
         let (all, training) = (json(run, "metrics.json"), json(run, "training.json"));
-        let whole = training["resumed_from"] == 0;
-        let number = |m: &Measure| {
-            let value = all.pointer(m.place).and_then(Value::as_f64);
-            // The file says how many steps a second takes; of an interrupted run it is the last part's, which is no measure.
-            if m.key == "seconds_per_step" { value.filter(|v| whole && *v > 0.0).map(|v| 1.0 / v) } else { value }
+        // The files say how many steps a second takes; of an interrupted run it is the last part's, which is no measure.
+        let per_step = |of: &Value, place: &str, part: &Value| {
+            let rate = of.pointer(place).and_then(Value::as_f64);
+            rate.filter(|rate| part["resumed_from"] == 0 && *rate > 0.0).map(|rate| 1.0 / rate)
+        };
+        let number = |m: &Measure| match m.key {
+            "seconds_per_step" => per_step(&all, m.place, &training),
+            "intrinsic_seconds_per_step" => per_step(&training, m.place, &training["intrinsic"]),
+            "relit_psnr" => all.pointer(m.place).and_then(Value::as_object).and_then(mean_psnr),
+            _ => all.pointer(m.place).and_then(Value::as_f64),
         };
         let found = Measures(std::array::from_fn(|i| number(&MEASURES[i])));
         found.get("psnr").map(|_| found)
     }
 
     /// A measure by its name in JSON: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`,
-    /// `metallic_mse`, `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of geometry), `gaussians`. Seconds are those of runs that were not interrupted.
+    /// `metallic_mse`, `relit_psnr` (mean over what it is relit by), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
+    /// geometry), `intrinsic_seconds_per_step`, `gaussians`. Seconds are those of runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
+}
+
+/// Mean over what a scene is relit by.
+fn mean_psnr(sets: &serde_json::Map<String, Value>) -> Option<f64> {
+    let all: Option<Vec<f64>> = sets.values().map(|set| set["psnr"].as_f64()).collect();
+    all.filter(|all| !all.is_empty()).map(|all| all.iter().sum::<f64>() / all.len() as f64)
 }
 
 /// A file of a run; null where there is none, or it is damaged.
@@ -189,6 +206,11 @@ mod tests {
         run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
         let timed = |state| matches!(state, State::Measured(m) if m.get("seconds_per_step").is_some());
         assert!(!timed(state(&asked)), "the time of a part was taken for the whole");
+        // Other materials may lie on the same geometry.
+        run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
+        asked.intrinsic.losses.l1 = 0.7;
+        assert_eq!(State::of(&root, &asked, &Goal { materials: true, lpips: None }), State::Formed);
+        assert!(matches!(state(&asked), State::Measured(_)));
         // Any other setting is another run.
         asked.geometry.losses.l1 = 0.7;
         assert_eq!(state(&asked), State::Absent);

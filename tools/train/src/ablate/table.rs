@@ -58,8 +58,12 @@ pub struct AblationRow {
 pub struct Ablation {
     /// The scene directory.
     pub scene: String,
-    /// Steps of the geometry stage.
-    pub steps: u32,
+    /// Steps of the geometry stage, where it is trained.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u32>,
+    /// What all runs begin with, where it is not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start: Option<String>,
     /// Steps of the intrinsic stage, where it is trained.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsic_steps: Option<u32>,
@@ -97,15 +101,17 @@ impl Ablation {
         let mut devices: Vec<&str> = self.variants.iter().flat_map(|v| &v.runs).map(|r| r.device.as_str()).collect();
         devices.sort_unstable();
         devices.dedup();
-        let more = self.intrinsic_steps.map_or_else(String::new, |n| format!(" and {n} of materials"));
+        let mut after: Vec<String> = self.steps.map(|n| format!("{n} steps")).into_iter().collect();
+        after.extend(self.intrinsic_steps.map(|n| format!("{n} of materials")));
+        let start = self.start.as_ref().map_or_else(String::new, |start| format!(" on {start}"));
         let lpips = match &self.lpips {
             None => String::new(),
             Some(l) => format!(" LPIPS {}: {}, pictures from {} to {}.", l.version, l.net, l.range[0], l.range[1]),
         };
         let mut text = format!(
-            "Test views of {} after {} steps{more} on {}; means and standard deviations over seeds.{lpips}\n\n",
+            "Test views of {} after {}{start}, on {}; means and standard deviations over seeds.{lpips}\n\n",
             self.scene,
-            self.steps,
+            after.join(" and "),
             devices.join(", ")
         );
         text += &line(["variant".to_owned(), "seeds".to_owned()].into_iter().chain(head).collect());
@@ -137,7 +143,7 @@ fn spread(values: &[f64]) -> (Option<f64>, Option<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ablate::Variant;
+    use crate::ablate::{Scope, Variant};
     use serde_json::json;
 
     #[test]
@@ -145,8 +151,8 @@ mod tests {
         assert_eq!(spread(&[]), (None, None));
         assert_eq!(spread(&[3.0]), (Some(3.0), None));
         assert_eq!(spread(&[1.0, 2.0, 3.0, 6.0]), (Some(3.0), Some((14.0_f64 / 3.0).sqrt())));
-        let variants = Variant::all().iter().map(Variant::entry).collect::<Vec<_>>();
-        let mut table = Ablation { scene: "room".into(), steps: 9, ..Default::default() };
+        let variants = Scope::Geometry.variants().iter().map(Variant::entry).collect::<Vec<_>>();
+        let mut table = Ablation { scene: "room".into(), steps: Some(9), ..Default::default() };
         let measures = |psnr: f64, normal: Option<f64>| {
             let mut m = Measures::default();
             let at = |key: &str| MEASURES.iter().position(|m| m.key == key).unwrap();
@@ -157,7 +163,7 @@ mod tests {
         table.add(&variants[0], 4, "another".into(), measures(30.0, None));
         table.add(&variants[1], 5, "gpu".into(), measures(33.0, None));
         let text = table.markdown();
-        assert!(text.starts_with("Test views of room after 9 steps on another, gpu;"), "{text}");
+        assert!(text.starts_with("Test views of room after 9 steps, on another, gpu;"), "{text}");
         let lines: Vec<&str> = text.lines().skip(2).collect();
         assert_eq!(lines[0], "| variant | seeds | PSNR, dB ↑ | normals, ° ↓ |");
         assert_eq!(lines[1], "|---|---|---|---|");
