@@ -36,7 +36,7 @@ fn settings(steps: u32, from: u32) -> Settings {
     s.geometry.steps = steps;
     s.geometry.correspondence_from = from;
     s.geometry.densify.enabled = false;
-    s.geometry.sh_degree = 1;
+    s.geometry.sh_degree = 1.into();
     s
 }
 
@@ -110,6 +110,7 @@ fn neither_room_nor_interruptions_matter() {
             d.max_gaussians = 3000;
             let mut reports = Vec::new();
             let mut heard = |p: &Progress| match p {
+                Progress::Decided(_) => {}
                 Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
                 Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
             };

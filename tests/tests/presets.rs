@@ -30,7 +30,7 @@ fn presets_lie_beneath_everything_else() {
     let small = ["--set", "intrinsic.lights.grid=2", "--set", "intrinsic.environment.resolution=16"];
     train("a", &[&["--stage", "intrinsic", "--preset", "draft"][..], &small].concat()).ok();
     let s = of("a");
-    assert_eq!((s.seed, s.geometry.dense_adam, s.geometry.sh_degree), (5, true, 3));
+    assert_eq!((s.seed, s.geometry.dense_adam, s.geometry.sh_degree), (5, true, 3.into()));
     assert_eq!((s.intrinsic.visibility.levels, s.intrinsic.lights.grid), (8, 2));
     // Resumed as it was begun, or not at all.
     train("b", &["--preset", "draft"]).ok();

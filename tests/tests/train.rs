@@ -59,6 +59,7 @@ fn the_first_room_for_entries_does_not_matter() {
         s.geometry.entry_capacity = capacity;
         let mut reports = Vec::new();
         let mut heard = |p: &Progress| match p {
+            Progress::Decided(_) => {}
             Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
             Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
         };
@@ -95,7 +96,7 @@ fn the_room_for_gaussians_does_not_matter() {
     assert!((12_000..20_000).contains(&scene.points.len()), "{} points", scene.points.len());
     let device = device();
     let mut s = settings(12);
-    s.geometry.sh_degree = 0;
+    s.geometry.sh_degree = 0.into();
     // At first some are too faint and the rest is refined: the number stays about what it was, but not the room that
     // would be made for it. Then all are refined until there is no room.
     (s.geometry.densify.grad_threshold, s.geometry.densify.interval) = (0.0, 1);
@@ -152,7 +153,7 @@ fn training_learns_the_room_and_its_normals() {
     let place = Place::new(Room { size: [48, 36], spacing: 3, priors: true, truth: true, ..Room::default() });
     let mut s = settings(300);
     (s.geometry.densify.from, s.geometry.densify.interval, s.geometry.densify.reset_interval) = (100, 50, 0);
-    s.geometry.sh_degree = 1;
+    s.geometry.sh_degree = 1.into();
     let (losses, guided) = learn(&place, &s);
     let mean = |l: &[f32]| l.iter().sum::<f32>() / l.len() as f32;
     let (first, last) = (mean(&losses[..6]), mean(&losses[losses.len() - 12..]));

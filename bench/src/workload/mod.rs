@@ -44,7 +44,7 @@ pub struct Workload {
 /// every step costs the same.
 fn settings(densify: bool, sh_degree: u32) -> Settings {
     let mut s = Settings::default();
-    s.geometry.sh_degree = sh_degree;
+    s.geometry.sh_degree = sh_degree.into();
     s.geometry.sh_interval = 0;
     s.geometry.densify.enabled = densify;
     s

@@ -75,6 +75,21 @@ impl Renderer {
         Renderer::with(device, tuning, gaussians, largest, channels, true)
     }
 
+    /// As [`Renderer::new`], with room for so many tile entries at first: where memory is short and their number is known.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_entries(
+        device: &Device,
+        tuning: Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+        entries: u32,
+    ) -> Result<Renderer> {
+        Renderer::of(device, tuning, gaussians, largest, channels, false, entries.max(1 << 12))
+    }
+
     fn with(
         device: &Device,
         tuning: Tuning,
@@ -84,6 +99,18 @@ impl Renderer {
         features: bool,
     ) -> Result<Renderer> {
         let capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
+        Renderer::of(device, tuning, gaussians, largest, channels, features, capacity)
+    }
+
+    fn of(
+        device: &Device,
+        tuning: Tuning,
+        gaussians: &Gaussians,
+        largest: [u32; 2],
+        channels: Channels,
+        features: bool,
+        capacity: u32,
+    ) -> Result<Renderer> {
         let state = State::new(device, &tuning, gaussians, largest, channels, features, capacity)?;
         Ok(Renderer { device: device.clone(), tuning, largest, channels, features, capacity, state })
     }

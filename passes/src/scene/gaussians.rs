@@ -216,6 +216,34 @@ impl Gaussians {
         Ok(larger)
     }
 
+    /// The same Gaussians with another highest band: bands that come are zero, as their moments are, and bands that go are
+    /// lost. What stays is not copied, so that both share it.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_degree(&self, device: &Device, sh_degree: u32) -> Result<Gaussians> {
+        let model = Model { sh_degree, ..self.model };
+        let layout = Layout { model, ..self.layout() };
+        let changed = |old: &[DeviceBuffer; Group::COUNT], suffix: &str, bytes: u64| -> Result<_> {
+            let mut buffers = old.clone();
+            for g in Group::ALL.into_iter().filter(|g| model.has(*g) != self.model.has(*g)) {
+                let name = format!("{}{suffix}", g.name());
+                let buffer = device.buffer(&name, layout.scalars(g) * bytes, Location::Device)?;
+                device.fill(&buffer, 0)?;
+                buffers[g as usize] = buffer;
+            }
+            Ok(buffers)
+        };
+        Ok(Gaussians {
+            model,
+            capacity: self.capacity,
+            parameters: changed(&self.parameters, "", 4)?,
+            moments: self.moments.as_ref().map(|m| changed(m, "_moments", 8)).transpose()?,
+            statistics: self.statistics.clone(),
+            work: self.work.clone(),
+        })
+    }
+
     /// How many there are now (waits for the device).
     ///
     /// # Errors

@@ -119,6 +119,7 @@ impl TrainerObject {
         let heard = |p: &Progress| match p {
             Progress::Step(r) => (*loss, *gaussians) = (r.losses.total, r.gaussians),
             Progress::Densified { stats, .. } => *gaussians = stats.after,
+            Progress::Decided(_) => {}
         };
         let began = Instant::now();
         // The first question comes before the first step.

@@ -5,6 +5,7 @@
 use crate::divergence::RollBack;
 use crate::error::{Result, TrainError};
 use crate::floats::Floats;
+use crate::geometry::{Bands, Decision};
 use safetensors::{Dtype, SafeTensors};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use std::collections::HashMap;
@@ -22,6 +23,12 @@ pub(crate) struct State {
     pub decoder: Option<[Vec<f32>; 2]>,
     /// What else there is to know of how it goes.
     pub course: Course,
+    /// Where the search for the degree of spherical harmonics is.
+    pub bands: Option<Bands>,
+    /// What was decided about the model.
+    pub decisions: Vec<Decision>,
+    /// Which groups there are.
+    pub model: Model,
 }
 
 /// How a training goes: in metadata, and absent in checkpoints that are older.
@@ -45,14 +52,14 @@ impl Course {
     /// From metadata.
     pub fn read(path: &Path, meta: &HashMap<String, String>) -> Result<Course> {
         let of = |name: &str| meta.get(name).cloned().unwrap_or_default();
-        let roll_backs = match meta.get("roll_backs") {
-            Some(text) => {
-                serde_json::from_str(text).map_err(|e| file(path, format!("damaged: \"roll_backs\": {e}")))?
-            }
-            None => Vec::new(),
-        };
-        Ok(Course { watch: of("watch"), roll_backs })
+        Ok(Course { watch: of("watch"), roll_backs: json(path, meta, "roll_backs")?.unwrap_or_default() })
     }
+}
+
+/// What metadata hold as JSON, if they do.
+fn json<T: serde::de::DeserializeOwned>(path: &Path, meta: &HashMap<String, String>, name: &str) -> Result<Option<T>> {
+    let read = |text: &String| serde_json::from_str(text);
+    meta.get(name).map(read).transpose().map_err(|e| file(path, format!("damaged: \"{name}\": {e}")))
 }
 
 impl State {
@@ -75,20 +82,27 @@ impl State {
     }
 }
 
-pub(crate) fn save(path: &Path, state: &State, model: Model) -> Result<()> {
+pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
     let mut meta = HashMap::from([
         ("format".to_owned(), "sgs-geometry-1".to_owned()),
         ("step".to_owned(), state.step.to_string()),
         ("capacity".to_owned(), state.capacity.to_string()),
     ]);
     state.course.write(&mut meta);
-    let tensors = state.tensors(model);
+    if let Some(bands) = &state.bands {
+        meta.insert("bands".to_owned(), serde_json::to_string(bands).unwrap_or_default());
+    }
+    if !state.decisions.is_empty() {
+        meta.insert("decisions".to_owned(), serde_json::to_string(&state.decisions).unwrap_or_default());
+    }
+    let tensors = state.tensors(state.model);
     let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
     Ok(())
 }
 
-pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
+/// Reads a checkpoint of a model; with `any_degree` of whatever bands of spherical harmonics there are.
+pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<State> {
     let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| file(path, format!("not a checkpoint: {e}")))?;
     let meta = header.metadata().clone().unwrap_or_default();
@@ -108,6 +122,10 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
         }
         Ok(t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
     };
+    if any_degree {
+        let bands = [Group::Sh1, Group::Sh2, Group::Sh3];
+        model.sh_degree = bands.iter().take_while(|g| tensors.tensor(g.name()).is_ok()).count() as u32;
+    }
     let mut parameters = GaussianData::default();
     let mut moments = GaussianData::default();
     for group in Group::ALL {
@@ -153,7 +171,9 @@ pub(crate) fn load(path: &Path, model: Model) -> Result<State> {
         }
     }
     let course = Course::read(path, &meta)?;
-    Ok(State { step, capacity, parameters, moments, statistics, decoder, course })
+    let bands = json(path, &meta, "bands")?;
+    let decisions = json(path, &meta, "decisions")?.unwrap_or_default();
+    Ok(State { step, capacity, parameters, moments, statistics, decoder, course, bands, decisions, model })
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -41,5 +41,16 @@ pub enum TrainError {
     },
 }
 
+impl TrainError {
+    /// Whether the device's memory did not suffice.
+    pub fn is_out_of_memory(&self) -> bool {
+        match self {
+            TrainError::Engine(error) => error.is_out_of_memory(),
+            TrainError::Memory(_) => true,
+            _ => false,
+        }
+    }
+}
+
 /// Result with this crate's error.
 pub type Result<T> = std::result::Result<T, TrainError>;

@@ -45,7 +45,7 @@ pub use evaluate::{
 };
 pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
-pub use geometry::{Geometry, Progress};
+pub use geometry::{Decision, Geometry, Progress};
 pub use head::SemanticHead;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub use kept::Kept;
@@ -62,9 +62,9 @@ pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     AccuracySettings, Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses, IntrinsicRates,
-    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MaterialStart, MemorySettings, Metallic, OnDivergence,
-    PRESETS, Preset, ProviderSettings, Rates, RelightSettings, Settings, TrainSettings, VisibilityKind,
-    VisibilitySettings, overlay,
+    IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MOST_BANDS, MaterialStart, MemorySettings, Metallic,
+    OnDivergence, PRESETS, Preset, ProviderSettings, Rates, RelightSettings, Settings, ShDegree, TrainSettings,
+    VisibilityKind, VisibilitySettings, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

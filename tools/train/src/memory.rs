@@ -28,6 +28,8 @@ pub struct Needs {
     pub parameters: u64,
     /// Adam's moments.
     pub moments: u64,
+    /// Both, of bands of spherical harmonics that may come later, and what steps with them take more.
+    pub bands: u64,
     /// Densification statistics.
     pub statistics: u64,
     /// Transients of a step.
@@ -62,6 +64,7 @@ impl Needs {
             regions: 0,
             parameters: layout.parameter_bytes(),
             moments: layout.moment_bytes(),
+            bands: 0,
             statistics: layout.statistics_bytes(),
             arena: plan.arena_bytes,
             pseudo_arena: 0,
@@ -88,13 +91,20 @@ impl Needs {
         Ok(self)
     }
 
+    /// Adds what comes on top where all bands of spherical harmonics come, with which these are the needs.
+    pub(crate) fn with_bands(mut self, all: &Needs) -> Needs {
+        self.bands = 0;
+        self.bands = all.total().saturating_sub(self.total());
+        self
+    }
+
     /// All of it.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 12] {
+    pub fn parts(&self) -> [(&'static str, u64); 13] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
@@ -102,6 +112,7 @@ impl Needs {
             ("regions", self.regions),
             ("parameters", self.parameters),
             ("moments", self.moments),
+            ("bands that may come", self.bands),
             ("statistics", self.statistics),
             ("arena", self.arena),
             ("arena of pseudo-views", self.pseudo_arena),
@@ -114,7 +125,9 @@ impl Needs {
     /// Refuses if it does not fit.
     pub(crate) fn check(&self, budget: &Budget) -> Result<()> {
         let advice = "use --scale, --views, fewer points, a lower geometry.sh_degree, or a larger --memory-budget";
-        refuse_beyond(budget, self.total(), &self.parts(), "The first step", advice)
+        // Bands for which there is no room are left out.
+        let first = Needs { bands: 0, ..*self };
+        refuse_beyond(budget, first.total(), &first.parts(), "The first step", advice)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What a step is made of, as a function of its number alone: resuming needs nothing but the number.
 
-use crate::settings::{Rates, Settings};
+use crate::settings::{Rates, Settings, ShDegree};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Schedules of a run.
@@ -66,8 +66,10 @@ impl Schedule {
         let done = f64::from(step) / f64::from(g.steps.max(1));
         let means = g.rates.means.powf(1.0 - done.min(1.0)) * g.rates.means_final.powf(done.min(1.0));
         let sh_degree = match g.sh_interval {
-            0 => g.sh_degree,
-            interval => g.sh_degree.min((step - 1) / interval),
+            // Bands that the model lacks are none, whatever is said here.
+            0 => g.sh_degree.most(),
+            _ if g.sh_degree == ShDegree::Auto => g.sh_degree.most(),
+            interval => g.sh_degree.most().min((step - 1) / interval),
         };
         let factor = g.rate_factor() * self.rates;
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(100.0) as f32;

@@ -8,7 +8,7 @@ use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_scene::Scene;
-use sgs_train::{Geometry, OnDivergence, Progress, RollBack, RunDirectory, Settings, StepLog, TrainError};
+use sgs_train::{Decision, Geometry, OnDivergence, Progress, RollBack, RunDirectory, Settings, StepLog, TrainError};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -38,6 +38,17 @@ pub struct Summary {
     device: String,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     roll_backs: Vec<RollBack>,
+    /// The highest band of spherical harmonics.
+    sh_degree: u32,
+    /// What was decided about the model, and why.
+    decisions: Vec<Decision>,
+}
+
+/// A line of `log.jsonl` between those of steps.
+#[derive(serde::Serialize)]
+struct DecisionLog<'a> {
+    step: u32,
+    decision: &'a Decision,
 }
 
 /// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised; leaves all that
@@ -95,12 +106,18 @@ pub fn train_into(
         }
         let rates = training.roll_backs().last().map_or(1.0, |r| r.rates);
         let heard = |p: &Progress| {
+            let mut write = |line: serde_json::Result<String>| {
+                if let Err(e) = writeln!(log, "{}", line.unwrap_or_default()) {
+                    failure.get_or_insert(e);
+                }
+            };
+            if let Progress::Decided(decision) = p {
+                write(serde_json::to_string(&DecisionLog { step: decision.step, decision }));
+                bar.say(&decision.to_string());
+            }
             if let Progress::Step(r) = p {
                 if r.step % 10 == 0 || r.step == 1 || r.step == steps {
-                    let line = serde_json::to_string(&StepLog { rates, ..StepLog::from(r) }).unwrap_or_default();
-                    if let Err(e) = writeln!(log, "{line}") {
-                        failure.get_or_insert(e);
-                    }
+                    write(serde_json::to_string(&StepLog { rates, ..StepLog::from(r) }));
                 }
                 let said = || format!("loss {:.4}, {} Gaussians", r.losses.total, r.gaussians);
                 bar.set(u64::from(r.step), said);
@@ -183,6 +200,8 @@ pub fn train_into(
         peak_device_bytes: device.memory_use().1,
         device: device.info().name.clone(),
         roll_backs: training.roll_backs().to_vec(),
+        sh_degree: training.gaussians().model.sh_degree,
+        decisions: training.decisions().to_vec(),
     };
     run.write_json("training.json", &summary)?;
     kept.forget()?;

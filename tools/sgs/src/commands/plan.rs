@@ -7,7 +7,7 @@ use anyhow::Context;
 use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::pipeline::Masks;
-use sgs_train::Geometry;
+use sgs_train::{Geometry, ShDegree};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -124,6 +124,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "gaussians": count,
             "capacity": capacity,
             "sh_degree": model.sh_degree,
+            "sh_degree_asked": s.geometry.sh_degree,
+            "decisions": training.decisions(),
             "normals": model.normals,
             "semantics": model.semantics,
             "classes": training.classes(),
@@ -162,34 +164,33 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         "Gaussians   {count} at first, room for {capacity} ({:.1} MiB with gradients' moments)",
         mib(gaussian_bytes)
     );
-    println!("color       spherical harmonics of degree {} (geometry.sh_degree)", model.sh_degree);
-    let why = if model.normals {
-        "the scene has normal priors"
-    } else {
-        "left out: no normal priors, or they are switched off"
+    let color = match s.geometry.sh_degree {
+        ShDegree::Fixed(degree) => format!("of degree {degree} (geometry.sh_degree)"),
+        ShDegree::Auto => format!(
+            "of degree {} at first; all bands are tried early on, and those stay that are worth {} dB at views that are held \
+             back (geometry.sh_degree, geometry.sh_gain)",
+            model.sh_degree, s.geometry.sh_gain
+        ),
     };
-    println!("normals     {} ({why})", if model.normals { "one a Gaussian" } else { "none" });
+    println!("color       spherical harmonics {color}");
+    let why = |what: &str| {
+        let found = training.decisions().iter().find(|d| d.what == what);
+        found.map_or_else(String::new, |d| format!("{}; {}", d.reason, d.setting))
+    };
+    println!("normals     {} ({})", if model.normals { "one a Gaussian" } else { "none" }, why("normals"));
     match training.classes() {
         Some(classes) => {
-            println!("semantics   32 features a Gaussian, {} classes (the scene has semantic priors)", classes.len())
+            println!("semantics   32 features a Gaussian, {} classes ({})", classes.len(), why("semantics"));
         }
-        None => println!("semantics   none (left out: no semantic priors, or they are switched off)"),
+        None => println!("semantics   none ({})", why("semantics")),
     }
-    if training.classes().is_some() {
-        let from = s.geometry.correspondence_from;
-        match training.masks() {
-            Some(Masks::Carried) => println!("pseudo      two views from step {from} on, regions carried by depth"),
-            Some(Masks::Numbered) => {
-                println!("pseudo      two views from step {from} on, regions of priors/masks/pseudo")
-            }
-            Some(Masks::Given) => {
-                println!("pseudo      two views from step {from} on, regions asked of provider.command")
-            }
-            None => println!(
-                "pseudo      none (left out: switched off, after the last step, or nothing says what a region is)"
-            ),
-        }
-    }
+    let views = match training.masks() {
+        Some(Masks::Carried) => "two views a step, regions carried by depth",
+        Some(Masks::Numbered) => "two views a step, regions of priors/masks/pseudo",
+        Some(Masks::Given) => "two views a step, regions asked of provider.command",
+        None => "none",
+    };
+    println!("pseudo      {views} ({})", why("pseudo-views"));
     println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
     println!(
         "a step      {} passes in {} groups, {} barriers",

@@ -31,7 +31,7 @@ impl IntrinsicPlan {
     pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<IntrinsicPlan> {
         let splats = match start {
             Some(file) => read_splats(file)?,
-            None => Splats::from_points(&scene.points, s.geometry.sh_degree as usize)?,
+            None => Splats::from_points(&scene.points, s.geometry.sh_degree.start() as usize)?,
         };
         let mut training = Intrinsic::planned(device, scene, s, &splats)?;
         let graph = training.executor()?.executor().plan().clone();

@@ -166,16 +166,21 @@ impl Watch {
 
     /// Judges a whole block, during which learning rates were so many times their defaults.
     fn judge(&mut self, step: u32, rates: f64) -> Option<String> {
-        let views = self.sums.len() as f64;
-        if self.sums.iter().any(|s| s.times == 0) {
+        // Views may be held back for a while: the others are judged.
+        let seen = || self.sums.iter().zip(&self.plain).filter(|(s, _)| s.times > 0);
+        let views = seen().count() as f64;
+        if 2.0 * views < self.sums.len() as f64 {
             return None;
         }
         let mean = |s: &Sum, sum: f64| sum / f64::from(s.times);
-        let l1 = self.sums.iter().map(|s| mean(s, s.l1)).sum::<f64>() / views;
-        let plain = self.plain.iter().sum::<f64>() / views;
+        let l1 = seen().map(|(s, _)| mean(s, s.l1)).sum::<f64>() / views;
+        let plain = seen().map(|(_, plain)| plain).sum::<f64>() / views;
         // Loss now and of the reference, and plain colors: of the views of which the reference is known.
         let mut known = [0.0; 4];
-        for ((s, reference), plain) in self.sums.iter().zip(&self.reference).zip(&self.plain) {
+        for ((s, plain), reference) in self.sums.iter().zip(&self.plain).zip(&self.reference) {
+            if s.times == 0 {
+                continue;
+            }
             known[3] += mean(s, s.loss);
             if let Some(r) = reference {
                 known = [known[0] + mean(s, s.loss), known[1] + r, known[2] + plain, known[3]];
@@ -207,9 +212,12 @@ impl Watch {
             self.good_until = step;
         }
         if !far {
-            let best = self.reference.iter().copied().sum::<Option<f64>>();
+            let all_seen = || self.sums.iter().zip(&self.reference).filter(|(s, _)| s.times > 0);
+            let best = all_seen().map(|(_, r)| *r).sum::<Option<f64>>();
             if best.is_none_or(|best| all < best) {
-                self.reference = self.sums.iter().map(|s| Some(mean(s, s.loss))).collect();
+                for (s, reference) in self.sums.iter().zip(&mut self.reference).filter(|(s, _)| s.times > 0) {
+                    *reference = Some(mean(s, s.loss));
+                }
             }
         }
         None

@@ -122,3 +122,26 @@ fn it_goes_on_as_if_nothing_had_happened() {
         assert_eq!(w, watch(7));
     }
 }
+
+#[test]
+fn what_is_held_back_is_not_judged() {
+    // A view of six is never seen; the others are as ever, then bad.
+    let run = |w: &mut Watch, steps: std::ops::RangeInclusive<u32>, loss: f32, l1: f32, unseen: usize| {
+        steps.into_iter().find_map(|step| {
+            let view = step as usize % (6 - unseen);
+            let seen = Seen { step, view, loss, l1, skipped: 0, of: 10, rates: 1.0 };
+            w.see(&seen).map(|wrong| (step, wrong))
+        })
+    };
+    let mut w = watch(6);
+    assert_eq!(run(&mut w, 1..=240, 0.1, 0.1, 0), None);
+    assert_eq!(run(&mut w, 241..=480, 0.05, 0.05, 1), None);
+    assert_eq!(w.good_until, 480);
+    assert!(w.reference[4].unwrap() < 0.06 && w.reference[5].unwrap() > 0.09);
+    let (step, wrong) = run(&mut w, 481..=900, 0.3, 0.21, 1).unwrap();
+    assert!(step == 540 && wrong.contains("of all views is 6.00 times"), "{step}: {wrong}");
+    // Where most are held back nothing can be said.
+    let mut w = watch(6);
+    assert_eq!(run(&mut w, 1..=60, 0.1, 0.1, 0), None);
+    assert_eq!(run(&mut w, 61..=900, 0.9, 0.9, 4), None);
+}

@@ -93,7 +93,7 @@ impl Geometry {
         let picture = l.l1 * report.losses.l1 + l.dssim * (1.0 - report.losses.ssim);
         self.watch.see(&Seen {
             step: report.step,
-            view: self.schedule.view(report.step),
+            view: self.view(report.step),
             loss: if l.l1 + l.dssim > 0.0 { picture } else { report.losses.l1 },
             l1: report.losses.l1,
             skipped: report.skipped,

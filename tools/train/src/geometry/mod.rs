@@ -5,6 +5,8 @@
 //! one two before it; the host looks at reports of steps that are done.
 
 mod backward;
+mod bands;
+mod decision;
 mod given;
 mod look;
 mod room;
@@ -20,7 +22,9 @@ use crate::memory::{Needs, allowed};
 use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
-use crate::settings::{Backward, Settings};
+use crate::settings::{Backward, Settings, ShDegree};
+pub(crate) use bands::Bands;
+pub use decision::Decision;
 pub(crate) use given::Given;
 use room::{first_entry_capacity, most_gaussians, room_for};
 use sgs_engine::Device;
@@ -52,6 +56,8 @@ pub enum Progress {
         /// What happened.
         stats: DensifyStats,
     },
+    /// Something was decided about the model.
+    Decided(Decision),
 }
 
 /// The geometry stage of one scene.
@@ -87,6 +93,10 @@ pub struct Geometry {
     watch: Watch,
     /// Returns to the last good state.
     roll_backs: Vec<RollBack>,
+    /// Where the search for the degree of spherical harmonics is, if there is one.
+    bands: Option<Bands>,
+    /// What was decided about the model.
+    decisions: Vec<Decision>,
 }
 
 impl Geometry {
@@ -97,7 +107,7 @@ impl Geometry {
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
-        let points = || Splats::from_points(&scene.points, settings.geometry.sh_degree as usize);
+        let points = || Splats::from_points(&scene.points, settings.geometry.sh_degree.start() as usize);
         let initial;
         let start = match start {
             Some(splats) => splats,
@@ -127,7 +137,11 @@ impl Geometry {
             semantics: maps.as_ref().map(SemanticMaps::sizes),
             ..Default::default()
         };
-        let model = Model { sh_degree: g.sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
+        let sh_degree = match g.sh_degree {
+            ShDegree::Fixed(degree) => degree,
+            ShDegree::Auto => start.sh_degree() as u32,
+        };
+        let model = Model { sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
         let mut initial;
         let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
@@ -138,7 +152,8 @@ impl Geometry {
             start = &initial;
         }
         let count = start.len() as u32;
-        let most = most_gaussians(device, model, settings, &inputs, data.largest);
+        let all_bands = Model { sh_degree: sh_degree.max(g.sh_degree.most()), ..model };
+        let most = most_gaussians(device, all_bands, settings, &inputs, data.largest);
         let wanted = most.min(g.densify.max_gaussians);
         let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
         let tuning = Tuning::for_device(device.info()).with(settings.accuracy.into());
@@ -158,7 +173,9 @@ impl Geometry {
             frames_in_flight: IN_FLIGHT,
         };
         let layout = Layout { model, capacity: capacity.max(1), training: true, statistics: g.densify.enabled };
-        let mut needs = Needs::of(device, &tuning, &layout, &inputs, &options)?;
+        let with_all = Layout { model: all_bands, ..layout };
+        let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
+        let mut needs = of(&layout)?.with_bands(&of(&with_all)?);
         needs.check(&allowed(device, settings))?;
         if count > most {
             return Err(TrainError::Memory(format!(
@@ -174,7 +191,8 @@ impl Geometry {
             _ => None,
         };
         if let Some(c) = &correspondence {
-            needs = needs.with_views(&tuning, &layout, &inputs, &options, c)?;
+            let of = |layout: &Layout| of(layout)?.with_views(&tuning, layout, &inputs, &options, c);
+            needs = of(&layout)?.with_bands(&of(&with_all)?);
             needs.check(&allowed(device, settings))?;
         }
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
@@ -209,7 +227,11 @@ impl Geometry {
             settled: 0,
             watch,
             roll_backs: Vec::new(),
+            bands: (g.sh_degree == ShDegree::Auto).then(Bands::default),
+            decisions: Vec::new(),
         };
+        let found = [model.normals, model.semantics, training.correspondence.is_some()];
+        training.decisions = decision::given(&training.settings, found);
         training.rebuild()?;
         Ok(training)
     }
@@ -258,6 +280,7 @@ impl Geometry {
                 self.look(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
             }
             let due = self.schedule.densify(self.submitted).is_some() || self.schedule.reset(self.submitted);
+            let due = due || self.bands_due(self.submitted);
             let due = due && self.settled < self.submitted;
             if due || self.submitted == last {
                 let clean = self.drain(&mut heard)?;
@@ -302,7 +325,7 @@ impl Geometry {
 
     /// The uniforms of a step's pseudo-views.
     fn pseudo_views(&mut self, values: &mut Step) -> Result<Option<[Step; PSEUDO_VIEWS]>> {
-        let (view, seed) = (self.schedule.view(values.step), self.settings.seed);
+        let (view, seed) = (self.view(values.step), self.settings.seed);
         let look = (values.sh_degree, self.settings.geometry.background);
         if self.correspondence.as_ref().is_some_and(Correspondence::looks) {
             self.exec()?.finish()?;
@@ -315,7 +338,7 @@ impl Geometry {
 
     /// The uniform of a step.
     fn values(&self, step: u32) -> Step {
-        let view = self.schedule.view(step);
+        let view = self.view(step);
         let (camera, offset) = self.data.views[view];
         let mut values = self.schedule.step(step, &camera, offset);
         if let Some((data, _)) = &self.semantics {
@@ -324,10 +347,15 @@ impl Geometry {
         values
     }
 
-    fn rebuild(&mut self) -> Result<()> {
+    /// What can be made again goes: its memory is needed.
+    fn forget_steps(&mut self) {
         self.densify = None;
         self.reset = None;
         self.exec = None;
+    }
+
+    fn rebuild(&mut self) -> Result<()> {
+        self.forget_steps();
         let mut inputs = Inputs {
             targets: &self.data.targets,
             normals: self.data.normals.as_ref(),
@@ -353,6 +381,9 @@ impl Geometry {
 
     /// What happens between steps.
     fn after(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+        if self.bands_due(step) {
+            self.turn_bands(step, heard)?;
+        }
         if let Some(mut settings) = self.schedule.densify(step) {
             settings.cap = settings.cap.min(self.most);
             if self.densify.is_none() {
@@ -386,10 +417,8 @@ impl Geometry {
 
     /// Makes room for more Gaussians. Where memory refuses, they stay as many as fit now.
     fn grow(&mut self, count: u32) -> Result<()> {
-        // What can be made again goes first: for a moment there are two of the rest.
-        self.densify = None;
-        self.reset = None;
-        self.exec = None;
+        // For a moment there are two of the rest.
+        self.forget_steps();
         let old = self.gaussians.capacity;
         match self.gaussians.grown(&self.device, room_for(count, self.most)) {
             Ok(grown) => self.gaussians = grown,
@@ -410,6 +439,17 @@ impl Geometry {
             let budget = allowed(&self.device, &self.settings).budget >> 20;
             tracing::warn!("Densification stops at {} Gaussians: no more fit into {budget} MiB.", self.most);
         }
+    }
+
+    /// What was decided about the model so far.
+    pub fn decisions(&self) -> &[Decision] {
+        &self.decisions
+    }
+
+    fn decide(&mut self, decision: Decision, heard: &mut impl FnMut(&Progress)) {
+        tracing::info!("{decision}");
+        self.decisions.push(decision.clone());
+        heard(&Progress::Decided(decision));
     }
 
     /// What the first step was reckoned to take of the device's memory.

@@ -28,8 +28,11 @@ impl Geometry {
             statistics,
             decoder,
             course: Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() },
+            bands: self.bands.clone(),
+            decisions: self.decisions.clone(),
+            model: self.gaussians.model,
         };
-        checkpoint::save(path, &state, self.gaussians.model)
+        checkpoint::save(path, &state)
     }
 
     /// Goes on from what [`Geometry::save`] wrote.
@@ -37,12 +40,12 @@ impl Geometry {
     /// # Errors
     /// If the file is damaged or belongs to other settings.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
-        let state = checkpoint::load(path, self.gaussians.model)?;
+        let state = checkpoint::load(path, self.gaussians.model, self.bands.is_some())?;
         let count = state.parameters.len() as u32;
         // Densification stops where there is no room, so that the room has to be what it was.
         let enabled = self.settings.geometry.densify.enabled;
         let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
-        self.gaussians = Gaussians::with(&self.device, self.gaussians.model, capacity, true, enabled)?;
+        self.gaussians = Gaussians::with(&self.device, state.model, capacity, true, enabled)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
         if let (Some((_, decoder)), Some([parameters, moments])) = (&self.semantics, &state.decoder) {
@@ -60,6 +63,11 @@ impl Geometry {
         self.watch.restore(&state.course.watch);
         self.schedule.set_rates(HALF.powi(state.course.roll_backs.len() as i32));
         self.roll_backs = state.course.roll_backs;
+        self.bands = match self.bands {
+            Some(_) => Some(state.bands.unwrap_or_default().checked(path, state.model, self.data.views.len())?),
+            None => None,
+        };
+        self.decisions = state.decisions;
         Ok(())
     }
 }

@@ -128,7 +128,7 @@ fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Sett
     let mut s = Settings::default();
     let g = &mut s.geometry;
     g.steps = steps;
-    (g.sh_degree, g.sh_interval) = (options.degree.min(3), 0);
+    (g.sh_degree, g.sh_interval) = (options.degree.min(3).into(), 0);
     g.background = options.background;
     (g.normals, g.semantics, g.correspondence, g.densify.enabled) = (false, false, false, false);
     // What is measured on the device would be another result on another day.
@@ -234,7 +234,7 @@ mod tests {
             assert!(s.check().is_ok());
             let r = s.geometry.rates;
             assert_eq!([r.means, r.means_final, r.scales, r.rotations, r.opacities, r.normals], [0.0; 6]);
-            assert!(r.sh0 > 0.0 && r.sh_rest > 0.0 && s.geometry.sh_degree == degree);
+            assert!(r.sh0 > 0.0 && r.sh_rest > 0.0 && s.geometry.sh_degree == degree.into());
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
 mod accuracy;
+mod degree;
 mod intrinsic;
 mod memory;
 mod names;
@@ -10,6 +11,7 @@ mod provider;
 mod train;
 
 pub use accuracy::AccuracySettings;
+pub use degree::{MOST_BANDS, ShDegree};
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
@@ -87,10 +89,13 @@ impl Default for Settings {
 pub struct GeometrySettings {
     /// Training steps.
     pub steps: u32,
-    /// Highest band of spherical harmonics.
-    pub sh_degree: u32,
-    /// Steps after which the next band is switched on; 0 switches all on at once.
+    /// Highest band of spherical harmonics, or "auto": training begins with none but the first; early on all are tried, and
+    /// those stay that are worth it.
+    pub sh_degree: ShDegree,
+    /// Steps after which the next band is switched on; 0 switches all on at once. Means nothing to "auto".
     pub sh_interval: u32,
+    /// With "auto", what a band has to be worth in dB at views that were held back while bands were tried.
+    pub sh_gain: f64,
     /// Color behind everything.
     pub background: [f32; 3],
     /// Whether priors of normals are used where there are any.
@@ -128,8 +133,9 @@ impl Default for GeometrySettings {
     fn default() -> Self {
         GeometrySettings {
             steps: 7000,
-            sh_degree: 3,
+            sh_degree: ShDegree::Fixed(3),
             sh_interval: 0,
+            sh_gain: 0.02,
             background: [0.0; 3],
             normals: true,
             semantics: true,
@@ -369,8 +375,11 @@ impl Settings {
             }
         }
         self.noise.check()?;
-        if g.sh_degree > 3 {
-            return fail(format!("geometry.sh_degree is {}, but must be 0 to 3.", g.sh_degree));
+        if g.sh_degree.most() > MOST_BANDS {
+            return fail(format!("geometry.sh_degree is {}, but must be 0 to 3 or \"auto\".", g.sh_degree));
+        }
+        if !g.sh_gain.is_finite() {
+            return fail(format!("geometry.sh_gain is {}, but must be a finite number.", g.sh_gain));
         }
         if !(self.scale > 0.0 && self.scale <= 1.0) {
             return fail(format!("scale is {}, but must be above 0 and at most 1.", self.scale));

@@ -7,6 +7,9 @@ pub(crate) fn one_line(message: &str) -> String {
     message.trim().trim_end_matches('.').replace('\n', " ")
 }
 
+/// Settings that are a number or this word.
+const OR_WORD: [(&str, &str, &str); 1] = [("geometry.sh_degree", super::degree::AUTO, "0 to 3")];
+
 /// Every key of `given` must be known, with a value of the same kind.
 pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, all: &toml::Table) -> crate::Result<()> {
     use toml::Value::{Array, Float, Integer, Table};
@@ -23,6 +26,14 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
             };
             return fail(format!("\"{name}\" is not a setting; {hint}"));
         };
+        if let Some((_, word, numbers)) = OR_WORD.iter().find(|(n, ..)| *n == name) {
+            match value {
+                Integer(n) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),
+                Integer(_) => continue,
+                toml::Value::String(s) if s == word => continue,
+                _ => return fail(format!("{name} is {value}, but must be {numbers} or \"{word}\".")),
+            }
+        }
         match (value, expected) {
             (Table(value), Table(expected)) => compare(&format!("{name}."), value, expected, all)?,
             (Integer(n), Integer(_)) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),

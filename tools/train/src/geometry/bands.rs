@@ -1,0 +1,268 @@
+//! As many bands of spherical harmonics as the pictures ask for (`geometry.sh_degree = "auto"`).
+//!
+//! Training begins with band 0. After a twentieth of the steps all bands come, for a tenth of the steps at first: a few training
+//! views are held back meanwhile, and at its end they are rendered with no band, with one, and so on. A band stays if it, with
+//! those above it, makes these pictures better by `geometry.sh_gain`; the others go, with their moments. Views that are
+//! trained on would not do: a band makes every photograph better that it is fitted to.
+//!
+//! Promises: which views are held back, and when, follows from seed and step. Where memory has no room for a band, it is left out.
+
+use super::{Decision, Geometry, Progress};
+use crate::error::Result;
+use crate::run::error;
+use crate::schedule::hash;
+use crate::settings::MOST_BANDS;
+use serde::{Deserialize, Serialize};
+use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::scene::Model;
+use sgs_passes::splat::Channels;
+use std::path::Path;
+
+/// Views below which none is held back: those that are trained on have to do.
+const FEW: usize = 4;
+
+/// One of so many views is held back.
+const SHARE: usize = 4;
+
+/// Views that are measured, at most.
+const MOST: usize = 16;
+
+/// Where the search for the degree is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Bands {
+    /// The highest band that is tried, while that lasts.
+    tried: Option<u32>,
+    /// Training views that are held back meanwhile.
+    held: Vec<usize>,
+    /// Nothing is tried any more.
+    settled: bool,
+}
+
+impl Bands {
+    /// As it came from a file, if it may be of such a model and so many views.
+    pub fn checked(self, path: &Path, model: Model, views: usize) -> Result<Bands> {
+        let possible = self.tried.is_none_or(|band| band > 0 && band == model.sh_degree);
+        if !possible || self.held.iter().any(|v| *v >= views) || self.held.len() * 2 > views {
+            return Err(error(path, "damaged: \"bands\" does not fit what it holds".into()));
+        }
+        Ok(self)
+    }
+}
+
+/// What bands are worth.
+struct Worth {
+    /// dB with so many bands, in the mean over the views.
+    psnr: Vec<f64>,
+    views: usize,
+    /// Whether they were held back.
+    held: bool,
+}
+
+impl Worth {
+    /// dB that a band is worth with those above it.
+    fn of(&self, band: u32) -> f64 {
+        let (below, from) = self.psnr.split_at(band as usize);
+        from.iter().copied().fold(f64::NEG_INFINITY, f64::max) - below[band as usize - 1]
+    }
+}
+
+/// After which steps all bands come, and those go that are not worth it.
+fn trial(steps: u32) -> [u32; 2] {
+    let begin = (steps / 20).max(1);
+    [begin, begin + (steps / 10).max(1)]
+}
+
+impl Geometry {
+    /// Whether bands have their turn after a step.
+    pub(super) fn bands_due(&self, step: u32) -> bool {
+        let open = self.bands.as_ref().is_some_and(|b| !b.settled);
+        open && trial(self.settings.geometry.steps).contains(&step)
+    }
+
+    /// Which training view a step sees.
+    pub(super) fn view(&self, step: u32) -> usize {
+        let view = self.schedule.view(step);
+        let Some(bands) = self.bands.as_ref().filter(|b| b.held.contains(&view)) else { return view };
+        let others: Vec<usize> = (0..self.data.views.len()).filter(|v| !bands.held.contains(v)).collect();
+        others[(hash(self.settings.seed ^ 0xba2d, u64::from(step)) % others.len() as u64) as usize]
+    }
+
+    /// Lets bands come, or those go that are not worth it.
+    pub(super) fn turn_bands(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+        let Some(mut bands) = self.bands.take() else { return Ok(()) };
+        match bands.tried.take() {
+            None => {
+                let from = self.gaussians.model.sh_degree;
+                let tried = self.add_bands()?;
+                for band in tried + 1..=MOST_BANDS {
+                    self.decide_band(step, band, None, false, heard);
+                }
+                if tried > from {
+                    bands.tried = Some(tried);
+                    bands.held = held_back(self.settings.seed, self.data.views.len());
+                }
+            }
+            Some(tried) => {
+                let held = std::mem::take(&mut bands.held);
+                let worth = match self.worth(tried, held) {
+                    Ok(worth) => Some(worth),
+                    Err(error) if error.is_out_of_memory() => None,
+                    Err(error) => return Err(error),
+                };
+                let asked = self.settings.geometry.sh_gain;
+                let pays = |band: &u32| worth.as_ref().is_some_and(|w| w.of(*band) >= asked);
+                let kept = (1..=tried).take_while(pays).count() as u32;
+                for band in 1..=tried {
+                    self.decide_band(step, band, worth.as_ref(), band <= kept, heard);
+                }
+                if kept < tried {
+                    self.gaussians = self.gaussians.with_degree(&self.device, kept)?;
+                }
+            }
+        }
+        bands.settled = bands.tried.is_none();
+        self.bands = Some(bands);
+        self.rebuild()
+    }
+
+    /// Adds all bands, or as many as there is memory for; the highest.
+    fn add_bands(&mut self) -> Result<u32> {
+        self.forget_steps();
+        let from = self.gaussians.model.sh_degree;
+        for degree in (from + 1..=MOST_BANDS).rev() {
+            match self.gaussians.with_degree(&self.device, degree) {
+                Ok(more) => {
+                    self.gaussians = more;
+                    return Ok(degree);
+                }
+                Err(error) if error.is_out_of_memory() => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(from)
+    }
+
+    /// Decides about a band.
+    fn decide_band(
+        &mut self,
+        step: u32,
+        band: u32,
+        worth: Option<&Worth>,
+        on: bool,
+        heard: &mut impl FnMut(&Progress),
+    ) {
+        let asked = self.settings.geometry.sh_gain;
+        let reason = match worth {
+            Some(w) => {
+                let above = if (band as usize) + 1 < w.psnr.len() { " with those above it" } else { "" };
+                let which = match (w.held, w.views) {
+                    (true, 1) => "view that was held back",
+                    (true, _) => "views that were held back",
+                    (false, 1) => "view that is trained on",
+                    (false, _) => "views that are trained on",
+                };
+                format!("worth {:.3} dB{above} at {} {which}, asked {asked:.3}", w.of(band), w.views)
+            }
+            None => "there is no memory for it".to_owned(),
+        };
+        let decision = Decision {
+            step,
+            what: format!("band {band}"),
+            on,
+            reason,
+            measured: worth.map(|w| w.of(band)),
+            asked: Some(asked),
+            setting: "geometry.sh_degree".to_owned(),
+        };
+        self.decide(decision, heard);
+    }
+
+    /// Renders views with no band, with one, and so on up to the highest. The step's memory goes before theirs comes.
+    fn worth(&mut self, highest: u32, held: Vec<usize>) -> Result<Worth> {
+        self.forget_steps();
+        let held_back = !held.is_empty();
+        let all = self.data.views.len();
+        let views = if held_back { held } else { spread(0, all, all.min(MOST)) };
+        let channels = Channels { colors: true, normals: false, depth: false };
+        let (device, entries) = (self.device.clone(), self.options.entry_capacity);
+        let largest = self.options.largest;
+        let mut renderer = Renderer::with_entries(&device, self.tuning, &self.gaussians, largest, channels, entries)?;
+        let mut psnr = vec![0.0; highest as usize + 1];
+        for &view in &views {
+            let (camera, first) = self.data.views[view];
+            let bytes = 4 * u64::from(camera.size[0]) * u64::from(camera.size[1]);
+            let photo = device.download(&self.data.targets, 4 * u64::from(first), bytes)?;
+            for (degree, psnr) in (0..).zip(&mut psnr) {
+                let background = self.settings.geometry.background;
+                let picture = renderer.render(&self.gaussians, &camera, degree, background)?;
+                *psnr += decibels(&picture, &photo) / views.len() as f64;
+            }
+        }
+        tracing::info!(?psnr, ?views, "bands");
+        Ok(Worth { psnr, views: views.len(), held: held_back })
+    }
+}
+
+/// Training views that are held back while bands are tried, spread evenly.
+fn held_back(seed: u64, views: usize) -> Vec<usize> {
+    if views < FEW {
+        return Vec::new();
+    }
+    let first = hash(seed, 0xba2d5) % views as u64;
+    spread(first as usize, views, (views / SHARE).clamp(1, MOST))
+}
+
+/// So many of all, spread evenly from one on.
+fn spread(first: usize, all: usize, count: usize) -> Vec<usize> {
+    (0..count).map(|i| (first + i * all / count) % all).collect()
+}
+
+/// How near a picture is to a packed photograph where it counts; 100 where there is no difference.
+fn decibels(picture: &Picture, photo: &[u8]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0_u64);
+    for (pixel, [r, g, b, counts]) in picture.image.chunks_exact(picture.channels as usize).zip(photo.as_chunks().0) {
+        if *counts > 0 {
+            let off = |v: f32, t: u8| (f64::from(v.clamp(0.0, 1.0)) - f64::from(t) / 255.0).powi(2);
+            sum += off(pixel[0], *r) + off(pixel[1], *g) + off(pixel[2], *b);
+            count += 3;
+        }
+    }
+    let mean: f64 = sum / count.max(1) as f64;
+    -10.0 * mean.max(1e-10).log10()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_held_back_evenly() {
+        assert_eq!(held_back(0, 3), [0; 0]);
+        for (views, count) in [(4, 1), (7, 1), (12, 3), (24, 6), (500, 16)] {
+            let mut held = held_back(7, views);
+            held.sort_unstable();
+            held.dedup();
+            assert!(held.len() == count && held.iter().all(|v| *v < views), "{held:?}");
+        }
+        assert_ne!(held_back(7, 100), held_back(8, 100));
+        assert_eq!(spread(0, 5, 5), [0, 1, 2, 3, 4]);
+        assert_eq!(spread(10, 12, 3), [10, 2, 6]);
+    }
+
+    #[test]
+    fn a_band_is_worth_what_comes_with_it() {
+        let worth = Worth { psnr: vec![20.0, 19.5, 21.0, 20.9], views: 1, held: true };
+        let of = |band| (worth.of(band) * 1e6).round() / 1e6;
+        assert_eq!([of(1), of(2), of(3)], [1.0, 1.5, -0.1]);
+        assert_eq!((trial(1000), trial(40), trial(5)), ([50, 150], [2, 6], [1, 2]));
+    }
+
+    #[test]
+    fn only_what_counts_is_measured() {
+        let image = vec![0.0, 0.5, 2.0, 1.0, 1.0, 1.0];
+        let picture = Picture { size: [2, 1], channels: 3, image, transmittance: vec![0.0; 2] };
+        assert!((decibels(&picture, &[0, 128, 255, 255, 0, 0, 0, 0]) - 58.9).abs() < 0.1);
+        assert!((decibels(&picture, &[0, 128, 255, 255, 255, 255, 0, 255]) - 7.78).abs() < 0.01);
+        assert_eq!(decibels(&picture, &[9, 9, 9, 0, 9, 9, 9, 0]), 100.0);
+    }
+}

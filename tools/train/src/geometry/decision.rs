@@ -1,0 +1,75 @@
+//! What was decided about the model: what, when, and by what measure. `training.json` holds all of it.
+
+use crate::settings::Settings;
+use serde::{Deserialize, Serialize};
+
+/// A decision about what is modeled.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    /// After which step; 0 before the first.
+    pub step: u32,
+    /// What it is about.
+    pub what: String,
+    /// Whether it is modeled.
+    pub on: bool,
+    /// Why, with the figures.
+    pub reason: String,
+    /// What was measured, where something was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured: Option<f64>,
+    /// What was asked of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub asked: Option<f64>,
+    /// The setting that forces it.
+    pub setting: String,
+}
+
+/// What follows from data and settings, before the first step. `found`: whether there are normals, semantics and something that
+/// says what a region is.
+pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
+    let g = &s.geometry;
+    let prior = |what: &str, wanted: bool, weight: f32, found: bool| match (wanted, weight > 0.0, found) {
+        (false, ..) => "switched off".to_owned(),
+        (_, false, _) => "its losses weigh nothing".to_owned(),
+        (.., false) => format!("the scene has no {what} priors"),
+        (.., true) => format!("the scene has {what} priors"),
+    };
+    let regions = if found[1] && g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from > g.steps {
+        format!("there is none before step {}, and training ends at {}", g.correspondence_from, g.steps)
+    } else if g.correspondence && g.losses.correspondence > 0.0 && !found[1] {
+        "there are no semantics".to_owned()
+    } else {
+        match (g.correspondence, g.losses.correspondence > 0.0, found[2]) {
+            (false, ..) => "switched off".to_owned(),
+            (_, false, _) => "its loss weighs nothing".to_owned(),
+            (.., false) => "nothing says what a region is".to_owned(),
+            (.., true) => format!("regions are compared from step {} on", g.correspondence_from),
+        }
+    };
+    let normals = prior("normal", g.normals, g.losses.normal + g.losses.normal_smooth, found[0]);
+    let semantics = prior("semantic", g.semantics, g.losses.semantic + g.losses.semantic_class, found[1]);
+    let of = |what: &str, on: bool, reason: String, setting: &str| Decision {
+        step: 0,
+        what: what.to_owned(),
+        on,
+        reason,
+        measured: None,
+        asked: None,
+        setting: setting.to_owned(),
+    };
+    vec![
+        of("normals", found[0], normals, "geometry.normals"),
+        of("semantics", found[1], semantics, "geometry.semantics"),
+        of("pseudo-views", found[2], regions, "geometry.correspondence"),
+    ]
+}
+
+impl std::fmt::Display for Decision {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let kept = if self.on { "kept" } else { "left out" };
+        match self.step {
+            0 => write!(f, "{} {kept}: {} ({})", self.what, self.reason, self.setting),
+            step => write!(f, "{} {kept} after step {step}: {} ({})", self.what, self.reason, self.setting),
+        }
+    }
+}
