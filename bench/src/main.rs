@@ -48,7 +48,20 @@ enum Command {
     Table(commands::results::Table),
 }
 
+/// Ends quietly, with the status of a program that a closed pipe has ended, where nobody reads on.
+fn heed_closed_pipes() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let text = info.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if text.starts_with("failed printing to ") && text.contains("Broken pipe") {
+            std::process::exit(128 + 13);
+        }
+        usual(info);
+    }));
+}
+
 fn main() {
+    heed_closed_pipes();
     let cli = Cli::parse();
     let result = match &cli.command {
         Command::Passes(a) => commands::passes::run(&cli.common, a),

@@ -100,6 +100,14 @@ pub fn sgs_after<S: AsRef<str>>(preparation: &str, arguments: &[S]) -> Finished 
     finished(arguments, shell.output().unwrap_or_else(|e| panic!("bash cannot be run: {e}")))
 }
 
+/// Runs the program where nobody reads what it prints.
+pub fn sgs_unheard<S: AsRef<str>>(arguments: &[S]) -> Finished {
+    let (reader, writer) = std::io::pipe().unwrap_or_else(|e| panic!("there is no pipe: {e}"));
+    drop(reader);
+    let output = command(arguments).stdout(writer).output();
+    finished(arguments, output.unwrap_or_else(|e| panic!("sgs cannot be run: {e}")))
+}
+
 /// Sends a signal, by its name without SIG.
 pub fn signal(child: &Child, name: &str) {
     let status = Command::new("kill").arg(format!("-{name}")).arg(child.id().to_string()).status();

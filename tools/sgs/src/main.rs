@@ -81,6 +81,7 @@ fn arguments() -> Vec<OsString> {
 }
 
 fn main() {
+    ui::heed_closed_pipes();
     let cli = Cli::parse_from(arguments());
     ui::start_logging(&cli.common);
     let result = match &cli.command {

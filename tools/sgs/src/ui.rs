@@ -24,6 +24,18 @@ pub fn start_logging(common: &Common) {
     tracing_subscriber::registry().with(lines.with_filter(wanted.unwrap_or_else(usual))).init();
 }
 
+/// Ends quietly, with the status of a program that a closed pipe has ended, where nobody reads on (`sgs plan SCENE | head`).
+pub fn heed_closed_pipes() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let text = info.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if text.starts_with("failed printing to ") && text.contains("Broken pipe") {
+            std::process::exit(128 + 13);
+        }
+        usual(info);
+    }));
+}
+
 /// A bar on a terminal; elsewhere a line every tenth of the way.
 pub struct Bar {
     bar: Option<ProgressBar>,

@@ -84,6 +84,11 @@ impl Packed {
         self.normals.as_deref()
     }
 
+    /// The photograph of a view.
+    pub fn image(&self, view: usize) -> &[u32] {
+        &self.images[view]
+    }
+
     /// Camera and first pixel of each view.
     pub fn views(&self) -> &[(Camera, u32)] {
         &self.views

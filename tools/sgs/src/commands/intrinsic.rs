@@ -9,7 +9,9 @@ use anyhow::bail;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::html;
 use sgs_scene::Scene;
-use sgs_train::{Intrinsic, IntrinsicLog, OnDivergence, RollBack, RunDirectory, Settings, TrainError, read_splats};
+use sgs_train::{
+    Decision, Intrinsic, IntrinsicLog, OnDivergence, RollBack, RunDirectory, Settings, TrainError, read_splats,
+};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,6 +31,17 @@ pub struct IntrinsicSummary {
     device: String,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     roll_backs: Vec<RollBack>,
+    /// What was decided about the model, and why.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    decisions: Vec<Decision>,
+}
+
+/// A line of `log.jsonl` between those of steps.
+#[derive(serde::Serialize)]
+struct DecisionLog<'a> {
+    stage: &'static str,
+    step: u32,
+    decision: &'a Decision,
 }
 
 /// How it ended.
@@ -98,6 +111,7 @@ pub fn intrinsic_into(
         n => n,
     };
     let mut failure = None;
+    let mut told = if resuming { training.decisions().len() } else { 0 };
     let teller = watch.as_ref().map(|w| w.teller());
     while training.step() < steps && !stop.load(Ordering::SeqCst) {
         let mut next = ((training.step() / interval + 1) * interval).min(steps);
@@ -151,6 +165,15 @@ pub fn intrinsic_into(
         if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
             watch.intrinsic(&training);
         }
+        for decision in training.decisions().iter().skip(told) {
+            let line = serde_json::to_string(&DecisionLog { stage: "intrinsic", step: decision.step, decision })
+                .unwrap_or_default();
+            if let Err(e) = writeln!(log, "{line}") {
+                failure.get_or_insert(e);
+            }
+            bar.say(&decision.to_string());
+        }
+        told = training.decisions().len();
         let step = training.step();
         if step > 0 && step % interval == 0 || step == steps || stop.load(Ordering::SeqCst) {
             if watched && training.vouched_for() {
@@ -187,6 +210,7 @@ pub fn intrinsic_into(
         peak_device_bytes: device.memory_use().1,
         device: device.info().name.clone(),
         roll_backs: training.roll_backs().to_vec(),
+        decisions: training.decisions().to_vec(),
     };
     run.add_intrinsic_summary(&summary)?;
     kept.forget()?;

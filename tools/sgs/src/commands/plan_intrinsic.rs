@@ -5,7 +5,7 @@ use sgs_engine::graph::Plan;
 use sgs_engine::{Budget, Device};
 use sgs_passes::pipeline::IntrinsicOptions;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Intrinsic, IntrinsicNeeds, Settings, read_splats};
+use sgs_train::{Decision, Intrinsic, IntrinsicNeeds, Settings, read_splats};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,6 +23,8 @@ pub struct IntrinsicPlan {
     /// Whether a network says what albedo is under other lights.
     asked: bool,
     needs: IntrinsicNeeds,
+    /// What was decided about the model before the first step.
+    decisions: Vec<Decision>,
     /// A plain step.
     pub graph: Arc<Plan>,
 }
@@ -39,7 +41,11 @@ impl IntrinsicPlan {
             gaussians: training.gaussians(),
             points: start.is_none(),
             options: *training.options(),
-            resolution: s.intrinsic.environment.enabled.then_some(s.intrinsic.environment.resolution),
+            resolution: {
+                let e = &training.required().environment;
+                e.enabled.then_some(e.resolution)
+            },
+            decisions: training.decisions().to_vec(),
             priors: training.priors(),
             compares: training.compares(),
             kept: training.keeps_surfaces(),
@@ -64,6 +70,7 @@ impl IntrinsicPlan {
                 "levels": v.levels, "log2_table": v.log2_table, "coarsest": v.coarsest, "finest": v.finest,
                 "entries": v.entries(), "bytes": self.needs.visibility,
             })),
+            "decisions": self.decisions,
             "priors": {"albedo": albedo, "roughness": roughness, "metallic": metallic},
             "cross_view": self.compares[0],
             "relight": self.compares[1],
@@ -105,6 +112,9 @@ impl IntrinsicPlan {
                 v.entries()
             ),
             None => println!("visibility  no field (intrinsic.visibility.kind, or there are no lights)"),
+        }
+        for d in &self.decisions {
+            println!("required    {d}");
         }
         let [cross_view, relight] = self.compares;
         let every = format!("every {} steps", self.interval);

@@ -80,10 +80,10 @@ impl Intrinsic {
 
     /// What is wrong, if a step that is done shows that training has diverged.
     fn judge(&mut self, report: &IntrinsicReport) -> Option<String> {
-        if self.settings.train.on_divergence == OnDivergence::GoOn {
+        if self.required.train.on_divergence == OnDivergence::GoOn {
             return None;
         }
-        let l = &self.settings.intrinsic.losses;
+        let l = &self.required.intrinsic.losses;
         self.watch.see(&Seen {
             step: report.step,
             view: self.schedule.view(report.step),

@@ -4,9 +4,11 @@
 //! whether training was interrupted; geometry and colors of the splats stay as they were. A step in the steady state waits
 //! only for the one two before it.
 
+mod automatic;
 mod consistency;
 mod data;
 mod files;
+mod graphs;
 mod look;
 mod modeled;
 mod needs;
@@ -29,14 +31,16 @@ use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use crate::shadows::{Rays, traced};
+use automatic::{Automatic, Found, required};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
+use graphs::gone;
 use needs::Sizes;
 use relit::Relit;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
-    COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport,
-    IntrinsicSizes, IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
+    COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport, IntrinsicSizes,
+    IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
@@ -61,7 +65,12 @@ const LOBES: u32 = 12;
 pub struct Intrinsic {
     device: Device,
     tuning: Tuning,
+    /// As they were asked for.
     settings: Settings,
+    /// Without what is not required.
+    required: Settings,
+    /// Whether and how it is found what is not.
+    automatic: Option<Automatic>,
     schedule: Schedule,
     data: TrainingData,
     priors: Priors,
@@ -144,6 +153,24 @@ impl Intrinsic {
         let albedo = read(Material::Albedo, s.losses.albedo)?;
         let roughness = read(Material::Roughness, s.losses.roughness)?;
         let told = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
+        let asked = settings;
+        let (of, automatic) = match s.automatic.enabled {
+            true => {
+                let found = Found {
+                    splats: &splats,
+                    cameras: &cameras,
+                    bounds: &bounds,
+                    roughness: roughness.as_ref().map(|p| &p.packed[..]),
+                    metallic: told.as_ref().map(|p| &p.packed[..]),
+                };
+                let (of, decisions) = required(&found, s);
+                (of, Some(Automatic::new(&packed, decisions)))
+            }
+            false => (s.clone(), None),
+        };
+        let settings = &Settings { intrinsic: of, ..settings.clone() };
+        let s = &settings.intrinsic;
+        let told = told.filter(|_| s.metallic != Metallic::Off);
         let metallic = match s.metallic {
             Metallic::Auto => told.is_some(),
             Metallic::On => true,
@@ -344,7 +371,9 @@ impl Intrinsic {
         let training = Intrinsic {
             device: device.clone(),
             tuning,
-            settings: settings.clone(),
+            settings: asked.clone(),
+            required: settings.clone(),
+            automatic,
             schedule,
             data,
             priors,
@@ -376,7 +405,7 @@ impl Intrinsic {
         self.done
     }
 
-    /// The settings.
+    /// The settings, as they were asked for.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -412,7 +441,7 @@ impl Intrinsic {
             let mut kind = self.kind(step);
             let mut values = self.values(step, view);
             if let (Some(c), true) = (&self.consistency, kind != StepKind::Plain) {
-                c.fill(self.settings.seed, view, &mut values);
+                c.fill(self.required.seed, view, &mut values);
             }
             if kind == StepKind::Relight && !self.estimated(view, &values)? {
                 kind = StepKind::Plain;
@@ -428,64 +457,16 @@ impl Intrinsic {
             self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
             self.submitted = step;
             // Each graph has replays of its own in flight: only what all have waited for is surely done.
-            if step.is_multiple_of(LOOK) {
+            let decides = self.decides_after(step);
+            if step.is_multiple_of(LOOK) || decides {
                 self.finish()?;
                 self.look(step, &mut heard)?;
+            }
+            if decides {
+                self.decide(step)?;
             }
         }
         self.finish()?;
         self.look(self.submitted, &mut heard)
     }
-
-    /// What a step is, given what the scene has.
-    fn kind(&self, step: u32) -> StepKind {
-        match StepKind::of(&self.settings.intrinsic, step) {
-            _ if self.consistency.is_none() => StepKind::Plain,
-            StepKind::Relight => match self.settings.intrinsic.relight.command() {
-                Some(_) if self.relit.is_some() => StepKind::Relight,
-                None if self.priors.albedo.is_some() => StepKind::Relight,
-                _ => StepKind::Plain,
-            },
-            kind => kind,
-        }
-    }
-
-    /// Makes the graph of a kind of step, if it is not there yet.
-    fn make(&mut self, kind: StepKind) -> Result<()> {
-        if self.execs[kind as usize].is_some() {
-            return Ok(());
-        }
-        let options = kind.options(&self.options);
-        let step = IntrinsicStep::new(&self.device, &self.tuning, &self.inputs(kind), &self.status, options)?;
-        self.execs[kind as usize] = Some(step);
-        Ok(())
-    }
-
-    /// What a kind of step is bound to.
-    fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
-        IntrinsicInputs {
-            parameters: &self.parameters,
-            gains: Some(&self.gains),
-            environment: self.environment.as_ref().map(|(e, m)| (e, m)),
-            traced: self.traced.as_ref(),
-            targets: &self.data.targets,
-            albedo: self.priors.albedo.as_ref(),
-            roughness: self.priors.roughness.as_ref(),
-            metallic: self.priors.metallic.as_ref(),
-            regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
-            estimates: match (kind, &self.relit) {
-                (StepKind::Relight, Some(relit)) => relit.bound(),
-                _ => [None; 2 * COPIES],
-            },
-        }
-    }
-
-    /// Waits for everything submitted.
-    fn finish(&mut self) -> Result<()> {
-        self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
-    }
-}
-
-fn gone() -> TrainError {
-    TrainError::Memory("There is no step any more: memory ran out when it was made.".into())
 }

@@ -1,8 +1,10 @@
 //! What an intrinsic stage models and how long its passes take, for those who only want to know.
 
 use super::consistency::StepKind;
-use super::{Intrinsic, IntrinsicNeeds, gone};
+use super::graphs::gone;
+use super::{Intrinsic, IntrinsicNeeds};
 use crate::error::Result;
+use crate::settings::IntrinsicSettings;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicStep};
 
@@ -10,6 +12,11 @@ impl Intrinsic {
     /// What training was reckoned to take of the device's memory.
     pub fn needs(&self) -> &IntrinsicNeeds {
         &self.needs
+    }
+
+    /// The stage's settings without what the scene does not require.
+    pub fn required(&self) -> &IntrinsicSettings {
+        &self.required.intrinsic
     }
 
     /// What is modeled.
@@ -30,7 +37,7 @@ impl Intrinsic {
 
     /// Whether albedo is ever compared with pseudo-views, and under other lights.
     pub fn compares(&self) -> [bool; 2] {
-        let due = |kind| (1..=self.settings.intrinsic.steps).any(|step| self.kind(step) == kind);
+        let due = |kind| (1..=self.required.intrinsic.steps).any(|step| self.kind(step) == kind);
         [due(StepKind::CrossView), due(StepKind::Relight)]
     }
 

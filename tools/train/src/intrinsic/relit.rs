@@ -198,7 +198,7 @@ impl Intrinsic {
     /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
     pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
         let step = values.shaded.step;
-        let Some(mut relit) = self.relit.take() else { return Ok(self.settings.intrinsic.relight.command().is_none()) };
+        let Some(mut relit) = self.relit.take() else { return Ok(self.required.intrinsic.relight.command().is_none()) };
         // Without a region there is nothing to compare.
         if values.shaded.region == 0 || !relit.is_due(view, step) {
             self.relit = Some(relit);

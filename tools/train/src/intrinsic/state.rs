@@ -24,6 +24,9 @@ const FORMAT: &str = "sgs-intrinsic-1";
 const ESTIMATES: &str = "relit_estimates";
 const ASKED_AT: &str = "relit_asked_at";
 
+/// What was decided about the model.
+const DECISIONS: &str = "decisions";
+
 /// Tensors of the visibility field.
 const FIELD: [&str; 4] = ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
 
@@ -64,6 +67,9 @@ impl Intrinsic {
             ("splats".to_owned(), self.splats.len().to_string()),
         ]);
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
+        if self.automatic.is_some() {
+            meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
+        }
         let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
@@ -102,6 +108,13 @@ impl Intrinsic {
             }
             Ok(values)
         };
+        if self.automatic.is_some() {
+            let text = meta.get(DECISIONS).map_or("[]", String::as_str);
+            let wrong = |e: serde_json::Error| file(path, format!("damaged: \"{DECISIONS}\": {e}"));
+            if !self.take_decisions(serde_json::from_str(text).map_err(wrong)?)? {
+                return Err(file(path, "it has parts that have been left out since".into()));
+            }
+        }
         // Everything is read before anything is changed.
         let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
@@ -200,7 +213,7 @@ impl Intrinsic {
             (Some(texels), Some((e, _))) => Some(Texels { size: e.size(), data: texels.download(&self.device)? }),
             _ => None,
         };
-        let v = &self.settings.intrinsic.visibility;
+        let v = &self.required.intrinsic.visibility;
         let visibility = match &self.parameters.visibility {
             Some(field) => {
                 let [tables, mlp] = field.download(&self.device)?;

@@ -6,7 +6,7 @@ use sgs_passes::pipeline::{FieldStep, IntrinsicStepValues, MaterialWeights, Step
 impl Intrinsic {
     /// The uniforms of a step: weights of photographs and priors, whose offsets are the same.
     pub(super) fn values(&self, step: u32, view: usize) -> IntrinsicStepValues {
-        let s = &self.settings.intrinsic;
+        let s = &self.required.intrinsic;
         let (camera, offset) = self.data.views[view];
         let share = self.share(step);
         let whole = Step { lr_share: share, ..self.schedule.step(step, &camera, offset) };
@@ -32,14 +32,14 @@ impl Intrinsic {
 
     /// What is left of the learning rates of materials at a step: all until the middle, then ever less.
     fn share(&self, step: u32) -> f32 {
-        let s = &self.settings.intrinsic;
+        let s = &self.required.intrinsic;
         let done = f64::from(step) / f64::from(s.steps.max(1));
         f64::from(s.rates.materials_last).powf((2.0 * done - 1.0).clamp(0.0, 1.0)) as f32
     }
 
     /// The uniform of the visibility field.
     fn field_step(&self, step: &Step) -> FieldStep {
-        let s = &self.settings.intrinsic;
+        let s = &self.required.intrinsic;
         let [low, high] = self.bounds;
         let size: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
         let pixels = step.camera.size[0] * step.camera.size[1];

@@ -1,5 +1,6 @@
 //! Settings of the intrinsic stage, with the defaults of SGS-Intrinsic, stage II.
 
+use super::AutomaticSettings;
 use crate::error::TrainError;
 use serde::{Deserialize, Serialize};
 use sgs_passes::shade::visibility::FieldConfig;
@@ -20,6 +21,8 @@ pub struct IntrinsicSettings {
     pub environment: EnvironmentSettings,
     /// What lights see.
     pub visibility: VisibilitySettings,
+    /// Whether what the scene does not require is left out.
+    pub automatic: AutomaticSettings,
     /// Learning rates.
     pub rates: IntrinsicRates,
     /// Weights of the losses.
@@ -52,6 +55,7 @@ impl Default for IntrinsicSettings {
             lights: LightSettings::default(),
             environment: EnvironmentSettings::default(),
             visibility: VisibilitySettings::default(),
+            automatic: AutomaticSettings::default(),
             rates: IntrinsicRates::default(),
             losses: IntrinsicLosses::default(),
             cull_error: 0.0,

@@ -1,6 +1,7 @@
 //! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
 
 mod accuracy;
+mod automatic;
 mod degree;
 mod intrinsic;
 mod memory;
@@ -11,6 +12,7 @@ mod provider;
 mod train;
 
 pub use accuracy::AccuracySettings;
+pub use automatic::AutomaticSettings;
 pub use degree::{MOST_BANDS, ShDegree};
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,

@@ -1,0 +1,175 @@
+//! The intrinsic stage without what a scene does not require.
+//!
+//! Before the first step sizes follow from what cameras can tell apart ([`sizes`]); while training, at a few steps, what adds nothing to
+//! pictures of training views is left out ([`worth`]). Promises: decisions depend on the scene, the splats, the settings and the seed alone;
+//! checkpoints hold them; what has been left out does not come back. What must be measured against ground truth is left to others.
+
+mod sizes;
+mod worth;
+
+pub(super) use sizes::{Found, required};
+
+use super::Intrinsic;
+use crate::data::Packed;
+use crate::error::Result;
+use crate::geometry::Decision;
+use crate::settings::{AutomaticSettings, VisibilityKind};
+use sgs_passes::pipeline::Camera;
+
+/// Shares of the steps after which it is looked at.
+const LOOKS: [f64; 3] = [0.1, 0.25, 0.5];
+
+/// Most training views that are looked at.
+const VIEWS: usize = 6;
+
+/// Most pixels of each.
+const PIXELS: usize = 6000;
+
+/// What it takes to look.
+pub(super) struct Automatic {
+    views: Vec<Watched>,
+    /// So far.
+    pub decisions: Vec<Decision>,
+}
+
+/// Pixels of a training view.
+struct Watched {
+    camera: Camera,
+    /// Which pixels, and what the photograph shows there (display-referred); those that do not count are left out.
+    pixels: Vec<(usize, [f32; 3])>,
+}
+
+/// What can be left out whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Metallic,
+    Lights,
+    Environment,
+    Visibility,
+}
+
+impl Part {
+    const ALL: [Part; 4] = [Part::Metallic, Part::Lights, Part::Environment, Part::Visibility];
+
+    fn name(self) -> &'static str {
+        match self {
+            Part::Metallic => "metallic",
+            Part::Lights => "lights",
+            Part::Environment => "environment",
+            Part::Visibility => "visibility",
+        }
+    }
+}
+
+impl Automatic {
+    /// Takes what is looked at from the training views.
+    pub fn new(packed: &Packed, decisions: Vec<Decision>) -> Automatic {
+        let views = packed.views();
+        let chosen = VIEWS.min(views.len());
+        let watched = |k: usize| {
+            let i = k * views.len() / chosen;
+            let image = packed.image(i);
+            let stride = image.len().div_ceil(PIXELS).max(1);
+            // Of every so many pixels in a row one, in another place from row to row.
+            let width = views[i].0.size[0] as usize;
+            let taken = (0..image.len()).filter(|p| (p % width.max(1) + 7 * (p / width.max(1))).is_multiple_of(stride));
+            let color = |word: u32| [0, 8, 16].map(|shift| (word >> shift & 0xff) as f32 / 255.0);
+            let pixels = taken.filter(|p| image[*p] >> 24 != 0).map(|p| (p, color(image[p]))).collect();
+            Watched { camera: views[i].0, pixels }
+        };
+        Automatic { views: (0..chosen).map(watched).collect(), decisions }
+    }
+}
+
+/// Whether it is looked at after this step.
+fn looks(step: u32, steps: u32) -> bool {
+    LOOKS.iter().any(|share| (share * f64::from(steps)).ceil() as u32 == step) && step < steps
+}
+
+impl Intrinsic {
+    /// What was decided about the model so far, in order.
+    pub fn decisions(&self) -> &[Decision] {
+        self.automatic.as_ref().map_or(&[], |a| &a.decisions)
+    }
+
+    fn automatic_settings(&self) -> &AutomaticSettings {
+        &self.required.intrinsic.automatic
+    }
+
+    /// Whether something is decided after this step.
+    pub(super) fn decides_after(&self, step: u32) -> bool {
+        self.automatic.is_some() && looks(step, self.required.intrinsic.steps)
+    }
+
+    /// Whether a part is modeled.
+    fn has(&self, part: Part) -> bool {
+        match part {
+            Part::Metallic => self.options.metallic,
+            Part::Lights => self.options.lights.is_some(),
+            Part::Environment => self.environment.is_some(),
+            Part::Visibility => self.options.visibility.is_some() || self.options.traced.is_some(),
+        }
+    }
+
+    /// Gives up what a part has in memory; graphs are made without it when they are due.
+    fn leave_out(&mut self, part: Part) -> Result<()> {
+        self.finish()?;
+        self.execs = [None, None, None];
+        match part {
+            Part::Metallic => {
+                self.options.metallic = false;
+                self.parameters.metallic = None;
+                self.priors.metallic = None;
+            }
+            Part::Environment => {
+                self.environment = None;
+                self.parameters.environment = None;
+            }
+            Part::Visibility => {
+                (self.options.visibility, self.options.traced) = (None, None);
+                self.parameters.visibility = None;
+                self.traced = None;
+                self.required.intrinsic.visibility.kind = VisibilityKind::None;
+            }
+            Part::Lights => {
+                self.leave_out(Part::Visibility)?;
+                self.options.lights = None;
+                self.parameters.lights = None;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes over what a checkpoint says was decided. False if something has been left out that it still has.
+    pub(super) fn take_decisions(&mut self, decisions: Vec<Decision>) -> Result<bool> {
+        let out = |part: Part| decisions.iter().any(|d| d.step > 0 && !d.on && d.what == part.name());
+        let lights = out(Part::Lights);
+        for part in Part::ALL {
+            match (out(part) || lights && part == Part::Visibility, self.has(part)) {
+                (true, true) => self.leave_out(part)?,
+                (false, false) if self.decisions().iter().any(|d| d.step > 0 && d.what == part.name()) => {
+                    return Ok(false);
+                }
+                _ => {}
+            }
+        }
+        if let Some(a) = &mut self.automatic {
+            a.decisions = decisions;
+        }
+        Ok(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_looked_at_a_few_times_and_never_at_the_end() {
+        let all = |steps: u32| (1..=steps).filter(|step| looks(*step, steps)).collect::<Vec<_>>();
+        assert_eq!(all(300), [30, 75, 150]);
+        assert_eq!(all(3000), [300, 750, 1500]);
+        assert_eq!(all(4), [1, 2]);
+        assert_eq!(all(1), [0; 0]);
+    }
+}

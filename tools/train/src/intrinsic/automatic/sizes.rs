@@ -1,0 +1,180 @@
+//! Sizes that are no larger than what cameras can tell apart, before the first step.
+
+use crate::geometry::Decision;
+use crate::settings::{IntrinsicSettings, Metallic, VisibilityKind};
+use glam::DVec3;
+use sgs_scene::{Camera, Splats};
+
+/// Least share of pixels that must be metallic for metallic to be modeled.
+const METALLIC_SHARE: f64 = 1e-3;
+
+/// A pixel from which on a prior calls it metallic, of 255.
+const METALLIC_FROM: u32 = 77;
+
+/// Splats of each view whose distance is looked at.
+const SPLATS: usize = 4096;
+
+/// What is known of a scene before the first step.
+pub(in super::super) struct Found<'a> {
+    pub splats: &'a Splats,
+    pub cameras: &'a [&'a Camera],
+    /// The box of lights and field.
+    pub bounds: &'a [[f32; 3]; 2],
+    /// Priors of roughness and metallic by view, packed as photographs are.
+    pub roughness: Option<&'a [Vec<u32>]>,
+    pub metallic: Option<&'a [Vec<u32>]>,
+}
+
+/// Settings with sizes that suffice, and what was decided.
+pub(in super::super) fn required(found: &Found<'_>, s: &IntrinsicSettings) -> (IntrinsicSettings, Vec<Decision>) {
+    let (mut of, mut decisions) = (s.clone(), Vec::new());
+    let a = &s.automatic;
+    let mut decided = |what: &str, on: bool, reason: String, measured: f64, asked: f64, setting: &str| {
+        let (what, setting) = (what.to_owned(), setting.to_owned());
+        decisions.push(Decision { step: 0, what, on, reason, measured: Some(measured), asked: Some(asked), setting });
+    };
+    if let (true, Metallic::Auto, Some(maps)) = (a.metallic, s.metallic, found.metallic) {
+        let share = share_above(maps, METALLIC_FROM);
+        let on = share >= METALLIC_SHARE;
+        of.metallic = if on { Metallic::Auto } else { Metallic::Off };
+        let reason = format!("priors call {:.3} % of the pixels metallic", 100.0 * share);
+        decided("metallic", on, reason, share, METALLIC_SHARE, "intrinsic.automatic.metallic");
+    }
+    if let (true, true, Some(maps)) = (a.sizes, s.environment.enabled, found.roughness) {
+        let (size, least) = environment_size(maps, s.environment.resolution);
+        of.environment.resolution = size;
+        let reason = format!(
+            "{size} texels along an edge: of the pixels one in a hundred has a roughness below {least:.2}, and nothing sharper \
+             mirrors the surroundings"
+        );
+        decided("environment size", true, reason, least, 0.01, "intrinsic.automatic.sizes");
+    }
+    let v = &s.visibility;
+    if a.sizes && s.lights.enabled && v.kind == VisibilityKind::Field && v.levels > 1 {
+        let side = (0..3).map(|i| f64::from(found.bounds[1][i] - found.bounds[0][i])).fold(0.0, f64::max);
+        if let Some(pixel) = footprint(found.splats, found.cameras).filter(|p| *p > 0.0 && side > 0.0) {
+            let wanted = (side / pixel).ceil().min(f64::from(u32::MAX)) as u32;
+            let finest = wanted.clamp((2 * v.coarsest).min(v.finest), v.finest);
+            let growth = (f64::from(v.finest) / f64::from(v.coarsest)).ln() / f64::from(v.levels - 1);
+            let above = (f64::from(finest) / f64::from(v.coarsest)).ln();
+            // No growth from level to level: all are the same, and one is enough.
+            let levels = if growth > 0.0 { 1 + (above / growth).round() as u32 } else { 1 };
+            (of.visibility.finest, of.visibility.levels) = (finest, levels.clamp(1, v.levels));
+            let reason = format!(
+                "{} levels up to {finest}: nine in ten surfaces have pixels wider than a {wanted}th of the room",
+                of.visibility.levels
+            );
+            decided("visibility size", true, reason, pixel, side, "intrinsic.automatic.sizes");
+        }
+    }
+    (of, decisions)
+}
+
+/// The share of pixels that say something and say at least so much.
+fn share_above(maps: &[Vec<u32>], least: u32) -> f64 {
+    let known = maps.iter().flatten().filter(|w| *w >> 24 != 0);
+    let (all, above) = known.fold((0_u64, 0_u64), |(all, above), w| (all + 1, above + u64::from(w & 0xff >= least)));
+    above as f64 / all.max(1) as f64
+}
+
+/// The smallest cube whose texels are no wider than the lobe of the smoothest surface (GGX: alpha, the square of roughness, in
+/// radians), and the roughness that all but a hundredth of the pixels have.
+fn environment_size(maps: &[Vec<u32>], most: u32) -> (u32, f64) {
+    let mut counts = [0_u64; 256];
+    maps.iter().flatten().filter(|w| *w >> 24 != 0).for_each(|w| counts[(w & 0xff) as usize] += 1);
+    let all: u64 = counts.iter().sum();
+    let mut below = 0;
+    let least = counts.iter().position(|n| {
+        below += n;
+        100 * below > all
+    });
+    let least = least.unwrap_or(0) as f64 / 255.0;
+    let texels = std::f64::consts::FRAC_PI_2 / (least * least).max(1e-6);
+    let size = texels.min(f64::from(most)).ceil() as u32;
+    (size.next_power_of_two().clamp(16, most), least)
+}
+
+/// How wide a pixel is at surfaces: the width that nine in ten exceed.
+fn footprint(splats: &Splats, cameras: &[&Camera]) -> Option<f64> {
+    let stride = splats.len().div_ceil(SPLATS).max(1);
+    let mut widths = Vec::new();
+    for c in cameras {
+        for mean in splats.means.iter().step_by(stride) {
+            let p = c.rotation * DVec3::from_array(mean.map(f64::from)) + c.translation;
+            let (x, y) = (c.fx * p.x / p.z + c.cx, c.fy * p.y / p.z + c.cy);
+            let inside = x >= 0.0 && y >= 0.0 && x < f64::from(c.width) && y < f64::from(c.height);
+            if p.z > 0.01 && p.is_finite() && inside {
+                widths.push(p.z / c.fx);
+            }
+        }
+    }
+    if widths.is_empty() {
+        return None;
+    }
+    let tenth = widths.len() / 10;
+    Some(*widths.select_nth_unstable_by(tenth, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+
+    fn pixels(values: &[(u32, usize)]) -> Vec<Vec<u32>> {
+        vec![values.iter().flat_map(|(v, n)| std::iter::repeat_n(0xff00_0000 | v, *n)).chain([9]).collect()]
+    }
+
+    fn camera() -> Camera {
+        let (width, height) = (100, 100);
+        let [fx, fy, cx, cy] = [100.0, 100.0, 50.0, 50.0];
+        let (rotation, translation) = (DMat3::IDENTITY, DVec3::ZERO);
+        Camera { name: "a".into(), width, height, fx, fy, cx, cy, rotation, translation }
+    }
+
+    #[test]
+    fn sizes_are_those_that_cameras_can_tell() {
+        let mut s = IntrinsicSettings::default();
+        s.automatic.enabled = true;
+        // Everything 2 before a camera whose pixels are 0.02 wide there; in a box of 8 these are 400.
+        let splats = Splats { means: vec![[0.0, 0.0, 2.0]; 20], ..Splats::default() };
+        let camera = camera();
+        let (rough, dull) = (pixels(&[(255, 60), (64, 40)]), pixels(&[(0, 5000), (200, 1)]));
+        let found = Found {
+            splats: &splats,
+            cameras: &[&camera],
+            bounds: &[[0.0; 3], [8.0, 4.0, 3.0]],
+            roughness: Some(&rough),
+            metallic: Some(&dull),
+        };
+        let (of, decisions) = required(&found, &s);
+        assert_eq!((of.visibility.finest, of.visibility.levels), (400, 9));
+        // A quarter rough: lobes of 0.063 radians, 25 to a face.
+        assert_eq!((of.environment.resolution, of.metallic), (32, Metallic::Off));
+        let whats: Vec<_> = decisions.iter().map(|d| (d.what.as_str(), d.on)).collect();
+        assert_eq!(whats, [("metallic", false), ("environment size", true), ("visibility size", true)]);
+        assert!(decisions[2].reason.starts_with("9 levels up to 400:"), "{}", decisions[2].reason);
+
+        // Settings are the most there may be, and can be insisted upon.
+        let mirror = pixels(&[(0, 50), (255, 50)]);
+        let metal = Found { metallic: Some(&mirror), roughness: Some(&mirror), ..found };
+        (s.visibility.finest, s.visibility.levels) = (256, 8);
+        let (of, _) = required(&metal, &s);
+        assert_eq!((of.visibility, of.environment, of.metallic), (s.visibility, s.environment, Metallic::Auto));
+        let forced = |s: &IntrinsicSettings| required(&found, s).0 == *s;
+        (s.automatic.sizes, s.automatic.metallic) = (false, false);
+        assert!(forced(&s));
+        (s.automatic.metallic, s.metallic) = (true, Metallic::On);
+        assert!(forced(&s));
+    }
+
+    #[test]
+    fn scenes_without_anything_keep_what_is_set() {
+        let s = IntrinsicSettings::default();
+        let camera = camera();
+        let (none, splats) = (vec![vec![0; 9]], Splats::default());
+        let bounds = [[0.0; 3], [1.0; 3]];
+        let (cameras, roughness) = ([&camera], Some(&none[..]));
+        let found = Found { splats: &splats, cameras: &cameras, bounds: &bounds, roughness, metallic: None };
+        assert_eq!(required(&found, &s).0, s);
+    }
+}

@@ -1,0 +1,266 @@
+//! What parts of the model are worth at training views, and leaving out what is worth too little.
+//!
+//! A part is worth the decibels that the shaded picture loses without it, everything else being as it is: an upper bound, since what stays
+//! could make up for it. Light adds up, so that lights need a picture each and no more; they are taken away from the faintest on, for as long
+//! as all that are gone are worth less than asked together.
+
+use super::{Part, Watched};
+use crate::error::Result;
+use crate::geometry::Decision;
+use crate::intrinsic::Intrinsic;
+use crate::shaded::{RunLight, Shading, Visibility, shaded_scene};
+use rayon::prelude::*;
+use sgs_scene::{Splats, linear_to_srgb, srgb_to_linear};
+
+/// Linear light of the chosen pixels of all views, one behind the other.
+type Light = Vec<[f32; 3]>;
+
+/// What pictures are made of.
+struct Pictures {
+    /// What lies behind surfaces.
+    behind: Light,
+    /// Of lamps together.
+    direct: Light,
+    /// Of surroundings.
+    ambient: Light,
+}
+
+/// The sum of squared errors of light against what photographs show.
+fn error(photos: &[[f32; 3]], light: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
+    let one = |(p, photo): (usize, &[f32; 3])| -> f64 {
+        let light = light(p);
+        (0..3).map(|c| f64::from(linear_to_srgb(light[c].clamp(0.0, 1.0)) - photo[c]).powi(2)).sum()
+    };
+    // Summed in the same order by any number of threads.
+    let parts: Vec<f64> = photos
+        .par_chunks(1024)
+        .enumerate()
+        .map(|(i, chunk)| chunk.iter().enumerate().map(|(k, photo)| one((1024 * i + k, photo))).sum())
+        .collect();
+    parts.iter().sum()
+}
+
+/// Decibels that a picture loses when its error grows.
+fn loss(with: f64, without: f64) -> f64 {
+    10.0 * (without.max(1e-12) / with.max(1e-12)).log10()
+}
+
+fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [0, 1, 2].map(|c| a[c] + b[c])
+}
+
+/// Which lights can go: from the faintest on, as long as the picture loses less than asked. Returns them, and what they are worth.
+///
+/// `parts`: light of each, empty where it is off; `rest`: everything else.
+fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> (Vec<usize>, f64) {
+    let energy = |part: &Light| part.iter().flatten().map(|v| f64::from(v.max(0.0))).sum::<f64>();
+    let mut order: Vec<(usize, f64)> =
+        parts.iter().enumerate().filter(|(_, part)| !part.is_empty()).map(|(i, part)| (i, energy(part))).collect();
+    order.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+    // What is left: summed from the brightest on, so that nothing is subtracted.
+    let mut left = vec![rest.clone()];
+    for (i, _) in order.iter().rev() {
+        let below = &left[left.len() - 1];
+        left.push(below.iter().zip(&parts[*i]).map(|(a, b)| add(*a, *b)).collect());
+    }
+    let with = error(photos, |p| left[left.len() - 1][p]);
+    let (mut gone, mut worth) = (Vec::new(), 0.0);
+    for (k, (i, _)) in order.iter().enumerate() {
+        let light = &left[order.len() - 1 - k];
+        let lost = loss(with, error(photos, |p| light[p]));
+        if lost > gain {
+            break;
+        }
+        gone.push(*i);
+        worth = lost;
+    }
+    (gone, worth)
+}
+
+impl Intrinsic {
+    /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
+    pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
+        let decided = match self.worthless(step) {
+            Err(e) if e.is_out_of_memory() => {
+                tracing::info!("after step {step} there is no memory to see what could be left out");
+                return Ok(());
+            }
+            other => other?,
+        };
+        for decision in decided {
+            tracing::info!("{decision}");
+            if let Some(a) = &mut self.automatic {
+                a.decisions.push(decision);
+            }
+        }
+        Ok(())
+    }
+
+    fn worthless(&mut self, step: u32) -> Result<Vec<Decision>> {
+        let (asked, watched) = (*self.automatic_settings(), self.automatic.take());
+        let Some(watched) = watched else { return Ok(Vec::new()) };
+        let found = self.found(step, &asked, &watched.views);
+        self.automatic = Some(watched);
+        found
+    }
+
+    fn found(&mut self, step: u32, a: &super::AutomaticSettings, views: &[Watched]) -> Result<Vec<Decision>> {
+        let gain = f64::from(a.gain);
+        let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
+        let (splats, light) = (self.splats()?, self.light()?);
+        let mut shading = self.shading(&splats, &light)?;
+        let all = self.pictures(&mut shading, views)?;
+        let sum = |p: &Pictures, ambient: bool, i: usize| {
+            let light = add(p.behind[i], p.direct[i]);
+            if ambient { add(light, p.ambient[i]) } else { light }
+        };
+        let mut decisions = Vec::new();
+        let mut decided = |what: &str, on: bool, reason: String, worth: f64| {
+            let (what, setting) = (what.to_owned(), format!("intrinsic.automatic.{what}"));
+            decisions.push(Decision { step, what, on, reason, measured: Some(worth), asked: Some(gain), setting });
+        };
+        let with = error(&photos, |i| sum(&all, true, i));
+        // A network is shown views under other lights by graphs of its own, which have all parts.
+        let whole = self.relit.is_none();
+
+        let mut gains: Vec<f32> = light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
+        let mut none_left = false;
+        if a.lights && self.has(Part::Lights) {
+            let parts = self.each(&mut shading, views, &gains)?;
+            let rest: Light = all.behind.iter().zip(&all.ambient).map(|(b, a)| add(*b, *a)).collect();
+            let on = gains.iter().filter(|g| **g != 0.0).count();
+            let (mut gone, worth) = needless(&photos, &rest, &parts, gain);
+            if gone.len() == on && !(whole && self.has(Part::Environment)) {
+                // Something has to shine.
+                gone.pop();
+            }
+            none_left = gone.len() == on && on > 0;
+            gone.iter().for_each(|i| gains[*i] = 0.0);
+            if none_left {
+                decided("lights", false, format!("together they are worth {worth:.3} dB (asked: {gain})"), worth);
+            } else if !gone.is_empty() {
+                let left = on - gone.len();
+                let reason =
+                    format!("{left} of {on} stay: all others together are worth {worth:.3} dB (asked: {gain})");
+                decided("lights", true, reason, worth);
+            }
+        }
+        let mut out = Vec::new();
+        if whole && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
+            let worth = loss(with, error(&photos, |i| sum(&all, false, i)));
+            if worth <= gain {
+                decided("environment", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
+                out.push(Part::Environment);
+            }
+        }
+        if a.metallic && self.has(Part::Metallic) {
+            let plain = Splats { metallic: None, ..splats.clone() };
+            let mut shading = self.shading(&plain, &light)?;
+            let without = self.pictures(&mut shading, views)?;
+            let worth = loss(with, error(&photos, |i| sum(&without, true, i)));
+            if worth <= gain {
+                decided("metallic", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
+                out.push(Part::Metallic);
+            }
+        }
+        if whole && a.visibility && self.has(Part::Visibility) && !none_left {
+            let light = RunLight { visibility: Visibility::None, ..light };
+            let mut shading = self.shading(&splats, &light)?;
+            let without = self.pictures(&mut shading, views)?;
+            let worth = loss(with, error(&photos, |i| sum(&without, true, i)));
+            if worth <= gain {
+                decided("visibility", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
+                out.push(Part::Visibility);
+            }
+        }
+        drop(shading);
+        if none_left {
+            out.push(Part::Lights);
+        } else if self.has(Part::Lights) {
+            self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
+        }
+        for part in out {
+            self.leave_out(part)?;
+        }
+        Ok(decisions)
+    }
+
+    fn shading(&self, splats: &Splats, light: &RunLight) -> Result<Shading> {
+        let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
+        let scene = shaded_scene(&self.device, splats, lights, environment, &light.visibility)?;
+        Shading::new(&self.device, scene)
+    }
+
+    /// Light of the chosen pixels.
+    fn pictures(&self, shading: &mut Shading, views: &[Watched]) -> Result<Pictures> {
+        let behind = self.required.geometry.background.map(srgb_to_linear);
+        let mut all = Pictures { behind: Vec::new(), direct: Vec::new(), ambient: Vec::new() };
+        for view in views {
+            let shaded = shading.shade_from(&view.camera)?;
+            let covered = shaded.covered();
+            for (p, _) in &view.pixels {
+                let c = covered[*p];
+                let of = |light: &[f32]| [0, 1, 2].map(|k| c * light.get(3 * p + k).copied().unwrap_or(0.0));
+                all.behind.push(behind.map(|b| (1.0 - c) * b));
+                all.direct.push(of(&shaded.0.direct));
+                all.ambient.push(of(&shaded.0.ambient));
+            }
+        }
+        Ok(all)
+    }
+
+    /// The same of each light alone; nothing where it is off.
+    fn each(&self, shading: &mut Shading, views: &[Watched], gains: &[f32]) -> Result<Vec<Light>> {
+        let one = |i: usize| -> Result<Light> {
+            if gains[i] == 0.0 {
+                return Ok(Vec::new());
+            }
+            let alone: Vec<f32> = (0..gains.len()).map(|k| if k == i { gains[k] } else { 0.0 }).collect();
+            shading.set_gains(&self.device, &alone)?;
+            Ok(self.pictures(shading, views)?.direct)
+        };
+        (0..gains.len()).map(one).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plain(value: f32, pixels: usize) -> Light {
+        vec![[value; 3]; pixels]
+    }
+
+    #[test]
+    fn a_loss_is_in_decibels() {
+        assert!((loss(1.0, 10.0) - 10.0).abs() < 1e-12 && loss(2.0, 2.0) == 0.0 && loss(2.0, 1.0) < 0.0);
+        assert!(loss(0.0, 0.0) == 0.0 && loss(0.0, 1.0).is_finite());
+        let photos = plain(0.5, 3000);
+        let light = srgb_to_linear(0.75);
+        let expected = 9000.0 * 0.0625;
+        assert!((error(&photos, |_| [light; 3]) - expected).abs() < 1e-3 * expected);
+        // What is brighter than white is white.
+        assert_eq!(error(&photos, |_| [7.0; 3]), error(&photos, |_| [1.0; 3]));
+    }
+
+    #[test]
+    fn the_faintest_lights_go_together_for_less_than_asked() {
+        let pixels = 2000;
+        let photos: Vec<[f32; 3]> =
+            (0..pixels).map(|p| [linear_to_srgb(0.1 + 0.4 * (p % 7) as f32 / 7.0); 3]).collect();
+        let lit = |share: f32| (0..pixels).map(|p| [share * (0.1 + 0.4 * (p % 7) as f32 / 7.0); 3]).collect::<Light>();
+        // What the photographs do not have, by a hundredth: without that an error of nothing has no decibels.
+        let rest = plain(0.01, pixels);
+        let parts = [lit(0.5), lit(1e-4), Vec::new(), lit(0.4999), lit(2e-4), plain(0.0, pixels)];
+        let (gone, worth) = needless(&photos, &rest, &parts, 0.05);
+        assert_eq!(gone, [5, 1, 4]);
+        // Less light is nearer to the photographs here.
+        assert!(worth < 0.0, "{worth}");
+        let dark = plain(0.0, pixels);
+        let (gone, worth) = needless(&photos, &dark, &[lit(0.9), lit(0.05), lit(0.04)], 15.0);
+        assert!(gone == [2] && worth > 13.0 && worth <= 15.0, "{gone:?} {worth}");
+        assert_eq!(needless(&photos, &dark, &[lit(0.9), lit(0.05), lit(0.04)], 0.5).0, [0; 0]);
+        // Everything may go, where nothing is worth anything.
+        assert_eq!(needless(&photos, &lit(1.0), &[plain(0.0, pixels), plain(0.0, pixels)], 0.02).0, [0, 1]);
+    }
+}

@@ -1,0 +1,60 @@
+//! The graphs of the kinds of steps, made when they are first due, and what they are bound to.
+
+use super::Intrinsic;
+use super::consistency::StepKind;
+use crate::error::{Result, TrainError};
+use sgs_passes::pipeline::{COPIES, IntrinsicInputs, IntrinsicStep};
+
+impl Intrinsic {
+    /// What a step is, given what the scene has.
+    pub(super) fn kind(&self, step: u32) -> StepKind {
+        match StepKind::of(&self.required.intrinsic, step) {
+            _ if self.consistency.is_none() => StepKind::Plain,
+            StepKind::Relight => match self.required.intrinsic.relight.command() {
+                Some(_) if self.relit.is_some() => StepKind::Relight,
+                None if self.priors.albedo.is_some() => StepKind::Relight,
+                _ => StepKind::Plain,
+            },
+            kind => kind,
+        }
+    }
+
+    /// Makes the graph of a kind of step, if it is not there yet.
+    pub(super) fn make(&mut self, kind: StepKind) -> Result<()> {
+        if self.execs[kind as usize].is_some() {
+            return Ok(());
+        }
+        let options = kind.options(&self.options);
+        let step = IntrinsicStep::new(&self.device, &self.tuning, &self.inputs(kind), &self.status, options)?;
+        self.execs[kind as usize] = Some(step);
+        Ok(())
+    }
+
+    /// What a kind of step is bound to.
+    pub(super) fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
+        IntrinsicInputs {
+            parameters: &self.parameters,
+            gains: Some(&self.gains),
+            environment: self.environment.as_ref().map(|(e, m)| (e, m)),
+            traced: self.traced.as_ref(),
+            targets: &self.data.targets,
+            albedo: self.priors.albedo.as_ref(),
+            roughness: self.priors.roughness.as_ref(),
+            metallic: self.priors.metallic.as_ref(),
+            regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
+            estimates: match (kind, &self.relit) {
+                (StepKind::Relight, Some(relit)) => relit.bound(),
+                _ => [None; 2 * COPIES],
+            },
+        }
+    }
+
+    /// Waits for everything submitted.
+    pub(super) fn finish(&mut self) -> Result<()> {
+        self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
+    }
+}
+
+pub(super) fn gone() -> TrainError {
+    TrainError::Memory("There is no step any more: memory ran out when it was made.".into())
+}

@@ -1,0 +1,38 @@
+//! Whether the intrinsic stage leaves out what a scene does not require.
+
+use serde::{Deserialize, Serialize};
+
+/// What may be left out when the scene does not require it; docs/MODEL.md says by which measure.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AutomaticSettings {
+    /// Whether anything is. What the settings have is then the most that there may be.
+    pub enabled: bool,
+    /// What a part must be worth to stay: decibels of the shaded picture at training views.
+    pub gain: f32,
+    /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
+    pub sizes: bool,
+    /// Metallic; false: as intrinsic.metallic says.
+    pub metallic: bool,
+    /// Lights, one by one; false: all stay.
+    pub lights: bool,
+    /// Surroundings; false: as set.
+    pub environment: bool,
+    /// Shadows; false: as set.
+    pub visibility: bool,
+}
+
+impl Default for AutomaticSettings {
+    fn default() -> Self {
+        let all = true;
+        AutomaticSettings {
+            enabled: false,
+            gain: 0.02,
+            sizes: all,
+            metallic: all,
+            lights: all,
+            environment: all,
+            visibility: all,
+        }
+    }
+}
