@@ -196,24 +196,32 @@ impl Gaussians {
         Ok(())
     }
 
-    /// The same Gaussians, optimizer included, with room for `capacity`.
+    /// Makes room for `capacity`, group by group: for a moment one of them is there twice, and no more.
     ///
     /// # Errors
-    /// If memory runs out.
-    pub fn grown(&self, device: &Device, capacity: u32) -> Result<Gaussians> {
-        let training = self.moments.is_some();
-        let larger = Gaussians::with(device, self.model, capacity.max(self.capacity), training, self.has_statistics())?;
-        let pairs = |a: &Gaussians| {
-            let mut all: Vec<DeviceBuffer> = a.parameters.to_vec();
-            all.extend(a.moments.iter().flatten().cloned());
-            all.extend(a.statistics.clone());
-            all.push(a.work.clone());
-            all
+    /// If memory runs out; then they are what they were, though some groups take more memory.
+    pub fn grow(&mut self, device: &Device, capacity: u32) -> Result<()> {
+        let old = self.layout();
+        let layout = Layout { capacity: capacity.max(self.capacity), ..old };
+        let larger = |name: &str, from: &mut DeviceBuffer, bytes: u64, used: u64| -> Result<()> {
+            let to = device.buffer(name, bytes, Location::Device)?;
+            device.fill(&to, 0)?;
+            device.copy(from, &to, used)?;
+            *from = to;
+            Ok(())
         };
-        for (from, to) in pairs(self).iter().zip(pairs(&larger)) {
-            device.copy(from, &to, from.bytes())?;
+        for g in Group::ALL.into_iter().filter(|g| old.model.has(*g)) {
+            let (scalars, used) = (layout.scalars(g), old.scalars(g));
+            larger(g.name(), &mut self.parameters[g as usize], 4 * scalars, 4 * used)?;
+            if let Some(moments) = &mut self.moments {
+                larger(&format!("{}_moments", g.name()), &mut moments[g as usize], 8 * scalars, 8 * used)?;
+            }
         }
-        Ok(larger)
+        if let Some(statistics) = self.statistics.as_mut().filter(|_| old.statistics) {
+            larger("statistics", statistics, layout.statistics_bytes(), old.statistics_bytes())?;
+        }
+        self.capacity = layout.capacity;
+        Ok(())
     }
 
     /// The same Gaussians with another highest band: bands that come are zero, as their moments are, and bands that go are

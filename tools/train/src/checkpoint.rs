@@ -5,7 +5,7 @@
 use crate::divergence::RollBack;
 use crate::error::{Result, TrainError};
 use crate::floats::Floats;
-use crate::geometry::{Bands, Decision};
+use crate::geometry::{Bands, Decision, Growth};
 use safetensors::{Dtype, SafeTensors};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use std::collections::HashMap;
@@ -27,6 +27,8 @@ pub(crate) struct State {
     pub bands: Option<Bands>,
     /// What was decided about the model.
     pub decisions: Vec<Decision>,
+    /// What is known of growth.
+    pub growth: Growth,
     /// Which groups there are.
     pub model: Model,
 }
@@ -95,6 +97,7 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
     if !state.decisions.is_empty() {
         meta.insert("decisions".to_owned(), serde_json::to_string(&state.decisions).unwrap_or_default());
     }
+    meta.insert("growth".to_owned(), serde_json::to_string(&state.growth).unwrap_or_default());
     let tensors = state.tensors(state.model);
     let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -173,7 +176,8 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
     let course = Course::read(path, &meta)?;
     let bands = json(path, &meta, "bands")?;
     let decisions = json(path, &meta, "decisions")?.unwrap_or_default();
-    Ok(State { step, capacity, parameters, moments, statistics, decoder, course, bands, decisions, model })
+    let growth = json(path, &meta, "growth")?.unwrap_or_default();
+    Ok(State { step, capacity, parameters, moments, statistics, decoder, course, bands, decisions, growth, model })
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -55,6 +55,10 @@ impl Needs {
     ) -> Result<Needs> {
         let plan = GeometryStep::plan(tuning, layout, inputs, options)?;
         let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
+        // What goes to the device or comes back at once: a group's moments at most, or a kind of data.
+        let widest = layout.model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
+        let data = inputs.targets.max(inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES));
+        let largest = data.max(inputs.normals.unwrap_or(0)).max(widest * u64::from(layout.capacity));
         let uniform = (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16));
         Ok(Needs {
             photographs: inputs.targets,
@@ -70,7 +74,7 @@ impl Needs {
             pseudo_arena: 0,
             densify_arena: if densify > plan.arena_bytes { densify } else { 0 },
             small: options.frames_in_flight as u64 * uniform + Status::BYTES + 16,
-            staging: STAGING_BYTES,
+            staging: STAGING_BYTES.min(largest),
         })
     }
 

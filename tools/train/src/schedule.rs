@@ -113,6 +113,11 @@ impl Schedule {
         if d.enabled { (f64::from(self.settings.geometry.steps) * d.until) as u32 } else { 0 }
     }
 
+    /// Whether there is no densification after that of this step.
+    pub fn densifies_last(&self, step: u32) -> bool {
+        step + self.settings.geometry.densify.interval > self.last_densification()
+    }
+
     /// What densification does after a step, if anything.
     pub fn densify(&self, step: u32) -> Option<DensifySettings> {
         let d = &self.settings.geometry.densify;
@@ -124,11 +129,22 @@ impl Schedule {
             grad_threshold: d.grad_threshold,
             split_size: (d.split_size * self.extent) as f32,
             prune_opacity: d.prune_opacity,
-            prune_weight: d.prune_weight,
+            prune_weight: self.least_weight(step),
             prune_size: if after_reset { (d.prune_size * self.extent) as f32 } else { f32::MAX },
             cap: d.max_gaussians,
             seed: hash(self.settings.seed ^ 0xdead, u64::from(step)) as u32,
         })
+    }
+
+    /// The blending weight that a Gaussian has to have gathered since the last densification.
+    fn least_weight(&self, step: u32) -> f32 {
+        let d = &self.settings.geometry.densify;
+        // What was gathered in some views says nothing of what others show.
+        if u64::from(d.interval) + 1 < 2 * self.views as u64 {
+            return 0.0;
+        }
+        let rounds = (d.interval / self.views as u32) as f32;
+        if self.densifies_last(step) { d.prune_weight.max(d.final_prune / 255.0 * rounds) } else { d.prune_weight }
     }
 
     /// Whether opacities are reset after a step.
@@ -160,6 +176,17 @@ mod tests {
             assert_eq!(seen, (0..7).collect::<Vec<_>>());
         }
         assert_ne!(round(0), round(1));
+    }
+
+    #[test]
+    fn weight_is_asked_for_where_all_views_were_seen() {
+        let mut settings = Settings::default();
+        settings.geometry.steps = 1000;
+        settings.geometry.densify.final_prune = 0.51;
+        let weight = |views: usize, step| Schedule::new(&settings, 1.0, views).densify(step).unwrap().prune_weight;
+        // Of 51 views one may be missing among 100 steps; the last densification is after step 800.
+        assert_eq!((weight(51, 500), weight(51, 800), weight(50, 500)), (0.0, 0.0, 1e-4));
+        assert!((weight(12, 800) - 8.0 * 0.002).abs() < 1e-6 && weight(12, 700) == 1e-4);
     }
 
     #[test]

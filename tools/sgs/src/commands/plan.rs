@@ -23,6 +23,10 @@ pub struct Args {
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
+    /// How many Gaussians training may end with: what it takes then is reckoned. By default as many as there are, twice and four
+    /// times as many.
+    #[arg(long, value_name = "N")]
+    gaussians: Option<u32>,
     /// Print the compiled graph of a step as well: as text below the summary; as json, dot or html in its place.
     #[arg(long, value_enum, num_args = 0..=1, default_missing_value = "text", value_name = "FORMAT")]
     graph: Option<Format>,
@@ -118,6 +122,16 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
     let (needs, budget) = (*training.needs(), device.budget());
+    let entries = training.entries()?;
+    let ends = match a.gaussians {
+        Some(n) => vec![n],
+        None if s.geometry.densify.enabled => [1, 2, 4].map(|k| count.saturating_mul(k)).to_vec(),
+        None => vec![count],
+    };
+    let mut expected = Vec::new();
+    for n in ends {
+        expected.push((n, training.expected(n, count, entries)?.total()));
+    }
     if common.json.is_some() {
         let mut value = serde_json::json!({
             "views": scene.split.train.len(),
@@ -136,6 +150,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "device_bytes": now,
             "needs": needs,
             "needs_bytes": needs.total(),
+            "entries": entries,
+            "expected": expected.iter().map(|(n, bytes)| serde_json::json!({"gaussians": n, "bytes": bytes})).collect::<Vec<_>>(),
             "budget": budget,
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
@@ -212,6 +228,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         mib(budget.budget),
         source_of(&budget)
     );
+    for (n, bytes) in &expected {
+        println!("peak        {:>9.1} MiB if training ends with {n} Gaussians", mib(*bytes));
+    }
     if let Some(plan) = &intrinsic {
         println!();
         plan.print(&budget);

@@ -32,8 +32,9 @@ pub struct Options {
     /// Seed of everything random.
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
-    /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml).
-    #[arg(long, value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
+    /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml): growth is slowed to stay
+    /// within, and only a start that does not fit is refused.
+    #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
     pub memory_budget: Option<u64>,
     /// Settings to begin with: "draft" (quick, on a processor), "balanced" (the defaults), "paper" (the paper's sizes and
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.

@@ -14,7 +14,7 @@ use crate::schedule::hash;
 use crate::settings::MOST_BANDS;
 use serde::{Deserialize, Serialize};
 use sgs_passes::pipeline::{Picture, Renderer};
-use sgs_passes::scene::Model;
+use sgs_passes::scene::{Layout, Model};
 use sgs_passes::splat::Channels;
 use std::path::Path;
 
@@ -39,6 +39,11 @@ pub(crate) struct Bands {
 }
 
 impl Bands {
+    /// Whether bands are yet to come.
+    pub fn is_open(&self) -> bool {
+        !self.settled && self.tried.is_none()
+    }
+
     /// As it came from a file, if it may be of such a model and so many views.
     pub fn checked(self, path: &Path, model: Model, views: usize) -> Result<Bands> {
         let possible = self.tried.is_none_or(|band| band > 0 && band == model.sh_degree);
@@ -77,6 +82,12 @@ impl Geometry {
     pub(super) fn bands_due(&self, step: u32) -> bool {
         let open = self.bands.as_ref().is_some_and(|b| !b.settled);
         open && trial(self.settings.geometry.steps).contains(&step)
+    }
+
+    /// Whether views were held back in some of so many steps up to this one.
+    pub(super) fn was_held_back(&self, step: u32, steps: u32) -> bool {
+        let [begin, end] = trial(self.settings.geometry.steps);
+        self.bands.is_some() && step > begin && step < end.saturating_add(steps)
     }
 
     /// Which training view a step sees.
@@ -130,6 +141,11 @@ impl Geometry {
         self.forget_steps();
         let from = self.gaussians.model.sh_degree;
         for degree in (from + 1..=MOST_BANDS).rev() {
+            let layout = self.gaussians.layout();
+            let model = Model { sh_degree: degree, ..layout.model };
+            if !self.fits(&Layout { model, ..layout }, self.options.entry_capacity)? {
+                continue;
+            }
             match self.gaussians.with_degree(&self.device, degree) {
                 Ok(more) => {
                     self.gaussians = more;

@@ -64,6 +64,14 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
     ]
 }
 
+impl Decision {
+    /// One that memory forced.
+    pub(super) fn of_memory(step: u32, what: &str, reason: String) -> Decision {
+        let setting = "memory.budget".to_owned();
+        Decision { step, what: what.to_owned(), on: false, reason, measured: None, asked: None, setting }
+    }
+}
+
 impl std::fmt::Display for Decision {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let kept = if self.on { "kept" } else { "left out" };

@@ -46,7 +46,7 @@ impl Geometry {
                 return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
             }
             if report.flags != 0 {
-                self.grow_entries(step)?;
+                self.grow_entries(step, heard)?;
                 return Ok(false);
             }
             if !report.losses.total.is_finite() {
@@ -54,6 +54,7 @@ impl Geometry {
                 return Err(self.diverged(step, &reason)?);
             }
             self.done = step;
+            self.growth.entries = self.growth.entries.max(report.entries);
             heard(&Progress::Step(report));
             if let Some(reason) = self.judge(&report) {
                 return Err(self.diverged(step, &reason)?);
@@ -69,7 +70,7 @@ impl Geometry {
     }
 
     /// The entries of a step did not fit. Nothing was changed from that step on: make room and go back to it.
-    fn grow_entries(&mut self, step: u32) -> Result<()> {
+    fn grow_entries(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
         self.exec()?.finish()?;
         let mut wanted = 0;
         for s in step..=self.submitted {
@@ -77,6 +78,11 @@ impl Geometry {
         }
         let room = u64::from(wanted) + u64::from(wanted) / 8;
         self.options.entry_capacity = u32::try_from(room).unwrap_or(u32::MAX);
+        if self.promised {
+            // What later steps ask for depends on how many are in flight.
+            let wanted = self.status.report(step)?.entries;
+            self.squeeze(step, wanted, heard)?;
+        }
         tracing::debug!(step, wanted, capacity = self.options.entry_capacity, "tile entries grow");
         self.rebuild()?;
         self.status.clear_flags(&self.device)?;

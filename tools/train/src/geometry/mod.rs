@@ -7,7 +7,10 @@
 mod backward;
 mod bands;
 mod decision;
+mod expect;
+mod fit;
 mod given;
+mod grow;
 mod look;
 mod room;
 mod state;
@@ -25,8 +28,10 @@ use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings, ShDegree};
 pub(crate) use bands::Bands;
 pub use decision::Decision;
+pub(crate) use fit::Growth;
+use fit::{allowance, last_that};
 pub(crate) use given::Given;
-use room::{first_entry_capacity, most_gaussians, room_for};
+use room::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
@@ -80,8 +85,6 @@ pub struct Geometry {
     options: GeometryOptions,
     /// Densification never goes beyond this many.
     most: u32,
-    /// Whether memory is why, and it was not said yet.
-    scarce: bool,
     needs: Needs,
     /// Last step that was submitted.
     submitted: u32,
@@ -97,6 +100,12 @@ pub struct Geometry {
     bands: Option<Bands>,
     /// What was decided about the model.
     decisions: Vec<Decision>,
+    /// Sizes of what is trained on.
+    inputs: InputSizes,
+    /// Bytes that training may take, all in, and whether that was promised.
+    allowed: u64,
+    promised: bool,
+    growth: Growth,
 }
 
 impl Geometry {
@@ -153,9 +162,8 @@ impl Geometry {
         }
         let count = start.len() as u32;
         let all_bands = Model { sh_degree: sh_degree.max(g.sh_degree.most()), ..model };
-        let most = most_gaussians(device, all_bands, settings, &inputs, data.largest);
+        let most = most_by_binding(device, all_bands);
         let wanted = most.min(g.densify.max_gaussians);
-        let capacity = if g.densify.enabled { room_for(count, wanted) } else { count };
         let tuning = Tuning::for_device(device.info()).with(settings.accuracy.into());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         // Regions are carried to pseudo-views by depth.
@@ -172,15 +180,14 @@ impl Geometry {
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
-        let layout = Layout { model, capacity: capacity.max(1), training: true, statistics: g.densify.enabled };
-        let with_all = Layout { model: all_bands, ..layout };
+        let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled };
+        let budget = allowed(device, settings);
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
-        let mut needs = of(&layout)?.with_bands(&of(&with_all)?);
-        needs.check(&allowed(device, settings))?;
+        of(&layout)?.check(&budget)?;
         if count > most {
             return Err(TrainError::Memory(format!(
-                "The scene starts with {count} Gaussians, but at most {most} fit into the device's memory and bindings; \
-                 use fewer points, a lower geometry.sh_degree, or a larger budget."
+                "The scene starts with {count} Gaussians, but at most {most} fit into the device's bindings; \
+                 use fewer points, or a lower geometry.sh_degree."
             )));
         }
         let watch = Watch::new(data.plain());
@@ -190,16 +197,25 @@ impl Geometry {
             Some((data, _)) if wants_views => given.correspondence(device, data, settings, options.largest)?,
             _ => None,
         };
-        if let Some(c) = &correspondence {
-            let of = |layout: &Layout| of(layout)?.with_views(&tuning, layout, &inputs, &options, c);
-            needs = of(&layout)?.with_bands(&of(&with_all)?);
-            needs.check(&allowed(device, settings))?;
-        }
+        let of = |layout: &Layout| match &correspondence {
+            Some(c) => of(layout)?.with_views(&tuning, layout, &inputs, &options, c),
+            None => of(layout),
+        };
+        let may = allowance(&budget);
+        let capacity = match g.densify.enabled {
+            true => last_that(layout.capacity, room_for(count, wanted), |capacity| {
+                Ok(of(&Layout { capacity, ..layout })?.total() <= may)
+            })?,
+            false => layout.capacity,
+        };
+        let layout = Layout { capacity, ..layout };
+        let needs = of(&layout)?.with_bands(&of(&Layout { model: all_bands, ..layout })?);
+        needs.check(&budget)?;
         let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, given.extent(), data.views.len());
-        let scarce = most < g.densify.max_gaussians;
+        let promised = settings.memory.budget > 0 || g.densify.max_mib > 0;
         let mut settings = settings.clone();
         // Processors run lanes one after the other: engine-bench shows the pixel kernel ahead on them by far.
         if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
@@ -220,7 +236,6 @@ impl Geometry {
             reset: None,
             options,
             most: wanted,
-            scarce,
             needs,
             submitted: 0,
             done: 0,
@@ -229,6 +244,10 @@ impl Geometry {
             roll_backs: Vec::new(),
             bands: (g.sh_degree == ShDegree::Auto).then(Bands::default),
             decisions: Vec::new(),
+            inputs,
+            allowed: may,
+            promised,
+            growth: Growth::default(),
         };
         let found = [model.normals, model.semantics, training.correspondence.is_some()];
         training.decisions = decision::given(&training.settings, found);
@@ -384,24 +403,8 @@ impl Geometry {
         if self.bands_due(step) {
             self.turn_bands(step, heard)?;
         }
-        if let Some(mut settings) = self.schedule.densify(step) {
-            settings.cap = settings.cap.min(self.most);
-            if self.densify.is_none() {
-                // Densification may use the step's arena: nothing in it outlives a replay.
-                let arena = self.exec()?.executor().arena().cloned();
-                self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, arena)?);
-            }
-            if let Some(densify) = &mut self.densify {
-                let stats = densify.run(&settings)?;
-                tracing::info!(step, ?stats, "densified");
-                if stats.after > self.gaussians.capacity / 4 * 3 && self.gaussians.capacity < self.most {
-                    self.grow(stats.after)?;
-                }
-                if self.scarce && stats.after >= self.most {
-                    self.full();
-                }
-                heard(&Progress::Densified { step, stats });
-            }
+        if let Some(settings) = self.schedule.densify(step) {
+            self.densify(step, settings, heard)?;
         }
         if self.schedule.reset(step) {
             if self.reset.is_none() {
@@ -413,32 +416,6 @@ impl Geometry {
             self.watch.restart(step);
         }
         Ok(())
-    }
-
-    /// Makes room for more Gaussians. Where memory refuses, they stay as many as fit now.
-    fn grow(&mut self, count: u32) -> Result<()> {
-        // For a moment there are two of the rest.
-        self.forget_steps();
-        let old = self.gaussians.capacity;
-        match self.gaussians.grown(&self.device, room_for(count, self.most)) {
-            Ok(grown) => self.gaussians = grown,
-            Err(error) if error.is_out_of_memory() => {
-                tracing::debug!(%error, "no room for more Gaussians");
-                self.most = old;
-                self.scarce = true;
-                self.full();
-            }
-            Err(error) => return Err(error.into()),
-        }
-        self.rebuild()
-    }
-
-    /// Says once that densification has come to the end of memory.
-    fn full(&mut self) {
-        if std::mem::take(&mut self.scarce) {
-            let budget = allowed(&self.device, &self.settings).budget >> 20;
-            tracing::warn!("Densification stops at {} Gaussians: no more fit into {budget} MiB.", self.most);
-        }
     }
 
     /// What was decided about the model so far.

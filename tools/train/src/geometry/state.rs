@@ -1,11 +1,11 @@
 //! Checkpoints of the geometry stage.
 
-use super::{Geometry, first_entry_capacity};
+use super::{Geometry, first_entry_capacity, last_that};
 use crate::checkpoint::{self, Course, State};
 use crate::divergence::HALF;
 use crate::error::Result;
 use sgs_passes::pipeline::Status;
-use sgs_passes::scene::Gaussians;
+use sgs_passes::scene::{Gaussians, Layout};
 use std::path::Path;
 
 impl Geometry {
@@ -30,6 +30,7 @@ impl Geometry {
             course: Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() },
             bands: self.bands.clone(),
             decisions: self.decisions.clone(),
+            growth: self.growth.clone(),
             model: self.gaussians.model,
         };
         checkpoint::save(path, &state)
@@ -44,7 +45,14 @@ impl Geometry {
         let count = state.parameters.len() as u32;
         // Densification stops where there is no room, so that the room has to be what it was.
         let enabled = self.settings.geometry.densify.enabled;
-        let capacity = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
+        let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
+        let first = self.options.entry_capacity.max(first);
+        let room = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
+        let layout = Layout { model: state.model, capacity: room, training: true, statistics: enabled };
+        let capacity = last_that(count, room, |capacity| self.fits(&Layout { capacity, ..layout }, first))?;
+        // Two of them might not fit.
+        self.forget_steps();
+        self.gaussians = Gaussians::with(&self.device, state.model, 1, true, enabled)?;
         self.gaussians = Gaussians::with(&self.device, state.model, capacity, true, enabled)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
@@ -52,8 +60,7 @@ impl Geometry {
             decoder.upload(&self.device, parameters)?;
             decoder.upload_moments(&self.device, moments)?;
         }
-        let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
-        self.options.entry_capacity = self.options.entry_capacity.max(first);
+        self.options.entry_capacity = first;
         // It counts from the start again.
         self.status = Status::new(&self.device)?;
         self.rebuild()?;
@@ -68,6 +75,7 @@ impl Geometry {
             None => None,
         };
         self.decisions = state.decisions;
+        self.growth = state.growth;
         Ok(())
     }
 }

@@ -273,8 +273,10 @@ pub struct DensifyOptions {
     pub split_size: f64,
     /// Fainter Gaussians are pruned.
     pub prune_opacity: f32,
-    /// Gaussians that gathered less blending weight since the last time are pruned.
+    /// Gaussians that gathered less blending weight since the last time are pruned, if all views were seen since.
     pub prune_weight: f32,
+    /// The last time those are pruned whose weights in all pixels of all views add up to less than so many of 255 gray levels; 0 for none.
+    pub final_prune: f32,
     /// Larger Gaussians are pruned after the first opacity reset, as a fraction of the extent.
     pub prune_size: f64,
     /// Steps between opacity resets; 0 for none.
@@ -296,6 +298,7 @@ impl Default for DensifyOptions {
             split_size: 0.01,
             prune_opacity: 0.005,
             prune_weight: 1e-4,
+            final_prune: 0.0,
             prune_size: 0.5,
             reset_interval: 3000,
             max_gaussians: 2_000_000,
@@ -414,6 +417,7 @@ impl Settings {
             ("densify.split_size", d.split_size),
             ("densify.prune_opacity", f64::from(d.prune_opacity)),
             ("densify.prune_weight", f64::from(d.prune_weight)),
+            ("densify.final_prune", f64::from(d.final_prune)),
             ("densify.prune_size", d.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {

@@ -1,0 +1,190 @@
+//! Staying within the memory that training may take (`memory.budget`): growth is limited to what fits, and where even the tile
+//! entries of what is there do not, the faintest Gaussians go.
+//!
+//! Promises: growth never exceeds what is allowed, and a training whose start fits comes to its end. The result depends on what is
+//! allowed and on nothing else of the memory.
+
+use super::{Decision, Geometry, Progress, entries_of};
+use crate::error::{Result, TrainError};
+use crate::memory::Needs;
+use crate::settings::MOST_BANDS;
+use serde::{Deserialize, Serialize};
+use sgs_engine::{Budget, BudgetSource};
+use sgs_passes::pipeline::{DensifyStats, GeometryOptions};
+use sgs_passes::scene::{GaussianData, Gaussians, Group, Layout, Model, STATISTICS};
+
+/// Small things that come and go.
+const SLACK: u64 = 4096;
+
+/// What is known of growth; goes into checkpoints.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Growth {
+    /// Most tile entries of a step since the last densification.
+    pub entries: u32,
+    /// Births that gradients asked for while memory was short, and those that it refused.
+    pub asked: u64,
+    pub refused: u64,
+}
+
+/// What training may take of a budget. What nobody promised is not used up.
+pub(super) fn allowance(b: &Budget) -> u64 {
+    let all = if b.source == BudgetSource::Heap && b.budget == b.heap { b.heap / 10 * 9 } else { b.budget };
+    all.saturating_sub(b.used)
+}
+
+/// The last number from `low` to `high` for which something holds that stops to hold somewhere; `low` at least.
+pub(super) fn last_that(low: u32, high: u32, holds: impl Fn(u32) -> Result<bool>) -> Result<u32> {
+    if high <= low || holds(high)? {
+        return Ok(high.max(low));
+    }
+    let (mut low, mut high) = (low, high);
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if holds(middle)? {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    Ok(low)
+}
+
+impl Geometry {
+    /// Whether so much fits, step and densification included.
+    pub(super) fn fits(&self, layout: &Layout, entries: u32) -> Result<bool> {
+        let options = GeometryOptions { entry_capacity: entries, ..self.options };
+        let mut needs = Needs::of(&self.device, &self.tuning, layout, &self.inputs, &options)?;
+        if let Some(c) = &self.correspondence {
+            needs = needs.with_views(&self.tuning, layout, &self.inputs, &options, c)?;
+        }
+        Ok(needs.total() + SLACK <= self.allowed)
+    }
+
+    /// The model with all bands that may still come.
+    fn model_to_come(&self) -> Model {
+        let open = self.bands.as_ref().is_some_and(|b| b.is_open());
+        let now = self.gaussians.model;
+        Model { sh_degree: if open { MOST_BANDS } else { now.sh_degree }, ..now }
+    }
+
+    /// The most Gaussians up to a limit that fit, with as many tile entries each as there were lately. Never fewer than there are.
+    pub(super) fn most_that_fit(&self, count: u32, limit: u32) -> Result<u32> {
+        let layout = Layout { model: self.model_to_come(), ..self.gaussians.layout() };
+        last_that(count, limit, |n| {
+            let layout = Layout { capacity: n.max(layout.capacity), ..layout };
+            self.fits(&layout, entries_of(self.growth.entries, count, n))
+        })
+    }
+
+    /// Takes notice of a densification for which memory was short, and says at the last one what that came to.
+    pub(super) fn slowed(&mut self, step: u32, stats: &DensifyStats, short: bool, heard: &mut impl FnMut(&Progress)) {
+        if short {
+            self.growth.asked += u64::from(stats.cloned) + u64::from(stats.split) + u64::from(stats.refused);
+            self.growth.refused += u64::from(stats.refused);
+        }
+        self.growth.entries = 0;
+        let Growth { asked, refused, .. } = self.growth;
+        if refused > 0 && self.schedule.densifies_last(step) {
+            let reason = format!(
+                "{refused} of {asked} that gradients asked for did not fit into {:.1} MiB; there are {} Gaussians",
+                self.allowed as f64 / f64::from(1 << 20),
+                stats.after
+            );
+            self.decide(Decision::of_memory(step, "births", reason), heard);
+        }
+    }
+
+    /// Tile entries do not fit: room that nobody uses goes, then the faintest Gaussians do.
+    ///
+    /// # Errors
+    /// If that does not help, or their number is to stay as it is.
+    pub(super) fn squeeze(&mut self, step: u32, wanted: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+        let layout = self.gaussians.layout();
+        for entries in [self.options.entry_capacity, wanted] {
+            if self.fits(&layout, entries)? {
+                self.options.entry_capacity = entries;
+                return Ok(());
+            }
+        }
+        let count = self.gaussians.count(&self.device)?;
+        // A few more, as those that stay are the larger ones, and other views see more.
+        let entries = |n: u32| {
+            let share = f64::from(wanted) * f64::from(n) / f64::from(count.max(1));
+            if n == count { wanted } else { (1.1 * share) as u32 }
+        };
+        let fits = |n: u32| self.fits(&Layout { capacity: n, ..layout }, entries(n));
+        let keep = match self.settings.geometry.densify.enabled {
+            true => last_that(1, count, fits)?,
+            false => count,
+        };
+        if !fits(keep)? {
+            return Err(TrainError::Memory(format!(
+                "The {wanted} tile entries of step {step} do not fit into {:.1} MiB; use --scale, fewer points, or a larger \
+                 --memory-budget.",
+                self.allowed as f64 / f64::from(1 << 20)
+            )));
+        }
+        self.options.entry_capacity = entries(keep);
+        self.keep_strongest(keep)?;
+        if keep < count {
+            let reason = format!(
+                "the {wanted} tile entries of step {step} did not fit into {:.1} MiB; {keep} of {count} are left",
+                self.allowed as f64 / f64::from(1 << 20)
+            );
+            self.decide(Decision::of_memory(step - 1, "the faintest Gaussians", reason), heard);
+        }
+        Ok(())
+    }
+
+    /// Room for so many Gaussians, and no more of them than that: the most opaque ones stay.
+    fn keep_strongest(&mut self, keep: u32) -> Result<()> {
+        self.forget_steps();
+        let device = self.device.clone();
+        let parameters = self.gaussians.download(&device)?;
+        let (moments, statistics) = self.gaussians.download_optimizer(&device)?;
+        let opacities = parameters.group(Group::OpacityLogits);
+        let mut order: Vec<usize> = (0..opacities.len()).collect();
+        order.sort_by(|a, b| opacities[*b].total_cmp(&opacities[*a]));
+        order.truncate(keep as usize);
+        order.sort_unstable();
+        let of = |values: &[f32], width: usize| -> Vec<f32> {
+            let rows = order.iter().filter_map(|i| values.get(i * width..(i + 1) * width));
+            rows.flatten().copied().collect()
+        };
+        let (mut kept, mut kept_moments) = (GaussianData::default(), GaussianData::default());
+        let layout = self.gaussians.layout();
+        for g in layout.model.groups() {
+            let width = g.width() as usize;
+            kept.groups[g as usize] = of(parameters.group(g), width);
+            kept_moments.groups[g as usize] = of(moments.group(g), 2 * width);
+        }
+        // Two of them would not fit.
+        self.gaussians = Gaussians::with(&device, layout.model, 1, true, layout.statistics)?;
+        self.gaussians = Gaussians::with(&device, layout.model, keep, true, layout.statistics)?;
+        self.gaussians.upload(&device, &kept)?;
+        let statistics = of(&statistics, STATISTICS as usize);
+        Ok(self.gaussians.upload_optimizer(&device, &kept_moments, &statistics)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_number_that_holds_is_found() {
+        for last in [0, 5, 6, 17, 99, 100, 200] {
+            let found = last_that(5, 100, |n| Ok(n <= last)).unwrap();
+            assert_eq!(found, last.clamp(5, 100));
+        }
+        assert_eq!(last_that(7, 3, |_| panic!("nothing is to be asked")).unwrap(), 7);
+    }
+
+    #[test]
+    fn what_nobody_promised_is_not_used_up() {
+        let b = |source, budget| Budget { heap: 1000, budget, used: 100, source };
+        assert_eq!(allowance(&b(BudgetSource::Heap, 1000)), 800);
+        assert_eq!(allowance(&b(BudgetSource::Given, 1000)), 900);
+        assert_eq!(allowance(&b(BudgetSource::Driver, 50)), 0);
+    }
+}

@@ -1,0 +1,65 @@
+//! Densification between steps, and the room that it takes.
+
+use super::{Geometry, Progress, entries_of, next_room};
+use crate::error::Result;
+use crate::memory::allowed;
+use sgs_passes::pipeline::{DensifySettings, DensifyStep};
+
+impl Geometry {
+    /// Adds and removes Gaussians, within what fits.
+    pub(super) fn densify(
+        &mut self,
+        step: u32,
+        mut settings: DensifySettings,
+        heard: &mut impl FnMut(&Progress),
+    ) -> Result<()> {
+        // Each makes one more at most.
+        let count = self.gaussians.count(&self.device)?;
+        let limit = self.most.min(next_room(count.saturating_mul(2), self.gaussians.capacity, self.most));
+        let most = self.most_that_fit(count, limit)?;
+        settings.cap = settings.cap.min(most);
+        if self.was_held_back(step, self.settings.geometry.densify.interval) {
+            // What only they show has gathered nothing.
+            settings.prune_weight = 0.0;
+        }
+        if self.densify.is_none() {
+            // Densification may use the step's arena: nothing in it outlives a replay.
+            let arena = self.exec()?.executor().arena().cloned();
+            self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, arena)?);
+        }
+        let Some(densify) = &mut self.densify else { return Ok(()) };
+        let stats = densify.run(&settings)?;
+        tracing::info!(step, ?stats, most, "densified");
+        let entries = entries_of(self.growth.entries, count, stats.after);
+        if self.promised && !self.fits(&self.gaussians.layout(), self.options.entry_capacity)? {
+            self.options.entry_capacity = self.options.entry_capacity.min(entries.max(1 << 10));
+            self.rebuild()?;
+        }
+        let room = next_room(stats.after, self.gaussians.capacity, most.min(self.most));
+        if room > self.gaussians.capacity {
+            if self.promised {
+                self.options.entry_capacity = self.options.entry_capacity.min(entries.max(1 << 10));
+            }
+            self.grow(room)?;
+        }
+        self.slowed(step, &stats, most < limit, heard);
+        heard(&Progress::Densified { step, stats });
+        Ok(())
+    }
+
+    /// Makes room for more Gaussians. Where memory refuses, they stay as many as fit now.
+    fn grow(&mut self, room: u32) -> Result<()> {
+        self.forget_steps();
+        match self.gaussians.grow(&self.device, room) {
+            Ok(()) => {}
+            Err(error) if error.is_out_of_memory() => {
+                tracing::debug!(%error, "no room for more Gaussians");
+                self.most = self.gaussians.capacity;
+                let budget = allowed(&self.device, &self.settings).budget >> 20;
+                tracing::warn!("Densification stops at {} Gaussians: no more fit into {budget} MiB.", self.most);
+            }
+            Err(error) => return Err(error.into()),
+        }
+        self.rebuild()
+    }
+}
