@@ -100,6 +100,8 @@ impl Noise {
         let old: Vec<f16> = map.data.clone();
         for cell in map.data.chunks_exact_mut(channels.max(1)) {
             let (chance, other) = (random.uniform(), (random.uniform() * cells as f64) as usize);
+            // Rounding may bring a number to 1.
+            let other = other.min(cells - 1);
             if chance < self.semantics {
                 cell.copy_from_slice(&old[other * channels..][..channels]);
             }

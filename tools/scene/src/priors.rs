@@ -3,6 +3,7 @@
 //! A prior may guide training. It never comes from ground truth, which lies in another folder and is reached through
 //! another type ([`GroundTruth`](crate::GroundTruth)). Every kind may be absent as a whole or for single views.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use half::f16;
@@ -209,8 +210,8 @@ impl Scene {
             [classes, channels]
                 if classes == labels.len() && classes * channels > 0 && data.iter().all(|v| v.is_finite()) =>
             {
-                let twice = labels.iter().enumerate().find(|(i, l)| labels[..*i].contains(l));
-                if let Some((_, label)) = twice {
+                let mut seen = HashSet::new();
+                if let Some(label) = labels.iter().find(|label| !seen.insert(*label)) {
                     let problem = format!("\"{label}\" occurs twice; every class needs a name of its own");
                     return Err(SceneError::image(&folder.join("labels.json"), problem));
                 }

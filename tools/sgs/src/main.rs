@@ -80,6 +80,11 @@ fn arguments() -> Vec<OsString> {
     joined
 }
 
+/// A sentence without what files may have put into it to move a terminal's cursor.
+fn one_line(sentence: &str) -> String {
+    sentence.trim_end().chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
 fn main() {
     ui::heed_closed_pipes();
     let cli = Cli::parse_from(arguments());
@@ -103,7 +108,7 @@ fn main() {
         Command::Man(a) => commands::shell::man(&cli.common, a, Cli::command()),
     };
     if let Err(error) = result {
-        eprintln!("sgs: {error:#}");
+        eprintln!("sgs: {}", one_line(&format!("{error:#}")));
         std::process::exit(1);
     }
 }

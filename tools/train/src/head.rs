@@ -11,7 +11,7 @@ use safetensors::{Dtype, SafeTensors};
 use sgs_passes::loss::normalize_embeddings;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING};
 use sgs_scene::TextEmbeddings;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 /// What the file says it is.
@@ -105,7 +105,8 @@ impl SemanticHead {
                 labels.len()
             ));
         }
-        if let Some((_, label)) = labels.iter().enumerate().find(|(i, label)| labels[..*i].contains(label)) {
+        let mut seen = HashSet::new();
+        if let Some(label) = labels.iter().find(|label| !seen.insert(*label)) {
             return Err(format!("the class \"{label}\" occurs twice"));
         }
         for (name, values) in [("decoder", decoder), ("text_embeddings", &text.data)] {

@@ -15,6 +15,8 @@ mod evaluate;
 mod evaluate_shaded;
 mod exchange;
 mod floats;
+#[doc(hidden)]
+pub mod fuzzed;
 mod geometry;
 mod head;
 mod intrinsic;

@@ -192,8 +192,8 @@ pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     };
     let value: f64 = number.trim().parse().map_err(|_| wrong())?;
     let bytes = value * (1_u64 << unit) as f64;
-    // Beyond this, TOML has no numbers.
-    if !(bytes >= 1.0 && bytes <= i64::MAX as f64) {
+    // From here on, TOML has no numbers: the cast rounds up to 2^63.
+    if !(bytes >= 1.0 && bytes < i64::MAX as f64) {
         return Err(wrong());
     }
     Ok(bytes as u64)
@@ -216,7 +216,7 @@ mod tests {
         ] {
             assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
         }
-        for text in ["", "G", "-1", "0", "4X", "nan", "1e30", "4GG"] {
+        for text in ["", "G", "-1", "0", "4X", "nan", "1e30", "4GG", "9223372036854775807", "8388608T"] {
             assert!(parse_bytes(text).is_err(), "{text}");
         }
     }

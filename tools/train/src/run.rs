@@ -200,14 +200,15 @@ impl RunDirectory {
     /// The settings it was trained with.
     ///
     /// # Errors
-    /// If they cannot be read.
+    /// If they cannot be read, or are none that training takes.
     pub fn settings(&self) -> Result<Settings> {
         let path = self.path("config.toml");
         let text = std::fs::read_to_string(&path).map_err(|e| error(&path, format!("cannot be read: {e}")))?;
         let table = text
             .parse()
             .map_err(|e: toml::de::Error| error(&path, format!("is not valid: {}", one_line(e.message()))))?;
-        Settings::from_table(table).map_err(|e| error(&path, one_line(&e.to_string())))
+        let settings = Settings::from_table(table).and_then(|settings| settings.check().map(|()| settings));
+        settings.map_err(|e| error(&path, one_line(&e.to_string())))
     }
 
     /// Where the semantic head is, if the run has one ([`crate::SemanticHead`]).

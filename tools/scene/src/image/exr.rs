@@ -35,9 +35,13 @@ fn rank(name: &str) -> usize {
     ["R", "G", "B", "A"].iter().position(|&c| c == name).unwrap_or(4)
 }
 
-/// The size and the number of channels, from the header alone.
+/// Bytes of pixels that a byte of the file holds at most: the best of its compressions is deflate, of three bytes in four.
+const RATIO: u64 = 1400;
+
+/// The size and the number of channels, from the header alone. The file is long enough for them.
 fn header(path: &Path) -> Result<(u32, u32, usize)> {
     let file = File::open(path).map_err(io_error("read", path))?;
+    let length = file.metadata().map_err(io_error("read", path))?.len();
     let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| unreadable(path, &e))?;
     let Some(layer) = meta.headers.first() else {
         return Err(SceneError::image(path, "the EXR file has no layer"));
@@ -64,6 +68,9 @@ fn header(path: &Path) -> Result<(u32, u32, usize)> {
     let side = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let (width, height) = (side(data_size.0), side(data_size.1));
     file::check_size(path, width, height)?;
+    let bytes: u64 = layer.channels.list.iter().map(|c| c.sample_type.bytes_per_sample() as u64).sum();
+    let pixels = u64::from(width) * u64::from(height);
+    file::check_held(path, (width, height), pixels.saturating_mul(bytes), length.saturating_mul(RATIO))?;
     Ok((width, height, layer.channels.list.len()))
 }
 

@@ -1,10 +1,11 @@
 //! Reading an image file of any supported kind.
 //!
 //! The kind follows from the extension, because a scene names its files; the decoder then insists that the content
-//! agrees. Decoded sizes are limited, so that a damaged header cannot ask for all of the memory.
+//! agrees. Decoded sizes are limited, and by what the file's bytes can hold at most, so that a damaged header cannot ask for
+//! memory that the picture would not fill.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use ::image::{DynamicImage, ImageFormat, ImageReader, Limits};
@@ -15,6 +16,11 @@ use crate::error::{Result, SceneError, io_error};
 
 /// The most pixels that are believed.
 pub(super) const MAX_PIXELS: u64 = 1 << 28;
+
+/// What a byte of a PNG file holds at most: deflate has two bits for 258 bytes at best.
+const PNG_RATIO: u64 = 1032;
+/// Pixels of a JPEG file that a byte holds at most: a bit for a block of 64, and as much again for odd samplings.
+const JPEG_RATIO: u64 = 1024;
 
 /// What the values of a file mean for colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +64,7 @@ pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
         Kind::Exr => exr::read_size(path),
         Kind::Other(format) => {
             let (width, height) = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
-            check_size(path, width, height)?;
+            check_file(path, format, (width, height))?;
             Ok((width, height))
         }
     }
@@ -75,6 +81,38 @@ pub(super) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
         return Err(SceneError::image(path, problem));
     }
     Ok(())
+}
+
+/// Refuses a picture that takes more bytes than so many in a file can hold at most: it is cut off, or its header is damaged.
+pub(super) fn check_held(path: &Path, (width, height): (u32, u32), bytes: u64, held: u64) -> Result<()> {
+    if bytes <= held {
+        return Ok(());
+    }
+    let problem =
+        format!("the header gives {width}×{height} pixels, which a file as short as this cannot hold; copy it again");
+    Err(SceneError::image(path, problem))
+}
+
+/// Refuses a PNG or JPEG whose header gives an impossible size, or one that the file is too short for.
+fn check_file(path: &Path, format: ImageFormat, (width, height): (u32, u32)) -> Result<()> {
+    check_size(path, width, height)?;
+    let mut file = File::open(path).map_err(io_error("read", path))?;
+    let length = file.metadata().map_err(io_error("read", path))?.len();
+    let pixels = u64::from(width) * u64::from(height);
+    if format != ImageFormat::Png {
+        return check_held(path, (width, height), pixels, length.saturating_mul(JPEG_RATIO));
+    }
+    // Bits of a sample and kind of color, behind the width and height of the first chunk.
+    let mut kind = [0; 2];
+    file.seek(SeekFrom::Start(24)).and_then(|_| file.read_exact(&mut kind)).map_err(io_error("read", path))?;
+    let samples = match kind[1] {
+        2 => 3,
+        4 => 2,
+        6 => 4,
+        _ => 1,
+    };
+    let bytes = pixels * u64::from(kind[0].max(1)) * samples / 8;
+    check_held(path, (width, height), bytes, length.saturating_mul(PNG_RATIO))
 }
 
 fn open(path: &Path, format: ImageFormat) -> Result<ImageReader<BufReader<File>>> {
@@ -96,8 +134,8 @@ fn undecodable(path: &Path, format: ImageFormat, error: &::image::ImageError) ->
 /// Decodes a PNG or JPEG file.
 pub(super) fn decode(path: &Path, format: ImageFormat) -> Result<DynamicImage> {
     // The size is checked before the decoder allocates for it.
-    let (width, height) = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
-    check_size(path, width, height)?;
+    let size = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
+    check_file(path, format, size)?;
     open(path, format)?.decode().map_err(|e| undecodable(path, format, &e))
 }
 
@@ -174,5 +212,41 @@ mod tests {
         std::fs::write(&path, bytes).unwrap();
         let error = read_raster(&path).unwrap_err().to_string();
         assert!(error.contains("65536×65536 pixels, more than an image may have"), "{error}");
+    }
+
+    /// Nor one that promises what is possible, but not in so few bytes.
+    #[test]
+    fn a_file_too_short_for_its_header_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let error = |name: &str, bytes: &[u8]| {
+            let path = directory.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            let (size, read) = (read_size(&path).unwrap_err().to_string(), read_raster(&path).unwrap_err().to_string());
+            assert_eq!(size, read);
+            read
+        };
+        let path = directory.path().join("a.exr");
+        super::super::write_exr(&path, &Image::new(3, 2, 1), &["Y"]).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        for name in [&b"dataWindow"[..], b"displayWindow"] {
+            let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 1 + 6 + 4;
+            bytes[at + 8..at + 16].copy_from_slice(&[0xff, 0x3f, 0, 0, 0xff, 0x3f, 0, 0]);
+        }
+        let exr = error("b.exr", &bytes);
+        let said = "16384×16384 pixels, which a file as short as this cannot hold; copy it again";
+        assert!(exr.contains(said), "{exr}");
+        // Black compresses best: the largest ratio that there is still counts as possible.
+        let black = ::image::GrayImage::new(3000, 3000);
+        let path = directory.path().join("a.png");
+        black.save(&path).unwrap();
+        assert_eq!(read_size(&path).unwrap(), (3000, 3000));
+        let whole = std::fs::read(&path).unwrap();
+        let png = error("b.png", &whole[..4000]);
+        assert!(png.contains("3000×3000 pixels, which a file"), "{png}");
+        let path = directory.path().join("a.jpg");
+        black.save(&path).unwrap();
+        assert_eq!(read_raster(&path).unwrap().0.width, 3000);
+        let jpeg = error("b.jpg", &std::fs::read(&path).unwrap()[..1200]);
+        assert!(jpeg.contains("3000×3000 pixels, which a file"), "{jpeg}");
     }
 }

@@ -1,5 +1,6 @@
 //! The header of a PLY file.
 
+use std::collections::HashSet;
 use std::io::BufRead;
 use std::path::Path;
 
@@ -76,10 +77,12 @@ pub(crate) struct Header {
     pub(crate) end: u64,
 }
 
+#[derive(Default)]
 struct Element {
     name: String,
     count: u64,
     properties: Vec<Property>,
+    names: HashSet<String>,
     list: Option<String>,
 }
 
@@ -120,7 +123,7 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
             }
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| fail(format!("\"{count}\" is not a number of elements")))?;
-                elements.push(Element { name: name.into(), count, properties: Vec::new(), list: None });
+                elements.push(Element { name: name.into(), count, ..Element::default() });
             }
             ["property", "list", _, _, name] => {
                 let element = elements.last_mut().ok_or_else(|| fail("a property stands before any element".into()))?;
@@ -130,7 +133,7 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
                 let element = elements.last_mut().ok_or_else(|| fail("a property stands before any element".into()))?;
                 let scalar = Scalar::parse(kind)
                     .ok_or_else(|| fail(format!("the property \"{name}\" has the unknown type \"{kind}\"")))?;
-                if element.properties.iter().any(|p| p.name == name) {
+                if !element.names.insert(name.into()) {
                     return Err(fail(format!("the property \"{name}\" is declared twice")));
                 }
                 element.properties.push(Property { name: name.into(), scalar });

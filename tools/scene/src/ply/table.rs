@@ -1,5 +1,6 @@
 //! Reading the vertices of a PLY file.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -11,6 +12,8 @@ use crate::error::{Result, SceneError, io_error};
 pub(crate) struct VertexTable {
     path: PathBuf,
     header: Header,
+    /// The positions of the properties.
+    places: HashMap<String, usize>,
     reader: BufReader<File>,
 }
 
@@ -21,7 +24,8 @@ impl VertexTable {
         let size = file.metadata().map_err(io_error("read", path))?.len();
         let mut reader = BufReader::with_capacity(1 << 16, file);
         let header = header::read(path, &mut reader)?;
-        let table = Self { path: path.to_path_buf(), header, reader };
+        let places = header.properties.iter().enumerate().map(|(i, p)| (p.name.clone(), i)).collect();
+        let table = Self { path: path.to_path_buf(), header, places, reader };
         table.check_size(size)?;
         Ok(table)
     }
@@ -62,7 +66,7 @@ impl VertexTable {
 
     /// The position of a property.
     pub(crate) fn find(&self, name: &str) -> Option<usize> {
-        self.header.properties.iter().position(|p| p.name == name)
+        self.places.get(name).copied()
     }
 
     /// The positions of all of `names`, or `None` when one is missing.
@@ -142,7 +146,7 @@ struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     fn new(table: &'a mut VertexTable) -> Result<Self> {
-        let VertexTable { path, header, reader } = table;
+        let VertexTable { path, header, reader, .. } = table;
         let mut offset = 0;
         let mut layout = Vec::with_capacity(header.properties.len());
         for property in &header.properties {

@@ -114,7 +114,7 @@ impl Watch {
 
     /// Whether training is known to have gone well from the proposed checkpoint on, for a whole block; then there may be another.
     pub fn vouched_for(&mut self) -> bool {
-        let good = self.proposed > 0 && self.good_until >= self.proposed + self.block;
+        let good = self.proposed > 0 && self.good_until >= self.proposed.saturating_add(self.block);
         if good {
             self.proposed = 0;
         }
@@ -149,17 +149,18 @@ impl Watch {
     /// Takes notice of a step; what is wrong, if training has diverged.
     pub fn see(&mut self, seen: &Seen) -> Option<String> {
         let Seen { step, view, loss, l1, skipped, of, rates } = *seen;
-        if step == self.begun + 1 {
+        if step == self.begun.saturating_add(1) {
             self.reference[view] = Some(f64::from(loss));
         }
         let sum = &mut self.sums[view];
-        (sum.loss, sum.l1, sum.times) = (sum.loss + f64::from(loss), sum.l1 + f64::from(l1), sum.times + 1);
+        (sum.loss, sum.l1, sum.times) =
+            (sum.loss + f64::from(loss), sum.l1 + f64::from(l1), sum.times.saturating_add(1));
         let more = skipped.wrapping_sub(std::mem::replace(&mut self.skipped, skipped));
-        self.bad = [self.bad[0] + u64::from(more), self.bad[1] + u64::from(of)];
+        self.bad = [self.bad[0].saturating_add(more.into()), self.bad[1].saturating_add(of.into())];
         if !step.is_multiple_of(self.block) {
             return None;
         }
-        let wrong = (step >= self.begun + GRACE + self.block).then(|| self.judge(step, rates)).flatten();
+        let wrong = (step >= self.begun.saturating_add(GRACE + self.block)).then(|| self.judge(step, rates)).flatten();
         self.clear();
         wrong
     }
@@ -189,7 +190,7 @@ impl Watch {
         let [now, then, of, all] = known;
         let far = l1 > FAR * plain;
         let worse = now > WORSE * then && all * of > WORSE_OF_PLAIN * then * plain * views;
-        let stuck = self.bad[1] > 0 && 2 * self.bad[0] > self.bad[1];
+        let stuck = self.bad[1] > 0 && self.bad[0] > self.bad[1] / 2;
         let rough = rates > ROUGH;
         let steps = self.block;
         if far && (worse || rough) {

@@ -145,3 +145,15 @@ fn what_is_held_back_is_not_judged() {
     assert_eq!(run(&mut w, 1..=60, 0.1, 0.1, 0), None);
     assert_eq!(run(&mut w, 61..=900, 0.9, 0.9, 4), None);
 }
+
+#[test]
+fn numbers_that_no_training_has_come_to_nothing_worse() {
+    let mut w = watch(2);
+    let most = "ffffffffffffffff";
+    let text = [most; 13].join(" ");
+    assert!(w.restore(&text));
+    for step in [1, 2, 59, 60, u32::MAX - 1, u32::MAX] {
+        w.see(&Seen { step, view: 0, loss: 0.1, l1: 0.1, skipped: 1, of: 1, rates: 1.0 });
+        w.vouched_for();
+    }
+}

@@ -9,7 +9,7 @@ use std::path::Path;
 const FORMAT: &str = "sgs-lights-1";
 
 /// Most lights and lobes that a file may hold.
-const MOST: usize = 1 << 16;
+pub(crate) const MOST: usize = 1 << 16;
 
 /// `lights.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -18,8 +18,8 @@ mod state;
 mod surfaces;
 mod values;
 
-pub(crate) use files::raw_lobe;
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+pub(crate) use files::{MOST as MOST_LIGHTS, raw_lobe};
 pub use needs::IntrinsicNeeds;
 pub(crate) use values::field_box;
 

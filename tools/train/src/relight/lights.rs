@@ -4,7 +4,7 @@
 
 use super::edit::{LightEdit, NewLight};
 use crate::error::{Result, TrainError};
-use crate::intrinsic::{LightFile, LightRow, LobeRow};
+use crate::intrinsic::{LightFile, LightRow, LobeRow, MOST_LIGHTS};
 use glam::DVec3;
 
 /// Sharpness of the lobe that stands for a cosine.
@@ -54,7 +54,11 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
     for new in &edit.add {
         let mut rows = new_light(new, file.normalizer)?;
         file.lights.append(&mut rows);
+        if file.lights.len() > MOST_LIGHTS {
+            return Err(TrainError::Setting(format!("The edit leads to more lights than {MOST_LIGHTS}.")));
+        }
     }
+    file.check().map_err(|wrong| TrainError::Setting(format!("The edit leads to lights that cannot be: {wrong}.")))?;
     Ok(Some(file).filter(|f| !f.lights.is_empty()))
 }
 

@@ -23,9 +23,11 @@ pub use lamps::Lamp;
 pub use live::{Relighter, source_of};
 pub use select::Selector;
 pub use truth::evaluate_relit;
+pub(crate) use truth::{true_edit_of, true_lights_of};
 
 use crate::error::{Result, TrainError};
-use crate::shaded::{RunLight, Visibility, shaded_scene};
+use crate::intrinsic::LightFile;
+use crate::shaded::{RunLight, Texels, Visibility, shaded_scene};
 use crate::shadows::Rays;
 use sgs_engine::Device;
 use sgs_passes::pipeline::ShadedScene;
@@ -86,4 +88,18 @@ impl Relit {
         let RunLight { lights, environment, visibility } = &self.light;
         shaded_scene(device, &self.splats, lights.as_ref(), environment.as_ref(), visibility)
     }
+}
+
+/// Lights and surroundings after an edit, without what it says of Gaussians.
+///
+/// # Errors
+/// If it names what is not there.
+pub(crate) fn edited_light_of(
+    edit: &Edit,
+    lights: LightFile,
+    environment: Texels,
+) -> Result<(Option<LightFile>, Option<Texels>)> {
+    let lights = lights::edit_lights(&edit.lights, Some(lights))?;
+    let size = environment.size;
+    Ok((lights, environment::edit_environment(&edit.environment, Some(environment), size)?))
 }

@@ -5,11 +5,13 @@
 //! A set that changes the materials of an instance is measured under the true lights of the photographs, and, by its name
 //! and [`LEARNED`], under all that was learned. Sets whose lights are not known, or that show another edit, are left out.
 
+use super::lights::edit_lights;
 use super::select::of_region_everywhere;
 use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, MaterialValues, NewLight, Relit, Selector, Where};
 use crate::error::{Result, TrainError};
 use crate::evaluate::Evaluation;
 use crate::evaluate_shaded::{ShadedMetrics, mean, measure_relit};
+use crate::intrinsic::LightFile;
 use crate::shaded::{RunLight, Shading, Visibility};
 use serde::Deserialize;
 use sgs_engine::Device;
@@ -104,6 +106,23 @@ fn read<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
     let wrong = |reason: String| TrainError::File { path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
     serde_json::from_str(&text).map_err(|e| wrong(format!("not {what}: {e}")))
+}
+
+/// The true lights of the photographs and of all relit sets as lights of a run, as far as it is known how bright they are.
+pub(crate) fn true_lights_of(path: &Path) -> Result<Option<LightFile>> {
+    let known: TrueLights = read(path, "lights")?;
+    let mut lights = None;
+    for edit in known.relight.values().chain([&known.training]).filter_map(|set| edit_of(set)) {
+        edit.check().map_err(|reason| TrainError::File { path: path.to_owned(), reason })?;
+        lights = edit_lights(&edit.lights, lights)?;
+    }
+    Ok(lights)
+}
+
+/// Whether a file of a relit set says what became of materials.
+pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
+    let said: serde_json::Value = read(path, "an edit")?;
+    Ok(serde_json::from_value::<Painted>(said).is_ok())
 }
 
 /// Measures a run under the true lights of each relit set, at views of which an evaluation has metrics already.

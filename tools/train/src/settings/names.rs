@@ -60,8 +60,15 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
     Ok(())
 }
 
+/// Names that are longer are not compared.
+const MOST_LETTERS: usize = 100;
+
 /// The setting whose name, or its last part, is closest to what was written, if any is close.
 fn nearest(name: &str, all: &toml::Table) -> Option<String> {
+    // Longer than any setting, and long to compare.
+    if name.len() > MOST_LETTERS {
+        return None;
+    }
     fn collect(prefix: &str, table: &toml::Table, names: &mut Vec<String>) {
         for (key, value) in table {
             match value {
@@ -106,7 +113,8 @@ pub(super) fn word(table: &toml::Table, refuse: impl Fn(toml::Table) -> Option<t
         if known.is_empty() {
             return Some(format!("\"{name}\" is wrong: {}.", one_line(error.message())));
         }
-        let near = known.iter().map(|k| (distance(&word, k), *k)).min().filter(|(far, _)| *far <= 2);
+        let alike = known.iter().filter(|_| word.len() <= MOST_LETTERS);
+        let near = alike.map(|k| (distance(&word, k), *k)).min().filter(|(far, _)| *far <= 2);
         let hint = near.map_or_else(String::new, |(_, k)| format!("; did you mean \"{k}\"?"));
         let all: Vec<String> = known.iter().map(|k| format!("\"{k}\"")).collect();
         let end = if hint.is_empty() { "." } else { "" };

@@ -1,0 +1,98 @@
+//! Whole files: those that lie around a damaged one, and those that the corpus begins with.
+
+mod binary;
+mod corpus;
+mod text;
+
+pub(crate) use binary::{exr_sky, png};
+pub use corpus::write_seeds;
+pub(crate) use text::{LIGHTS, SETTINGS, SPLATS_ASCII, unsized_transforms};
+
+use crate::place::Place;
+use text::*;
+
+/// The binary form of COLMAP's files.
+pub(crate) const COLMAP: bool = true;
+/// Their form as text.
+pub(crate) const TEXT: bool = false;
+
+/// Two photographs with a transforms file, a split and names of classes.
+pub(crate) fn scene(place: &Place) {
+    place.put("transforms.json", TRANSFORMS.as_bytes());
+    place.put("split.json", SPLIT.as_bytes());
+    place.put("priors/priors.json", PRIORS.as_bytes());
+    place.put("priors/semantic/labels.json", LABELS.as_bytes());
+    place.put("priors/semantic/text_embeddings.npy", &binary::npy("<f4", &[2, 3], 4));
+    place.put("priors/semantic/000.npy", &binary::npy("<f2", &[2, 3, 3], 2));
+    place.put("images/000.png", &png(8, 6));
+    place.put("images/001.png", &png(8, 6));
+}
+
+/// The same with held-out frames in a file of their own.
+pub(crate) fn scene_held_out(place: &Place) {
+    scene(place);
+    place.put("split.json", br#"{"train": ["000", "001"], "test": ["002", "003"]}"#);
+    place.put("transforms_test.json", HELD_OUT.as_bytes());
+    place.put("images/002.png", &png(8, 6));
+    place.put("images/003.jpg", &binary::jpeg(8, 6));
+}
+
+/// TensoIR's layout.
+pub(crate) fn blender(place: &Place) {
+    place.put("transforms_train.json", BLENDER.as_bytes());
+    place.put("transforms_test.json", &BLENDER.replace("train_", "test_").into_bytes());
+    for folder in ["train_000", "train_001", "test_000", "test_001"] {
+        for name in ["rgba", "albedo", "normal", "rgba_sunset"] {
+            place.put(&format!("{folder}/{name}.png"), &binary::rgba(8, 6));
+        }
+    }
+}
+
+/// InteriorVerse's layout.
+pub(crate) fn interiorverse(place: &Place) {
+    place.put("transforms.json", INTERIORVERSE.as_bytes());
+    for number in ["000", "001"] {
+        for kind in ["im", "albedo", "normal", "material"] {
+            place.put(&format!("{number}_{kind}.exr"), &binary::exr(8, 6, &["R", "G", "B"], true));
+        }
+        place.put(&format!("{number}_depth.exr"), &binary::exr(8, 6, &["Y"], false));
+        place.put(&format!("{number}_mask.png"), &binary::gray(8, 6));
+    }
+}
+
+/// FIPT's layout of real captures.
+pub(crate) fn fipt(place: &Place) {
+    place.put("cam.txt", FIPT_CAMERAS.as_bytes());
+    place.put("K_list.txt", FIPT_MATRICES.as_bytes());
+    for number in ["000", "001"] {
+        place.put(&format!("Image/{number}_0001.exr"), &binary::exr(8, 6, &["R", "G", "B"], true));
+    }
+}
+
+/// FIPT's layout of synthetic scenes.
+pub(crate) fn fipt_synthetic(place: &Place) {
+    for split in ["train", "val"] {
+        place.put(&format!("{split}/transforms.json"), FIPT_TRANSFORMS.as_bytes());
+        for number in ["000", "001"] {
+            for folder in ["Image", "DiffCol", "Roughness"] {
+                let exr = binary::exr(8, 6, &["R", "G", "B"], false);
+                place.put(&format!("{split}/{folder}/{number}_0001.exr"), &exr);
+            }
+        }
+    }
+}
+
+/// A model of COLMAP.
+pub(crate) fn colmap(place: &Place, binary: bool) {
+    if binary {
+        place.put("sparse/0/cameras.bin", &binary::colmap_cameras());
+        place.put("sparse/0/images.bin", &binary::colmap_images());
+        place.put("sparse/0/points3D.bin", &binary::colmap_points());
+    } else {
+        place.put("sparse/0/cameras.txt", COLMAP_CAMERAS.as_bytes());
+        place.put("sparse/0/images.txt", COLMAP_IMAGES.as_bytes());
+        place.put("sparse/0/points3D.txt", COLMAP_POINTS.as_bytes());
+    }
+    place.put("images/000.png", &png(8, 6));
+    place.put("images/001.png", &png(8, 6));
+}

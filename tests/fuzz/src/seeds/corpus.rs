@@ -1,0 +1,276 @@
+//! What the corpus begins with. `sgs-fuzz seeds` writes it; what campaigns have found is beside it and stays.
+
+use super::binary::{self, exr, npy, splats};
+use super::text::*;
+use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+use sgs_provider::{Array, Kind, Message};
+use sgs_scene::Splats;
+use sgs_train::{LightFile, SemanticHead, VisibilityFile, write_exchange};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+type Files = Vec<(&'static str, &'static str, Vec<u8>)>;
+
+/// Writes the files that the corpus begins with below a folder.
+///
+/// # Errors
+/// If one cannot be written.
+pub fn write_seeds(corpus: &Path) -> std::io::Result<()> {
+    let mut files = texts();
+    files.extend(pictures());
+    files.extend(models());
+    files.extend(tensors());
+    files.extend(said());
+    for (target, name, bytes) in files {
+        let folder = corpus.join(target);
+        std::fs::create_dir_all(&folder)?;
+        std::fs::write(folder.join(name), bytes)?;
+    }
+    Ok(())
+}
+
+fn texts() -> Files {
+    let all: &[(&str, &str, &str)] = &[
+        ("transforms", "two.json", TRANSFORMS),
+        ("transforms", "held_out.json", HELD_OUT),
+        ("transforms_held_out", "two.json", HELD_OUT),
+        ("cameras", "two.json", TRANSFORMS),
+        ("cameras", "angle.json", HELD_OUT),
+        ("blender", "two.json", BLENDER),
+        ("interiorverse", "two.json", INTERIORVERSE),
+        ("fipt_transforms", "two.json", FIPT_TRANSFORMS),
+        ("fipt_cameras", "two.txt", FIPT_CAMERAS),
+        ("fipt_matrices", "two.txt", FIPT_MATRICES),
+        ("split", "two.json", SPLIT),
+        ("split", "held_out.json", "{\"train\": [\"001\"], \"test\": [\"000\"]}"),
+        ("priors", "opencv.json", PRIORS),
+        ("priors", "none.json", "{}"),
+        ("labels", "two.json", LABELS),
+        ("colmap_cameras_txt", "three.txt", COLMAP_CAMERAS),
+        ("colmap_images_txt", "two.txt", COLMAP_IMAGES),
+        ("colmap_points_txt", "three.txt", COLMAP_POINTS),
+        ("splats_ply", "ascii.ply", SPLATS_ASCII),
+        ("points_ply", "ascii.ply", POINTS_ASCII),
+        ("lights", "three.json", LIGHTS),
+        ("lights_beside", "three.json", LIGHTS),
+        ("edit", "add.json", EDITS[0]),
+        ("edit", "change.json", EDITS[1]),
+        ("edit", "file.json", EDITS[2]),
+        ("true_lights", "sets.json", TRUE_LIGHTS),
+        ("true_edit", "paint.json", TRUE_EDIT),
+        ("settings", "some.toml", SETTINGS),
+        (
+            "settings",
+            "accuracy.toml",
+            "[accuracy]\n[noise]\n[memory]\nbudget = 1073741824\n[geometry.pseudo]\n[intrinsic]\nsteps = 5\n",
+        ),
+        ("settings", "auto.toml", "[geometry]\nsh_degree = \"auto\"\n"),
+        ("run_settings", "some.toml", SETTINGS),
+        ("metrics", "test.json", METRICS),
+        ("training", "whole.json", TRAINING),
+        ("profile", "passes.json", PROFILE),
+        ("run_log", "two_stages.jsonl", LOG),
+        ("bytes", "short.txt", "4G"),
+        ("bytes", "long.txt", " 1.5 KiB"),
+        ("provider_command", "words.txt", "python3 -m sgs_priors --set 'a b' \"c\\\"d\" e\\ f"),
+    ];
+    all.iter().map(|(target, name, text)| (*target, *name, text.as_bytes().to_vec())).collect()
+}
+
+fn pictures() -> Files {
+    let tiled = Encoding {
+        compression: Compression::PIZ,
+        blocks: Blocks::Tiles(Vec2(4, 4)),
+        line_order: LineOrder::Unspecified,
+    };
+    let as_is = |compression| Encoding { compression, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+    let rgb = ["R", "G", "B"];
+    let mut files = vec![
+        ("photograph_png", "rgb.png", binary::png(8, 6)),
+        ("photograph_png", "rgba.png", binary::rgba(5, 4)),
+        ("photograph_png", "gray16.png", binary::gray16(4, 3)),
+        ("photograph_png", "gray_alpha.png", binary::gray_alpha(4, 3)),
+        ("photograph_jpeg", "rgb.jpg", binary::jpeg(16, 12)),
+        ("photograph_jpeg", "gray.jpg", binary::jpeg_gray(9, 7)),
+        ("map_png", "rgb.png", binary::png(8, 6)),
+        ("map_png", "gray.png", binary::gray(8, 6)),
+        ("map_png", "gray16.png", binary::gray16(8, 6)),
+        ("map_png", "rgba.png", binary::rgba(4, 3)),
+        ("environment", "sky.exr", binary::exr_sky()),
+        ("environment", "alpha.exr", exr(4, 2, &["R", "G", "B", "A"], false)),
+        ("map_exr", "rgb.exr", exr(8, 6, &rgb, true)),
+        ("map_exr", "one.exr", exr(8, 6, &["Y"], false)),
+        ("map_exr", "halves.exr", binary::exr_as(8, 6, &["R", "G", "B", "A"], as_is(Compression::ZIP1), true)),
+        ("map_npy", "rgb.npy", npy("<f4", &[6, 8, 3], 4)),
+        ("map_npy", "planar.npy", npy("<f2", &[3, 6, 8], 2)),
+        ("map_npy", "plane.npy", npy("|u1", &[6, 8], 1)),
+        ("map_npy", "whole.npy", npy("<i8", &[2, 3], 8)),
+        ("map_npy", "double.npy", npy("<f8", &[2, 3, 3], 8)),
+    ];
+    let kinds = [
+        ("zip.exr", as_is(Compression::ZIP16), false),
+        ("rle.exr", as_is(Compression::RLE), true),
+        ("piz.exr", as_is(Compression::PIZ), true),
+        ("pxr24.exr", as_is(Compression::PXR24), false),
+        ("b44.exr", as_is(Compression::B44), true),
+        ("tiled.exr", tiled, true),
+    ];
+    for (name, encoding, halves) in kinds {
+        files.push(("photograph_exr", name, binary::exr_as(8, 6, &rgb, encoding, halves)));
+    }
+    files
+}
+
+fn models() -> Files {
+    let own = ["albedo_0", "albedo_1", "albedo_2", "roughness", "metallic", "semantic_0", "semantic_1"];
+    let r3dg = ["base_color_0", "base_color_1", "base_color_2", "roughness"];
+    let gs_ir = ["normal_0", "normal_1", "normal_2", "albedo_0", "albedo_1", "albedo_2", "roughness", "metallic"];
+    let points = "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+                  property float nx\nproperty float ny\nproperty float nz\nproperty float red\nproperty float green\n\
+                  property float blue\nend_header\n";
+    let numbers = (0..18).flat_map(|i| (0.05 * i as f32).to_le_bytes());
+    let mut files = vec![
+        ("splats_ply", "own.ply", splats(1, false, &own)),
+        ("splats_ply", "plain.ply", splats(3, false, &[])),
+        ("splats_ply", "r3dg.ply", splats(0, true, &r3dg)),
+        ("splats_ply", "gs_ir.ply", splats(2, false, &gs_ir)),
+        ("splats_ply", "mesh2splat.ply", splats(0, false, &["metallicFactor", "roughnessFactor"])),
+        ("points_ply", "binary.ply", points.bytes().chain(numbers).collect()),
+        ("colmap_cameras_bin", "three.bin", binary::colmap_cameras()),
+        ("colmap_images_bin", "two.bin", binary::colmap_images()),
+        ("colmap_points_bin", "two.bin", binary::colmap_points()),
+    ];
+    // What this project writes.
+    let folder = crate::Place::new();
+    let ply = folder.put("own.ply", &splats(1, false, &own));
+    let read = Splats::read_ply(&ply).expect("splats are whole");
+    let lights: LightFile = serde_json::from_str(LIGHTS).expect("lights are whole");
+    let glb = folder.path("scene.glb");
+    write_exchange(&glb, &read, None, Some(&lights), None).expect("glTF is written");
+    files.push(("gltf", "own.glb", std::fs::read(&glb).expect("it is there")));
+    let gltf = folder.path("scene.gltf");
+    write_exchange(&gltf, &read, None, None, None).expect("glTF is written");
+    files.push(("gltf", "beside.gltf", std::fs::read(&gltf).expect("it is there")));
+    files
+}
+
+/// A safetensors file.
+fn tensor_file(tensors: &[(&str, Vec<usize>, f32)], meta: &[(&str, &str)]) -> Vec<u8> {
+    let data: Vec<Vec<u8>> =
+        tensors.iter().map(|(_, shape, v)| v.to_le_bytes().repeat(shape.iter().product())).collect();
+    let views = tensors.iter().zip(&data).map(|((name, shape, _), data)| {
+        ((*name).to_owned(), TensorView::new(Dtype::F32, shape.clone(), data).expect("shapes fit"))
+    });
+    let meta: HashMap<String, String> = meta.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+    safetensors::serialize(views, Some(meta)).expect("tensors are written")
+}
+
+fn tensors() -> Files {
+    let folder = crate::Place::new();
+    let decoder = vec![0.01; 512 * 33];
+    let data = (0..2 * 512).map(|i| (i % 7) as f32).collect();
+    let text = sgs_scene::TextEmbeddings { labels: vec!["wall".into(), "floor".into()], channels: 512, data };
+    let head = folder.path("head");
+    SemanticHead { decoder, text, temperature: 0.1 }.save(&head).expect("a head is written");
+    let field = folder.path("field");
+    let config = sgs_passes::shade::visibility::FieldConfig { levels: 2, log2_table: 8, coarsest: 2, finest: 8 };
+    let (tables, mlp) = (config.initial_tables(1), config.initial_weights(1));
+    let made = VisibilityFile { config, low: [-1.0; 3], high: [1.0; 3], tables, mlp };
+    made.save(&field).expect("a field is written");
+    let read = |path| std::fs::read(path).expect("it is there");
+    // AlexNet's shapes without numbers, which zeros stand for; the last head is missing.
+    let alex = [("0", [64, 3, 11, 11]), ("3", [192, 64, 5, 5]), ("6", [384, 192, 3, 3])];
+    let mut header = serde_json::json!({"__metadata__": {"format": "sgs-lpips-1", "net": "alex"}});
+    let mut at = 0;
+    for (number, shape) in alex {
+        for (name, shape) in [("weight", shape.to_vec()), ("bias", vec![shape[0]])] {
+            let end = at + 4 * shape.iter().product::<usize>();
+            header[format!("features.{number}.{name}")] =
+                serde_json::json!({"dtype": "F32", "shape": shape, "data_offsets": [at, end]});
+            at = end;
+        }
+    }
+    let header = header.to_string();
+    let mut lpips = (header.len() as u64).to_le_bytes().to_vec();
+    lpips.extend(header.bytes());
+    let watch = "0 0 0 0 0 3fe0000000000000 3fd0000000000000 1 ffffffffffffffff 0 0 0 3fe0000000000000";
+    let roll_backs = "[{\"step\":30,\"to\":20,\"rates\":0.5}]";
+    let meta =
+        [("format", "sgs-geometry-1"), ("step", "40"), ("capacity", "8"), ("watch", watch), ("roll_backs", roll_backs)];
+    let mut groups = Vec::new();
+    for (name, width) in [("means", 3), ("log_scales", 3), ("rotations", 4), ("opacity_logits", 1), ("sh0", 3)] {
+        groups.push((name, vec![2, width], 0.5));
+    }
+    let mut state = groups.clone();
+    let moments: Vec<String> = groups.iter().map(|(name, _, _)| format!("{name}_moments")).collect();
+    for (name, (_, shape, _)) in moments.iter().zip(&groups) {
+        state.push((name.as_str(), vec![shape[0], shape[1], 2], 0.0));
+    }
+    state.push(("statistics", vec![2, 3], 0.0));
+    vec![
+        ("head", "two.safetensors", read(head)),
+        ("visibility", "small.safetensors", read(field)),
+        ("lpips", "alex.safetensors", lpips),
+        ("checkpoint", "plain.safetensors", tensor_file(&state, &meta)),
+    ]
+}
+
+fn message(text: &serde_json::Value, arrays: &[(&str, Kind, &[usize])]) -> Vec<u8> {
+    let array = |kind: Kind, shape: &[usize]| {
+        let bytes = shape.iter().product::<usize>() * kind.size();
+        Array { kind, shape: shape.to_vec(), bytes: vec![0; bytes] }
+    };
+    let arrays = arrays.iter().map(|(name, kind, shape)| ((*name).to_owned(), array(*kind, shape)));
+    Message { text: text.clone(), arrays: arrays.collect::<BTreeMap<_, _>>() }.encode().expect("a message is written")
+}
+
+/// What well-behaved providers say.
+fn said() -> Files {
+    use serde_json::json;
+    let hello = json!({"kind": "hello", "version": 1, "name": "a stand-in", "offers": {
+        "masks": {}, "regions": {"ids": "scene", "max_side": 8}, "normals": {"image": "linear"}, "semantics": {"channels": 4},
+        "text": {"channels": 4}, "classes": {}, "materials": {"maps": ["albedo", "roughness", "metallic"]}}});
+    let answer = |extra: serde_json::Value| {
+        let mut text = json!({"kind": "answer", "to": 1});
+        for (name, value) in extra.as_object().into_iter().flatten() {
+            text[name.as_str()] = value.clone();
+        }
+        text
+    };
+    let materials =
+        [("albedo", Kind::F32, &[9, 12, 3][..]), ("roughness", Kind::F32, &[9, 12]), ("metallic", Kind::F32, &[9, 12])];
+    let answers = [
+        message(&answer(json!({})), &[("masks", Kind::Bool, &[3, 9, 12])]),
+        message(&answer(json!({})), &[("regions", Kind::U16, &[6, 8])]),
+        message(&answer(json!({"frame": "world"})), &[("normals", Kind::F32, &[9, 12, 3])]),
+        message(&answer(json!({})), &[("features", Kind::F16, &[2, 3, 4])]),
+        message(&answer(json!({"names": ["wall", "floor"]})), &[("embeddings", Kind::F32, &[2, 4])]),
+        message(&answer(json!({"names": ["wall", "lamp"]})), &[]),
+        message(&answer(json!({"color": "srgb"})), &materials),
+    ];
+    let names =
+        ["masks.bin", "regions.bin", "normals.bin", "semantics.bin", "text.bin", "classes.bin", "materials.bin"];
+    let hello = message(&hello, &[]);
+    let framed = |payload: &[u8]| {
+        let mut out = b"SGSP".to_vec();
+        out.extend((payload.len() as u64).to_le_bytes());
+        out.extend(payload);
+        out
+    };
+    let mut files: Files = vec![("provider_message", "hello.bin", hello.clone())];
+    for (i, (name, payload)) in names.into_iter().zip(answers).enumerate() {
+        files.push(("provider_message", name, payload.clone()));
+        let mut stream = vec![i as u8];
+        stream.extend(framed(&hello));
+        stream.extend(framed(&payload));
+        files.push(("provider_talk", name, stream));
+    }
+    let refused = message(&json!({"kind": "error", "to": 1, "text": "no\nmemory"}), &[]);
+    let mut stream = vec![2];
+    stream.extend(framed(&hello));
+    stream.extend(framed(&refused));
+    files.push(("provider_talk", "refused.bin", stream));
+    files
+}

@@ -1,0 +1,88 @@
+//! Photographs, and maps as priors and ground truth of every kind.
+
+use super::look;
+use super::said;
+use crate::place::Place;
+use crate::seeds;
+use sgs_scene::{NpyArray, read_exr, read_ids};
+use std::path::Path;
+
+/// A scene whose first photograph is this; its camera takes its size from it.
+fn photograph(name: &'static str, file: &str, bytes: &[u8]) -> String {
+    let place = Place::of(name, |place| {
+        place.put("split.json", br#"{"train": ["000"], "test": ["other"]}"#);
+        place.put("other.png", &seeds::png(8, 6));
+    });
+    place.put("transforms.json", seeds::unsized_transforms(file).as_bytes());
+    place.put(&format!("images/{file}"), bytes);
+    look::scene(&place.path(""))
+}
+
+pub(crate) fn photograph_png(bytes: &[u8]) -> String {
+    photograph("photograph_png", "000.png", bytes)
+}
+
+pub(crate) fn photograph_jpeg(bytes: &[u8]) -> String {
+    photograph("photograph_jpeg", "000.jpg", bytes)
+}
+
+pub(crate) fn photograph_exr(bytes: &[u8]) -> String {
+    photograph("photograph_exr", "000.exr", bytes)
+}
+
+/// A scene in which these bytes are every map that a view may have.
+fn maps(name: &'static str, extension: &str, bytes: &[u8]) -> (String, std::rc::Rc<Place>) {
+    let place = Place::of(name, seeds::scene);
+    let folders: &[&str] = match extension {
+        "npy" => &["priors/normal", "priors/albedo", "priors/roughness", "priors/semantic"],
+        "png" => &["priors/normal", "priors/albedo", "priors/masks", "priors/masks/pseudo", "gt/albedo", "gt/semantic"],
+        _ => &["priors/normal", "priors/albedo", "priors/metallic", "gt/depth", "gt/normal", "gt/mask", "gt/relit/day"],
+    };
+    for folder in folders {
+        place.put(&format!("{folder}/000.{extension}"), bytes);
+    }
+    (look::scene(&place.path("")), place)
+}
+
+/// A scene of InteriorVerse in which these bytes are what lies beside a view.
+fn beside(bytes: &[u8]) -> String {
+    let place = Place::of("map_exr_beside", seeds::interiorverse);
+    for kind in ["albedo", "normal", "depth", "material", "mask"] {
+        place.put(&format!("000_{kind}.exr"), bytes);
+    }
+    look::scene(&place.path(""))
+}
+
+pub(crate) fn map_exr(bytes: &[u8]) -> String {
+    let (words, place) = maps("map_exr", "exr", bytes);
+    let read = said(read_exr(&place.path("priors/normal/000.exr")), |exr| {
+        assert!(exr.image.check().is_ok() && exr.names.len() == exr.image.channels as usize, "sizes fit");
+        exr.names.join(" ")
+    });
+    format!("{words} {read} {}", beside(bytes))
+}
+
+pub(crate) fn map_png(bytes: &[u8]) -> String {
+    let (words, place) = maps("map_png", "png", bytes);
+    let read = said(read_ids(&place.path("priors/masks/000.png")), |(width, height, ids)| {
+        assert_eq!(ids.len() as u64, u64::from(width) * u64::from(height), "sizes fit");
+        "ids".into()
+    });
+    words + &read
+}
+
+pub(crate) fn map_npy(bytes: &[u8]) -> String {
+    let (words, place) = maps("map_npy", "npy", bytes);
+    let array = |path: &Path| {
+        said(NpyArray::read(path), |array| {
+            let count = array.shape.iter().product::<usize>();
+            assert!(array.to_f32().len() == count && array.to_f16().len() == count, "sizes fit");
+            said(array.to_image(), |image| format!("{}", image.channels.min(9)))
+        })
+    };
+    let words = words + &array(&place.path("priors/albedo/000.npy"));
+    // The same as embeddings of classes.
+    let texts = Place::of("map_npy_texts", seeds::scene);
+    texts.put("priors/semantic/text_embeddings.npy", bytes);
+    words + &look::scene(&texts.path(""))
+}

@@ -1,0 +1,80 @@
+//! Lamps, surroundings, and edits of them.
+
+use super::said;
+use crate::place::Place;
+use crate::seeds;
+use sgs_scene::read_environment;
+use sgs_train::{Edit, LightFile, fuzzed, read_exchange, read_light, read_lights};
+
+/// What holds for all lamps that are read.
+fn sound(lights: &LightFile) -> String {
+    let (model, positions, lobes, gains) = lights.raw();
+    assert_eq!((positions.len(), gains.len()), (3 * model.lights as usize, model.lights as usize), "lights fit");
+    assert!(lobes.iter().chain(&positions).chain(&gains).all(|v| v.is_finite()), "lights are finite");
+    format!("{} lights of {} lobes", model.lights.min(4), model.lobes.min(4))
+}
+
+pub(crate) fn lights(bytes: &[u8]) -> String {
+    let place = Place::of("lights", |_| ());
+    said(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
+}
+
+/// Lamps beside a PLY file.
+pub(crate) fn lights_beside(bytes: &[u8]) -> String {
+    let place = Place::of("lights_beside", |place| {
+        place.put("scene.ply", seeds::SPLATS_ASCII.as_bytes());
+    });
+    place.put("scene.lights.json", bytes);
+    let path = place.path("scene.ply");
+    let all = said(read_exchange(&path), |e| e.lights.as_ref().map_or_else(String::new, sound));
+    all + &said(read_light(&path, 16), |light| format!("{}", light.lights.is_some()))
+}
+
+pub(crate) fn environment(bytes: &[u8]) -> String {
+    let place = Place::of("environment", |place| {
+        place.put("scene.ply", seeds::SPLATS_ASCII.as_bytes());
+    });
+    let path = place.put("scene.environment.exr", bytes);
+    let words = said(read_environment(&path), |image| {
+        assert!(
+            image.check().is_ok() && image.data.iter().all(|v| v.is_finite() && *v >= 0.0),
+            "light is no less than none"
+        );
+        format!("{}", image.width.min(9))
+    });
+    words
+        + &said(read_light(&place.path("scene.ply"), 16), |light| {
+            let texels = light.environment.map_or_else(Vec::new, |e| e.data);
+            assert!(texels.iter().all(|v| v.is_finite()), "surroundings are finite");
+            format!("{}", texels.len())
+        })
+}
+
+/// An edit, as a file and as text, and what it makes of three lamps and of surroundings.
+pub(crate) fn edit(bytes: &[u8]) -> String {
+    let place = Place::of("edit", |place| {
+        place.put("lights.json", seeds::LIGHTS.as_bytes());
+        place.put("sky.exr", &seeds::exr_sky());
+    });
+    let file = said(Edit::read(&place.put("edit.json", bytes)), |edit| {
+        let lights = read_lights(&place.path("lights.json")).expect("the lights are whole");
+        said(fuzzed::edited_light(&edit, lights), |(lights, texels)| {
+            let lights = lights.as_ref().map_or_else(String::new, sound);
+            format!("{lights} {}", texels.is_some())
+        })
+    });
+    let text = String::from_utf8_lossy(bytes);
+    file + &said(Edit::parse(&text, &place.path("")), |edit| format!("{}", edit.insert.len().min(3)))
+}
+
+pub(crate) fn true_lights(bytes: &[u8]) -> String {
+    let place = Place::of("true_lights", |_| ());
+    said(fuzzed::true_lights(&place.put("lights.json", bytes)), |lights| {
+        lights.as_ref().map_or_else(String::new, sound)
+    })
+}
+
+pub(crate) fn true_edit(bytes: &[u8]) -> String {
+    let place = Place::of("true_edit", |_| ());
+    said(fuzzed::true_edit(&place.put("day.json", bytes)), |known| format!("{known}"))
+}

@@ -1,0 +1,81 @@
+//! What providers say: single messages, whole answers of a process, command lines.
+
+use super::said;
+use crate::place::Place;
+use sgs_provider::{Message, Picture, Provider, ProviderOptions};
+use sgs_scene::Image;
+
+/// A single payload.
+pub(crate) fn message(bytes: &[u8]) -> String {
+    said(Message::decode(bytes), |message| {
+        // Kinds of numbers that are not known are left out, so that what is left may be said again.
+        let again = message.encode().and_then(|bytes| Message::decode(&bytes));
+        assert_eq!(again.map(|m| m.arrays).ok().as_ref(), Some(&message.arrays), "arrays come back");
+        format!("{} {:?}", message.arrays.len().min(3), message.text["kind"].as_str())
+    })
+}
+
+/// A process that says these bytes, whatever it is asked; the first one chooses the question.
+pub(crate) fn talk(bytes: &[u8]) -> String {
+    let Some((choice, stream)) = bytes.split_first() else { return String::new() };
+    let place = Place::of("provider_talk", |_| ());
+    let file = place.put("said", stream);
+    let options = ProviderOptions {
+        command: format!("cat '{}'", file.display()),
+        start_seconds: 20.0,
+        answer_seconds: 20.0,
+        limit: 1 << 20,
+        seed: 1,
+    };
+    let mut provider = match Provider::start(&options) {
+        Ok(provider) => provider,
+        Err(error) => return error.to_string(),
+    };
+    let image = Image::new(12, 9, 3);
+    let picture = Picture::srgb(&image);
+    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    let fits = |image: &Image| image.check().expect("answers have the size of the question");
+    let mut words = provider.about().list();
+    // Twice, so that what follows an answer is heard.
+    for _ in 0..2 {
+        words += &match choice % 7 {
+            0 => said(provider.masks(&frames, Some([3.0, 2.0])), |masks| {
+                assert!(masks.frames.iter().all(|f| f.len() == 12 * 9), "masks fit");
+                "masks".into()
+            }),
+            1 => said(provider.regions(&picture), |r| {
+                assert_eq!(r.ids.len(), r.size[0] as usize * r.size[1] as usize, "regions fit");
+                "regions".into()
+            }),
+            2 => said(provider.normals(&picture), |n| {
+                fits(&n.image);
+                "normals".into()
+            }),
+            3 => said(provider.semantics(&picture), |f| {
+                assert_eq!(f.data.len(), f.shape.iter().product::<usize>(), "features fit");
+                "features".into()
+            }),
+            4 => said(provider.text(&["wall".into(), "floor".into()]), |(width, all)| {
+                assert_eq!(all.len(), 2 * width, "embeddings fit");
+                "text".into()
+            }),
+            5 => said(provider.classes(std::slice::from_ref(&picture)), |names| format!("{}", names.len().min(3))),
+            _ => said(provider.materials(&picture, &["albedo", "roughness", "metallic"]), |m| {
+                [&m.albedo, &m.roughness, &m.metallic].into_iter().flatten().for_each(fits);
+                "materials".into()
+            }),
+        };
+    }
+    words
+}
+
+/// A command line; the program that it names does not exist.
+pub(crate) fn command(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    let mut options = ProviderOptions::new(&format!("/none/of/these/{text}"));
+    options.start_seconds = 1.0;
+    match Provider::start(&options) {
+        Ok(_) => panic!("a program was started that does not exist"),
+        Err(error) => error.to_string(),
+    }
+}

@@ -1,0 +1,103 @@
+//! Files of runs, settings, and numbers of the command line.
+
+use super::said;
+use crate::place::Place;
+use crate::seeds;
+use sgs_report::{chart, table};
+use sgs_train::ablate::{Goal, Measures, State};
+use sgs_train::{RunDirectory, Settings, TrainError, overlay, parse_bytes};
+use std::io::Write;
+
+/// Settings as the command line and programs give them.
+pub(crate) fn settings(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    let table = match text.parse::<toml::Table>() {
+        Ok(table) => table,
+        Err(error) => return error.message().to_owned(),
+    };
+    // What is put over other settings is first a table of any kind.
+    let mut over = Settings::default().to_table().expect("settings are a table");
+    overlay(&mut over, table.clone());
+    let over = said(Settings::from_table(over).and_then(|s| s.check()), |()| "over".into());
+    let own = Settings::from_table(table).and_then(|settings| settings.check().map(|()| settings));
+    over + &said(own, |settings| {
+        let again = settings.to_table().and_then(Settings::from_table);
+        assert_eq!(again.ok(), Some(settings), "settings come back");
+        "read".into()
+    })
+}
+
+fn place(name: &'static str) -> (std::rc::Rc<Place>, RunDirectory) {
+    let place = Place::of(name, |place| {
+        place.put("config.toml", seeds::SETTINGS.as_bytes());
+        place.put("scene.ply", seeds::SPLATS_ASCII.as_bytes());
+    });
+    let run = RunDirectory::open(&place.path("")).expect("it is a run");
+    (place, run)
+}
+
+pub(crate) fn settings_of_run(bytes: &[u8]) -> String {
+    let (place, run) = place("run_settings");
+    place.put("config.toml", bytes);
+    said(run.settings(), |settings| {
+        assert!(settings.check().is_ok(), "a run has settings that can be");
+        "read".into()
+    })
+}
+
+/// How far a run is, by its files.
+fn state(run: &RunDirectory) -> String {
+    let asked = run.settings().unwrap_or_default();
+    let of = |materials| State::of(run.root(), &asked, &Goal { materials, lpips: None });
+    let measures = Measures::read(run).and_then(|m| serde_json::to_string(&m).ok()).unwrap_or_default();
+    format!("{:?} {:?} {measures}", of(false), of(true))
+}
+
+pub(crate) fn metrics(bytes: &[u8]) -> String {
+    let (place, run) = place("metrics");
+    place.put("training.json", br#"{"resumed_from": 0}"#);
+    place.put("metrics.json", bytes);
+    let mut words = state(&run);
+    if let Ok(value) = serde_json::from_slice::<serde_json::Value>(bytes) {
+        for split in [&value, &value["test"]] {
+            words += &format!("{} {}", table::views(split).len().min(200), table::relit(split).len().min(200));
+        }
+    }
+    words
+}
+
+pub(crate) fn training(bytes: &[u8]) -> String {
+    let (place, run) = place("training");
+    place.put("training.json", bytes);
+    let mut words = state(&run);
+    words += &said(run.training_summary(), |value| format!("{}", value.is_object()));
+    words += &said(run.add_intrinsic_summary(&serde_json::json!({"steps": 1})), |()| "added".into());
+    words
+}
+
+pub(crate) fn profile(bytes: &[u8]) -> String {
+    let Ok(value) = serde_json::from_slice(bytes) else { return "no JSON".into() };
+    let (times, total) = chart::times(&value);
+    let bars = chart::bars(&times, 12, "ms");
+    format!("{} {} {}", times.len().min(4), total.is_finite(), bars.len().min(300))
+}
+
+pub(crate) fn log(bytes: &[u8]) -> String {
+    let (place, run) = place("run_log");
+    place.put("log.jsonl", bytes);
+    let curves = chart::log(&String::from_utf8_lossy(bytes));
+    assert!(!curves.contains('\u{1b}'), "what files say is escaped");
+    let kept =
+        |log: Result<std::fs::File, TrainError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
+    let words = kept(run.log(3));
+    place.put("log.jsonl", bytes);
+    words + &kept(run.intrinsic_log(3)) + &curves.matches("<svg").count().min(5).to_string()
+}
+
+/// Sizes of memory on the command line.
+pub(crate) fn bytes(bytes: &[u8]) -> String {
+    said(parse_bytes(&String::from_utf8_lossy(bytes)), |n| {
+        assert!((1..=i64::MAX as u64).contains(&n), "sizes are sizes");
+        "read".into()
+    })
+}

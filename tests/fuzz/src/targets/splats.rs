@@ -1,0 +1,59 @@
+//! Gaussians and points in files of many programs.
+
+use super::said;
+use crate::place::Place;
+use sgs_scene::{PointCloud, Splats};
+use sgs_train::{read_exchange, read_light, read_splats};
+
+/// What holds for all splats that are read.
+fn sound(splats: &Splats) -> String {
+    splats.check().expect("splats fit each other");
+    let all = splats.means.as_flattened().iter().chain(splats.log_scales.as_flattened()).chain(&splats.opacity_logits);
+    assert!(all.chain(splats.rotations.as_flattened()).all(|v| v.is_finite()), "splats are finite");
+    assert!(splats.sh.iter().flatten().all(|v| v.is_finite()), "colors are finite");
+    let has = [
+        splats.normals.is_some(),
+        splats.albedo.is_some(),
+        splats.roughness.is_some(),
+        splats.metallic.is_some(),
+        splats.semantic.is_some(),
+    ];
+    format!("{} of degree {} {has:?}", splats.len().min(3), splats.sh_degree())
+}
+
+pub(crate) fn splats(bytes: &[u8]) -> String {
+    let place = Place::of("splats_ply", |_| ());
+    let path = place.put("scene.ply", bytes);
+    said(Splats::read_ply_dialect(&path), |(splats, dialect)| {
+        // What was read can be written and read again.
+        let again = place.path("again.ply");
+        let back = splats.write_ply(&again).and_then(|()| Splats::read_ply(&again));
+        assert_eq!(back.map(|s| s.len()).ok(), Some(splats.len()), "splats come back");
+        format!("{} {}", dialect.name(), sound(&splats))
+    })
+}
+
+pub(crate) fn points(bytes: &[u8]) -> String {
+    let place = Place::of("points_ply", |_| ());
+    said(PointCloud::read_ply(&place.put("points.ply", bytes)), |points| {
+        assert!(points.positions.iter().flatten().all(|v| v.is_finite()), "points are finite");
+        let splats = said(Splats::from_points(&points, 1), |splats| sound(&splats));
+        format!("{} {} {} {splats}", points.len().min(3), points.colors.is_some(), points.normals.is_some())
+    })
+}
+
+pub(crate) fn gltf(bytes: &[u8]) -> String {
+    let place = Place::of("gltf", |place| {
+        place.put("scene.bin", &[0; 4096]);
+    });
+    let path = place.put("scene.glb", bytes);
+    let light = said(read_light(&path, 16), |light| format!("{}", light.lights.is_some()));
+    let splats = said(read_splats(&path), |splats| sound(&splats));
+    let all = said(read_exchange(&path), |exchange| {
+        if let Some(lights) = &exchange.lights {
+            lights.raw();
+        }
+        exchange.format.to_owned()
+    });
+    format!("{splats} {light} {all}")
+}

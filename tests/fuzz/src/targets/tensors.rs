@@ -1,0 +1,43 @@
+//! Files of tensors: what runs keep of their training, and weights of measures.
+
+use super::said;
+use crate::place::Place;
+use sgs_train::metrics::{Lpips, LpipsRange};
+use sgs_train::{SemanticHead, VisibilityFile, fuzzed};
+
+pub(crate) fn head(bytes: &[u8]) -> String {
+    let place = Place::of("head", |_| ());
+    said(SemanticHead::load(&place.put("semantics.safetensors", bytes)), |head| {
+        let first = head.text.labels[0].clone();
+        assert_eq!(head.class(&first).ok(), Some(0), "classes have names");
+        let peak = head.peak(0);
+        assert!(peak.is_nan() || (0.0..=1.0).contains(&peak), "the probability is {peak}");
+        let again = place.path("again.safetensors");
+        let back = head.save(&again).and_then(|()| SemanticHead::load(&again));
+        assert_eq!(back.map(|h| h.text.labels).ok(), Some(head.text.labels.clone()), "a head comes back");
+        said(head.class("flor"), |class| format!("{}", class.min(3)))
+    })
+}
+
+pub(crate) fn visibility(bytes: &[u8]) -> String {
+    let place = Place::of("visibility", |_| ());
+    said(VisibilityFile::load(&place.put("visibility.safetensors", bytes)), |field| {
+        let again = place.path("again.safetensors");
+        let back = field.save(&again).and_then(|()| VisibilityFile::load(&again));
+        assert_eq!(back.ok(), Some(field), "a field comes back");
+        "read".into()
+    })
+}
+
+pub(crate) fn lpips(bytes: &[u8]) -> String {
+    let place = Place::of("lpips", |_| ());
+    said(Lpips::load(&place.put("lpips.safetensors", bytes), LpipsRange::Plain), |_| "read".into())
+}
+
+/// The state of training, as far as it is read before a device has a part in it.
+pub(crate) fn checkpoint(bytes: &[u8]) -> String {
+    let place = Place::of("checkpoint", |_| ());
+    let path = place.put("geometry.safetensors", bytes);
+    let words = |degree, semantics, any| said(fuzzed::checkpoint(&path, degree, semantics, any), |said| said);
+    words(0, false, false) + &words(0, false, true) + &words(1, true, false)
+}

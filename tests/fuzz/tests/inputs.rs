@@ -1,0 +1,134 @@
+//! Every target with its kept corpus and a fixed number of changes of it; and that the driver finds what is planted.
+
+use sgs_fuzz::{Campaign, Counting, Generator, Rng, TARGETS, Tally, Target, corpus, find, quietly};
+use std::sync::Mutex;
+use std::time::Duration;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Memory and panics are counted for the whole program: one campaign at a time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn campaign(target: &Target, seed: u64, inputs: u64) -> Tally {
+    let _alone = ALONE.lock().unwrap_or_else(|e| e.into_inner());
+    quietly();
+    Campaign::new(target, seed).run(inputs, Duration::MAX)
+}
+
+#[test]
+fn every_reader_comes_to_a_value_or_a_sentence() {
+    // SGS_TEST_FUZZ=SECONDS feeds each target for so long.
+    let seconds: Option<u64> = std::env::var("SGS_TEST_FUZZ").ok().and_then(|text| text.parse().ok());
+    let mut wrong = Vec::new();
+    for target in TARGETS {
+        let tally = match seconds {
+            None => campaign(target, 1, INPUTS + corpus(target).len() as u64),
+            Some(seconds) => {
+                let _alone = ALONE.lock().unwrap_or_else(|e| e.into_inner());
+                quietly();
+                Campaign::new(target, 1).run(u64::MAX, Duration::from_secs(seconds))
+            }
+        };
+        println!("{}: {} inputs in {:.1} s", target.name, tally.inputs, tally.time.as_secs_f64());
+        for finding in &tally.findings {
+            let place = std::env::temp_dir().join(format!("sgs-fuzz-{}-{}", target.name, wrong.len()));
+            std::fs::write(&place, &finding.input).expect("the input is written");
+            wrong.push(format!("{}: {}; {}", target.name, finding.what, place.display()));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Changes of the corpus that each target is given.
+const INPUTS: u64 = 200;
+
+#[test]
+fn every_target_has_files_that_it_reads() {
+    for target in TARGETS {
+        let files = corpus(target);
+        assert!(!files.is_empty(), "{} has no corpus", target.name);
+        let total: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
+        assert!(total < 200_000, "the corpus of {} has {total} bytes", target.name);
+        // libFuzzer's side of it.
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("libfuzzer");
+        let source = std::fs::read_to_string(folder.join(format!("fuzz_targets/{}.rs", target.name)));
+        assert!(
+            source.is_ok_and(|s| s.contains(&format!("\"{}\"", target.name))),
+            "{} is not for libFuzzer",
+            target.name
+        );
+        let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).expect("a manifest");
+        assert!(manifest.contains(&format!("name = \"{}\"", target.name)), "{} is not in the manifest", target.name);
+    }
+    let of = |name: &str| find(name).expect("a target");
+    let said = |name: &str, file: &str| {
+        let (_, bytes) = corpus(of(name)).into_iter().find(|(path, _)| path.ends_with(file)).expect("a file");
+        (of(name).run)(&bytes)
+    };
+    assert!(said("splats_ply", "own.ply").starts_with("ply 2 of degree 1"));
+    assert!(said("gltf", "own.glb").contains("true gltf"));
+    assert!(said("transforms", "two.json").starts_with("Transforms"));
+    assert!(said("colmap_images_bin", "two.bin").starts_with("Colmap"));
+    assert!(said("blender", "two.json").starts_with("Blender"));
+    assert!(said("interiorverse", "two.json").starts_with("InteriorVerse"));
+    assert!(
+        said("fipt_cameras", "two.txt").starts_with("Fipt") && said("fipt_transforms", "two.json").starts_with("Fipt")
+    );
+    assert!(said("lights", "three.json").starts_with("3 lights") && said("edit", "add.json").starts_with("4 lights"));
+    assert!(said("settings", "some.toml").ends_with("read") && said("run_settings", "some.toml") == "read");
+    assert!(
+        said("visibility", "small.safetensors") == "read" && said("checkpoint", "plain.safetensors").starts_with('2')
+    );
+    for name in ["masks", "regions", "normals", "semantics", "text", "materials"] {
+        let answer = if name == "semantics" { "features" } else { name };
+        assert!(said("provider_talk", &format!("{name}.bin")).contains(&format!("text{answer}")), "{name}");
+    }
+}
+
+#[test]
+fn what_is_planted_is_found() {
+    fn panics(bytes: &[u8]) -> String {
+        let at = bytes.first().map_or(0, |b| usize::from(*b == b'7'));
+        format!("{}", [1][at])
+    }
+    fn swallows(bytes: &[u8]) -> String {
+        let many = if bytes.windows(2).any(|w| w == b"18") { 100 << 20 } else { 1 };
+        format!("{}", vec![0_u8; many].len())
+    }
+    fn asks_for_all(bytes: &[u8]) -> String {
+        let mut room: Vec<u8> = Vec::new();
+        format!("{}", room.try_reserve_exact(bytes.len() << 40).is_ok())
+    }
+    fn sound(bytes: &[u8]) -> String {
+        format!("{}", bytes.len())
+    }
+    let found = |run: fn(&[u8]) -> String| {
+        let mut target = find("bytes").expect("a target").clone();
+        target.run = run;
+        campaign(&target, 5, 5000).findings
+    };
+    let (panic, memory, all) = (found(panics), found(swallows), found(asks_for_all));
+    assert!(panic.len() == 1 && panic[0].input == b"7" && panic[0].what.contains("inputs.rs"), "{panic:?}");
+    assert!(memory.len() == 1 && memory[0].input == b"18" && memory[0].what.starts_with("memory"), "{memory:?}");
+    assert!(all.len() == 1 && all[0].input.len() == 1 && all[0].what.starts_with("memory"), "{all:?}");
+    assert!(found(sound).is_empty());
+}
+
+#[test]
+fn changes_depend_on_the_seed_alone() {
+    for name in ["splats_ply", "gltf", "photograph_png", "provider_talk"] {
+        let target = find(name).expect("a target");
+        let files: Vec<Vec<u8>> = corpus(target).into_iter().map(|(_, bytes)| bytes).collect();
+        let inputs = |seed| {
+            let (generator, mut random) = (Generator::new(target, files.clone()), Rng::new(seed));
+            (0..200).map(|_| generator.next(&mut random)).collect::<Vec<_>>()
+        };
+        assert!(inputs(3) == inputs(3) && inputs(3) != inputs(4), "{name}");
+        let changed = inputs(3).iter().filter(|input| !files.contains(input)).count();
+        assert!(changed > 150, "{changed} of 200 changes of {name} changed something");
+    }
+    let first = campaign(find("lights").expect("a target"), 9, 300);
+    let second = campaign(find("lights").expect("a target"), 9, 300);
+    assert_eq!((first.inputs, first.said), (second.inputs, second.said));
+}
