@@ -12,7 +12,7 @@ pub struct AutomaticSettings {
     pub gain: f32,
     /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
     pub sizes: bool,
-    /// Metallic; false: as intrinsic.metallic says.
+    /// Metallic, by its priors; false: as intrinsic.metallic says.
     pub metallic: bool,
     /// Lights, one by one; false: all stay.
     pub lights: bool,

@@ -16,8 +16,9 @@ use crate::geometry::Decision;
 use crate::settings::{AutomaticSettings, VisibilityKind};
 use sgs_passes::pipeline::Camera;
 
-/// Shares of the steps after which it is looked at.
-const LOOKS: [f64; 3] = [0.1, 0.25, 0.5];
+/// Shares of the steps after which it is looked at. Lights can be judged at both; surroundings and shadows have to be learned first, and are
+/// judged at the last.
+const LOOKS: [f64; 2] = [0.25, 0.5];
 
 /// Most training views that are looked at.
 const VIEWS: usize = 6;
@@ -42,18 +43,16 @@ struct Watched {
 /// What can be left out whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
-    Metallic,
     Lights,
     Environment,
     Visibility,
 }
 
 impl Part {
-    const ALL: [Part; 4] = [Part::Metallic, Part::Lights, Part::Environment, Part::Visibility];
+    const ALL: [Part; 3] = [Part::Lights, Part::Environment, Part::Visibility];
 
     fn name(self) -> &'static str {
         match self {
-            Part::Metallic => "metallic",
             Part::Lights => "lights",
             Part::Environment => "environment",
             Part::Visibility => "visibility",
@@ -83,7 +82,17 @@ impl Automatic {
 
 /// Whether it is looked at after this step.
 fn looks(step: u32, steps: u32) -> bool {
-    LOOKS.iter().any(|share| (share * f64::from(steps)).ceil() as u32 == step) && step < steps
+    LOOKS.iter().any(|share| due(*share, steps) == step) && step < steps
+}
+
+/// Whether that is the last time.
+fn looks_last(step: u32, steps: u32) -> bool {
+    due(LOOKS[LOOKS.len() - 1], steps) == step
+}
+
+/// The step at a share of all.
+fn due(share: f64, steps: u32) -> u32 {
+    (share * f64::from(steps)).ceil() as u32
 }
 
 impl Intrinsic {
@@ -104,7 +113,6 @@ impl Intrinsic {
     /// Whether a part is modeled.
     fn has(&self, part: Part) -> bool {
         match part {
-            Part::Metallic => self.options.metallic,
             Part::Lights => self.options.lights.is_some(),
             Part::Environment => self.environment.is_some(),
             Part::Visibility => self.options.visibility.is_some() || self.options.traced.is_some(),
@@ -116,11 +124,6 @@ impl Intrinsic {
         self.finish()?;
         self.execs = [None, None, None];
         match part {
-            Part::Metallic => {
-                self.options.metallic = false;
-                self.parameters.metallic = None;
-                self.priors.metallic = None;
-            }
             Part::Environment => {
                 self.environment = None;
                 self.parameters.environment = None;
@@ -167,9 +170,10 @@ mod tests {
     #[test]
     fn it_is_looked_at_a_few_times_and_never_at_the_end() {
         let all = |steps: u32| (1..=steps).filter(|step| looks(*step, steps)).collect::<Vec<_>>();
-        assert_eq!(all(300), [30, 75, 150]);
-        assert_eq!(all(3000), [300, 750, 1500]);
+        assert_eq!(all(300), [75, 150]);
+        assert_eq!(all(3000), [750, 1500]);
         assert_eq!(all(4), [1, 2]);
         assert_eq!(all(1), [0; 0]);
+        assert!(looks_last(150, 300) && !looks_last(75, 300));
     }
 }

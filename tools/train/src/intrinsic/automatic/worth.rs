@@ -1,7 +1,7 @@
 //! What parts of the model are worth at training views, and leaving out what is worth too little.
 //!
 //! A part is worth the decibels that the shaded picture loses without it, everything else being as it is: an upper bound, since what stays
-//! could make up for it. Light adds up, so that lights need a picture each and no more; they are taken away from the faintest on, for as long
+//! could make up for it. Materials are not judged so: pictures say little of what they are made of. Light adds up, so that lights need a picture each and no more; they are taken away from the faintest on, for as long
 //! as all that are gone are worth less than asked together.
 
 use super::{Part, Watched};
@@ -105,7 +105,8 @@ impl Intrinsic {
     }
 
     fn found(&mut self, step: u32, a: &super::AutomaticSettings, views: &[Watched]) -> Result<Vec<Decision>> {
-        let gain = f64::from(a.gain);
+        // As it is written, not as it is nearest to in binary.
+        let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
         let (splats, light) = (self.splats()?, self.light()?);
         let mut shading = self.shading(&splats, &light)?;
@@ -122,6 +123,7 @@ impl Intrinsic {
         let with = error(&photos, |i| sum(&all, true, i));
         // A network is shown views under other lights by graphs of its own, which have all parts.
         let whole = self.relit.is_none();
+        let last = super::looks_last(step, self.required.intrinsic.steps);
 
         let mut gains: Vec<f32> = light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
         let mut none_left = false;
@@ -146,24 +148,14 @@ impl Intrinsic {
             }
         }
         let mut out = Vec::new();
-        if whole && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
+        if last && whole && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
             let worth = loss(with, error(&photos, |i| sum(&all, false, i)));
             if worth <= gain {
                 decided("environment", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
                 out.push(Part::Environment);
             }
         }
-        if a.metallic && self.has(Part::Metallic) {
-            let plain = Splats { metallic: None, ..splats.clone() };
-            let mut shading = self.shading(&plain, &light)?;
-            let without = self.pictures(&mut shading, views)?;
-            let worth = loss(with, error(&photos, |i| sum(&without, true, i)));
-            if worth <= gain {
-                decided("metallic", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
-                out.push(Part::Metallic);
-            }
-        }
-        if whole && a.visibility && self.has(Part::Visibility) && !none_left {
+        if last && whole && a.visibility && self.has(Part::Visibility) && !none_left {
             let light = RunLight { visibility: Visibility::None, ..light };
             let mut shading = self.shading(&splats, &light)?;
             let without = self.pictures(&mut shading, views)?;
