@@ -45,6 +45,11 @@ struct State {
     wanted: DeviceBuffer,
 }
 
+/// Room for tile entries where nobody knows their number.
+fn usual(gaussians: &Gaussians) -> u32 {
+    gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24)
+}
+
 impl Renderer {
     /// Prepares for views of at most `largest` columns and rows.
     ///
@@ -57,7 +62,7 @@ impl Renderer {
         largest: [u32; 2],
         channels: Channels,
     ) -> Result<Renderer> {
-        Renderer::with(device, tuning, gaussians, largest, channels, false)
+        Renderer::of(device, tuning, gaussians, largest, channels, false, usual(gaussians))
     }
 
     /// As [`Renderer::new`], and blends the semantic features at every pixel if the Gaussians have them. They stay on the
@@ -72,7 +77,7 @@ impl Renderer {
         largest: [u32; 2],
         channels: Channels,
     ) -> Result<Renderer> {
-        Renderer::with(device, tuning, gaussians, largest, channels, true)
+        Renderer::of(device, tuning, gaussians, largest, channels, true, usual(gaussians))
     }
 
     /// As [`Renderer::new`], with room for so many tile entries at first: where memory is short and their number is known.
@@ -88,18 +93,6 @@ impl Renderer {
         entries: u32,
     ) -> Result<Renderer> {
         Renderer::of(device, tuning, gaussians, largest, channels, false, entries.max(1 << 12))
-    }
-
-    fn with(
-        device: &Device,
-        tuning: Tuning,
-        gaussians: &Gaussians,
-        largest: [u32; 2],
-        channels: Channels,
-        features: bool,
-    ) -> Result<Renderer> {
-        let capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
-        Renderer::of(device, tuning, gaussians, largest, channels, features, capacity)
     }
 
     fn of(

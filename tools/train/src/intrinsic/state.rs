@@ -115,7 +115,7 @@ impl Intrinsic {
                 return Err(file(path, "it has parts that have been left out since".into()));
             }
         }
-        // Everything is read before anything is changed.
+        // But for parts that are left out, everything is read before anything is changed.
         let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
         for p in self.parameters.all() {

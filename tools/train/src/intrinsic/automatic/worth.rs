@@ -49,10 +49,11 @@ fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [0, 1, 2].map(|c| a[c] + b[c])
 }
 
-/// Which lights can go: from the faintest on, as long as the picture loses less than asked. Returns them, and what they are worth.
+/// Which lights can go: from the faintest on, as long as the picture loses less than asked. Returns them, each with what it is
+/// worth together with those before it.
 ///
 /// `parts`: light of each, empty where it is off; `rest`: everything else.
-fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> (Vec<usize>, f64) {
+fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> Vec<(usize, f64)> {
     let energy = |part: &Light| part.iter().flatten().map(|v| f64::from(v.max(0.0))).sum::<f64>();
     let mut order: Vec<(usize, f64)> =
         parts.iter().enumerate().filter(|(_, part)| !part.is_empty()).map(|(i, part)| (i, energy(part))).collect();
@@ -64,17 +65,16 @@ fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> (V
         left.push(below.iter().zip(&parts[*i]).map(|(a, b)| add(*a, *b)).collect());
     }
     let with = error(photos, |p| left[left.len() - 1][p]);
-    let (mut gone, mut worth) = (Vec::new(), 0.0);
+    let mut gone = Vec::new();
     for (k, (i, _)) in order.iter().enumerate() {
         let light = &left[order.len() - 1 - k];
         let lost = loss(with, error(photos, |p| light[p]));
         if lost > gain {
             break;
         }
-        gone.push(*i);
-        worth = lost;
+        gone.push((*i, lost));
     }
-    (gone, worth)
+    gone
 }
 
 impl Intrinsic {
@@ -108,9 +108,8 @@ impl Intrinsic {
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
-        let (splats, light) = (self.splats()?, self.light()?);
-        let mut shading = self.shading(&splats, &light)?;
-        let all = self.pictures(&mut shading, views)?;
+        let (splats, mut light) = (self.splats()?, self.light()?);
+        let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
         let sum = |p: &Pictures, ambient: bool, i: usize| {
             let light = add(p.behind[i], p.direct[i]);
             if ambient { add(light, p.ambient[i]) } else { light }
@@ -128,16 +127,20 @@ impl Intrinsic {
         let mut gains: Vec<f32> = light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
         let mut none_left = false;
         if a.lights && self.has(Part::Lights) {
-            let parts = self.each(&mut shading, views, &gains)?;
+            // Surroundings would be filtered anew for each.
+            let environment = light.environment.take();
+            let parts = self.each(&mut self.shading(&splats, &light)?, views, &gains)?;
+            light.environment = environment;
             let rest: Light = all.behind.iter().zip(&all.ambient).map(|(b, a)| add(*b, *a)).collect();
             let on = gains.iter().filter(|g| **g != 0.0).count();
-            let (mut gone, worth) = needless(&photos, &rest, &parts, gain);
+            let mut gone = needless(&photos, &rest, &parts, gain);
             if gone.len() == on && !(whole && self.has(Part::Environment)) {
                 // Something has to shine.
                 gone.pop();
             }
             none_left = gone.len() == on && on > 0;
-            gone.iter().for_each(|i| gains[*i] = 0.0);
+            gone.iter().for_each(|(i, _)| gains[*i] = 0.0);
+            let worth = gone.last().map_or(0.0, |g| g.1);
             if none_left {
                 decided("lights", false, format!("together they are worth {worth:.3} dB (asked: {gain})"), worth);
             } else if !gone.is_empty() {
@@ -157,15 +160,13 @@ impl Intrinsic {
         }
         if last && whole && a.visibility && self.has(Part::Visibility) && !none_left {
             let light = RunLight { visibility: Visibility::None, ..light };
-            let mut shading = self.shading(&splats, &light)?;
-            let without = self.pictures(&mut shading, views)?;
+            let without = self.pictures(&mut self.shading(&splats, &light)?, views)?;
             let worth = loss(with, error(&photos, |i| sum(&without, true, i)));
             if worth <= gain {
                 decided("visibility", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
                 out.push(Part::Visibility);
             }
         }
-        drop(shading);
         if none_left {
             out.push(Part::Lights);
         } else if self.has(Part::Lights) {
@@ -244,15 +245,19 @@ mod tests {
         // What the photographs do not have, by a hundredth: without that an error of nothing has no decibels.
         let rest = plain(0.01, pixels);
         let parts = [lit(0.5), lit(1e-4), Vec::new(), lit(0.4999), lit(2e-4), plain(0.0, pixels)];
-        let (gone, worth) = needless(&photos, &rest, &parts, 0.05);
+        let of = |rest: &Light, parts: &[Light], gain: f64| -> (Vec<usize>, f64) {
+            let gone = needless(&photos, rest, parts, gain);
+            (gone.iter().map(|g| g.0).collect(), gone.last().map_or(0.0, |g| g.1))
+        };
+        let (gone, worth) = of(&rest, &parts, 0.05);
         assert_eq!(gone, [5, 1, 4]);
         // Less light is nearer to the photographs here.
         assert!(worth < 0.0, "{worth}");
-        let dark = plain(0.0, pixels);
-        let (gone, worth) = needless(&photos, &dark, &[lit(0.9), lit(0.05), lit(0.04)], 15.0);
+        let (dark, some) = (plain(0.0, pixels), [lit(0.9), lit(0.05), lit(0.04)]);
+        let (gone, worth) = of(&dark, &some, 15.0);
         assert!(gone == [2] && worth > 13.0 && worth <= 15.0, "{gone:?} {worth}");
-        assert_eq!(needless(&photos, &dark, &[lit(0.9), lit(0.05), lit(0.04)], 0.5).0, [0; 0]);
+        assert_eq!(of(&dark, &some, 0.5).0, [0; 0]);
         // Everything may go, where nothing is worth anything.
-        assert_eq!(needless(&photos, &lit(1.0), &[plain(0.0, pixels), plain(0.0, pixels)], 0.02).0, [0, 1]);
+        assert_eq!(of(&lit(1.0), &[plain(0.0, pixels), plain(0.0, pixels)], 0.02).0, [0, 1]);
     }
 }
