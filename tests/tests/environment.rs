@@ -7,7 +7,8 @@ use sgs_passes::reference::environment as twin;
 use sgs_passes::reference::environment::{Cube, Filter, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::{
-    Environment, EnvironmentSums, environment_background, environment_clamp, environment_filter, environment_filter_bwd,
+    Environment, EnvironmentSums, EnvironmentView, Kept, environment_background, environment_bwd, environment_clamp,
+    environment_filter, environment_filter_bwd, environment_filter_kept, environment_filter_kept_bwd,
 };
 use sgs_shaders::structs::Step;
 use sgs_tests::environment::{BEFORE, CAMERA, Given, MAP, WEIGHT, bytes, made, pixel, room, run, surfaces, unit};
@@ -111,6 +112,65 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
             assert_close("texels", &expected, &found.texels, Tolerance::new(1e-6 * largest, 1e-4));
         }
     }
+}
+
+/// What two steps ask of levels that stay is taken back to the texels together.
+#[test]
+fn what_is_gathered_is_the_mean() {
+    let gpu = Gpu::new();
+    let (e, t) = (made(32), gpu.tuning());
+    let (texels, pixels) = (room(&e, 3), surfaces(5));
+    let count = pixels.len() as u64;
+    let mut rng = Pcg::new(11);
+    // The second asks for a thousand times as much: each has a scale of its own.
+    let asked = [1.0, 1000.0].map(|f| (0..3 * pixels.len()).map(|_| (f * rng.normal()) as f32).collect::<Vec<f32>>());
+    let mut g = Graph::new("gathered");
+    let tables = e.declare(&mut g);
+    let step = g.uniform("step", size_of::<Step>() as u64);
+    let parameters = g.input("texels", 4 * u64::from(e.floats()));
+    let kept = Kept::declare(&mut g, &e, true);
+    let [points, normals] = ["points", "normals"].map(|n| g.input(n, 12 * count));
+    let (coverage, materials) = (g.input("coverage", 4 * count), g.input("materials", 16 * count));
+    let view = EnvironmentView { step, points, normals, coverage, materials, metallic: None, pixels: count };
+    environment_filter_kept(&mut g, &t, &e, &tables, parameters, &kept).unwrap();
+    let mut given = vec![(kept.gathered, bytes(&vec![0.0_f32; 3 * e.filtered_texels() as usize]))];
+    for (i, asked) in asked.iter().enumerate() {
+        g.set_prefix(format!("{i}."));
+        let gradient = g.input("gradient", 12 * count);
+        let by_materials = g.external("materials_gradient", 16 * count);
+        given.extend([(gradient, bytes(asked)), (by_materials, bytes(&vec![0.0_f32; 4 * pixels.len()]))]);
+        let sums = environment_bwd(&mut g, &t, &e, &tables, &view, &kept.filtered(), gradient, by_materials, None);
+        kept.gather(&mut g, &t, &e, &sums.unwrap(), 0.5).unwrap();
+    }
+    g.set_prefix("");
+    let by_texels = g.external("texel_gradient", 4 * u64::from(e.floats()));
+    environment_filter_kept_bwd(&mut g, &t, &e, &tables, &kept, None, by_texels).unwrap();
+    let mut values = Step::default();
+    values.camera.size = [count as u32, 1];
+    values.camera.position = CAMERA;
+    let floats = |f: &dyn Fn(&Pixel) -> Vec<f64>| -> Vec<u8> {
+        bytes(&pixels.iter().flat_map(f).map(|x| x as f32).collect::<Vec<f32>>())
+    };
+    given.extend([
+        (step, bytes(&[values])),
+        (parameters, bytes(&texels)),
+        (points, floats(&|p| p.point.to_vec())),
+        (normals, floats(&|p| p.normal.to_vec())),
+        (coverage, floats(&|p| vec![p.coverage])),
+        (materials, floats(&|p| [&p.albedo[..], &[p.roughness]].concat())),
+    ]);
+    given.extend(e.contents(&tables));
+    let out = gpu.run(g, &given);
+    assert_close("radiance", &flat(&levels_of(&e, &texels)), &out.get(kept.radiance), Tolerance::new(1e-5, 2e-5));
+    let plain: Vec<Pixel> = pixels.iter().map(|p| Pixel { metallic: 0.0, ..*p }).collect();
+    let mean: Vec<f32> = asked[0].iter().zip(&asked[1]).map(|(a, b)| 0.5 * (a + b)).collect();
+    let mut expected = vec![0.0; texels.len()];
+    for (g, level) in level_gradients(&e, &plain, &mean).iter().zip(e.levels()) {
+        let part = twin::prefilter_bwd(g, level, e.size() as usize).flat();
+        expected.iter_mut().zip(part).for_each(|(e, p)| *e += p);
+    }
+    let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    assert_close("texels", &expected, &out.get(by_texels), Tolerance::new(1e-6 * largest, 1e-4));
 }
 
 #[test]

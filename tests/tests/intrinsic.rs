@@ -192,6 +192,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         light_prune: 0.0,
         cull_error: 0.0,
         environment_smooth: 0.0,
+        environment_every: 1,
         edge_aware: true,
         gradients: true,
         cross_view: false,
@@ -255,4 +256,52 @@ fn culling_is_off_at_zero_and_changes_little_at_little() {
     s.intrinsic.cull_error = f32::INFINITY;
     let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
     assert!(error.contains("intrinsic.cull_error is inf"), "{error}");
+}
+
+/// Texels that move with every third step only, and pictures of half their size.
+#[test]
+fn surroundings_that_move_seldom_and_small_pictures() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let mut s = settings(12);
+    (s.intrinsic.environment.every, s.intrinsic.scale) = (3, 0.5);
+    let file = place.path("state");
+    let new = || Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+    let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap().data;
+    let train = |stops: &[u32]| {
+        let mut training = new();
+        let (mut losses, mut seen) = (Vec::new(), vec![texels(&training)]);
+        for last in 1..=12 {
+            training.train(last, |r| losses.push(r.shaded), || true).unwrap();
+            seen.push(texels(&training));
+            if stops.contains(&last) {
+                training.save(&file).unwrap();
+                training = new();
+                training.restore(&file).unwrap();
+            }
+        }
+        (losses, seen, training.splats().unwrap())
+    };
+    let straight = train(&[]);
+    assert!(straight == train(&[2, 3, 7]), "being stopped has changed something");
+    for (step, pair) in straight.1.windows(2).enumerate() {
+        assert_eq!(pair[0] != pair[1], (step + 1).is_multiple_of(3), "step {}", step + 1);
+    }
+    assert!(straight.0.iter().all(|l| l.is_finite()) && straight.0[11] < straight.0[0], "{:?}", straight.0);
+
+    // A quarter of the pixels takes about a quarter of what views see.
+    let whole = Intrinsic::new(gpu.device(), &scene, &settings(12), &splats).unwrap().surface_bytes();
+    let small = new().surface_bytes();
+    assert!(small < whole / 2, "{small} of {whole} bytes");
+    for (key, value) in [("scale", 0.0), ("scale", 1.5)] {
+        let mut s = settings(12);
+        s.intrinsic.scale = value;
+        let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
+        assert!(error.contains(&format!("intrinsic.{key} is {value}")), "{error}");
+    }
+    s.intrinsic.environment.every = 0;
+    let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
+    assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
 }

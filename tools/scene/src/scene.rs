@@ -180,6 +180,16 @@ impl Scene {
         self.extent
     }
 
+    /// The same scene with views of `share` times the size that they have in this one; above 0, at most 1.
+    #[must_use]
+    pub fn scaled(&self, share: f64) -> Scene {
+        let mut scene = self.clone();
+        scene.options.scale *= share;
+        let scale = scene.options.scale;
+        scene.views = scene.views.into_iter().map(|view| view.at_scale(scale)).collect();
+        scene
+    }
+
     /// The image of a view, as [`View::load_image`] gives it with the scene's exposure.
     pub fn load_image(&self, view: usize) -> Result<Image> {
         self.view(view)?.load_image(&self.load_options())

@@ -58,9 +58,17 @@ impl View {
     /// The view of a frame, at `scale` times its size.
     pub(crate) fn new(frame: Frame, scale: f64) -> Self {
         let Frame { camera: stored_camera, lens, image, declared_in, beside } = frame;
+        let camera = stored_camera.clone();
+        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in, beside }.at_scale(scale)
+    }
+
+    /// The same view at `scale` times the size that it is stored in; its pose stays.
+    pub(crate) fn at_scale(mut self, scale: f64) -> Self {
         let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
-        let camera = stored_camera.scaled(side(stored_camera.width), side(stored_camera.height));
-        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in, beside }
+        let scaled = self.stored_camera.scaled(side(self.stored_camera.width), side(self.stored_camera.height));
+        let Camera { rotation, translation, .. } = self.camera;
+        self.camera = Camera { rotation, translation, ..scaled };
+        self
     }
 
     /// The photograph as training compares with it: sRGB-encoded RGB in `[0, 1]`, without distortion, at the size of

@@ -11,7 +11,7 @@ use crate::optim::{EPSILON, Rate};
 use crate::pipeline::{RING, SurfaceHandles};
 use crate::scene::StepWords;
 use crate::shade::environment::{
-    Environment, EnvironmentView, environment as ambient_light, environment_bwd, environment_clamp, environment_filter,
+    Environment, EnvironmentView, Kept, environment as ambient_light, environment_bwd, environment_clamp, environment_filter,
     environment_filter_bwd, environment_smoothness,
 };
 use crate::shade::lights::{
@@ -34,7 +34,7 @@ use sgs_shaders::structs::MaterialStats;
 type Built<T> = std::result::Result<T, GraphError>;
 
 /// Epsilon of the texels' Adam.
-const TEXEL_EPSILON: f32 = 1e-8;
+pub(super) const TEXEL_EPSILON: f32 = 1e-8;
 
 /// What tells the host.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +63,7 @@ pub(super) fn build(
     pseudo: &[SurfaceHandles],
     inputs: &Declared,
     environment: Option<&Environment>,
+    kept: Option<&Kept>,
     words: &Words,
     o: &IntrinsicOptions,
 ) -> Built<()> {
@@ -120,7 +121,10 @@ pub(super) fn build(
     };
     let around = match (environment, &inputs.environment) {
         (Some(e), Some((texels, tables))) => {
-            let filtered = environment_filter(g, t, e, tables, texels.parameters)?;
+            let filtered = match kept {
+                Some(kept) => kept.filtered(),
+                None => environment_filter(g, t, e, tables, texels.parameters)?,
+            };
             let view = EnvironmentView::from(&shaded);
             let ambient = g.transient("ambient", 12 * pixels);
             ambient_light(g, t, e, tables, &view, &filtered, ambient)?;
@@ -208,10 +212,15 @@ pub(super) fn build(
     if let Some((e, texels, tables, filtered, view, _)) = &around {
         let sums =
             environment_bwd(g, t, e, tables, view, filtered, radiance_gradient, gradient.materials, gradient.metallic)?;
-        let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, filtered, o.environment_smooth);
-        let grad_texels = texels.gradient(g);
-        environment_filter_bwd(g, t, e, tables, filtered, &sums, smoothness.as_ref(), grad_texels)?;
-        moves.push((**texels, grad_texels, Rate::Constant(o.rates.environment), TEXEL_EPSILON));
+        if let Some(kept) = kept {
+            kept.gather(g, t, e, &sums, 1.0 / o.environment_every as f32)?;
+        } else {
+            let weight = o.environment_smooth;
+            let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, filtered, weight);
+            let grad_texels = texels.gradient(g);
+            environment_filter_bwd(g, t, e, tables, filtered, &sums, smoothness.as_ref(), grad_texels)?;
+            moves.push((**texels, grad_texels, Rate::Constant(o.rates.environment), TEXEL_EPSILON));
+        }
     }
     let grads = RawMaterials {
         albedo: inputs.albedo.gradient(g),
@@ -238,7 +247,7 @@ pub(super) fn build(
     for (what, gradient, rate, epsilon) in moves {
         what.follow(g, t, &words_of, gradient, rate, epsilon, true)?;
     }
-    if let Some((e, texels, ..)) = &around {
+    if let (Some((e, texels, ..)), None) = (&around, kept) {
         environment_clamp(g, t, e, texels.parameters)?;
     }
     if let (Some((lights, parameters, ..)), true) = (&lit, o.light_prune > 0.0) {

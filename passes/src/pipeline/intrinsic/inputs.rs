@@ -1,6 +1,6 @@
 //! What an intrinsic step learns and what it reads, and what that takes.
 
-use super::IntrinsicOptions;
+use super::{IntrinsicOptions, KeptEnvironment};
 use crate::scene::{Trainable, TrainableHandles};
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
@@ -49,6 +49,8 @@ pub struct IntrinsicInputs<'a> {
     pub gains: Option<&'a DeviceBuffer>,
     /// The environment's tables: what it is, and where they lie.
     pub environment: Option<(&'a Environment, &'a EnvironmentMemory)>,
+    /// Its levels, where the texels do not move with every step.
+    pub kept: Option<&'a KeptEnvironment>,
     /// What rays to lights go through.
     pub traced: Option<&'a TracedMemory>,
     /// Photographs, packed.

@@ -7,9 +7,11 @@ mod across;
 mod build;
 mod inputs;
 mod priors;
+mod refresh;
 mod relit;
 
 pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
+pub use refresh::{EnvironmentRefresh, KeptEnvironment};
 pub use relit::{RelitOptions, RelitView};
 
 use self::build::{Words, build};
@@ -17,7 +19,7 @@ use self::inputs::Declared as Inputs;
 use super::status::RING;
 use super::{PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
-use crate::shade::environment::{Environment, EnvironmentTables};
+use crate::shade::environment::{Environment, EnvironmentTables, Kept};
 use crate::shade::lights::LightModel;
 use crate::shade::traced::TracedShape;
 use crate::shade::visibility::FieldConfig;
@@ -54,6 +56,9 @@ pub struct IntrinsicOptions {
     pub cull_error: f32,
     /// Weight of the environment's smoothness; the environment itself is an input.
     pub environment_smooth: f32,
+    /// Of how many steps the environment's texels move after one, by what all of these asked of them; its levels stay meanwhile
+    /// ([`EnvironmentRefresh`]). 1: with every step.
+    pub environment_every: u32,
     /// Whether albedo and roughness are to be smooth where the photograph is.
     pub edge_aware: bool,
     /// Whether their gradients are compared with those of the priors at several scales.
@@ -210,6 +215,9 @@ impl IntrinsicStep {
         };
         let mut exec = Executor::new(device, declared.plan, exec_options)?;
         declared.inputs.bind(&mut exec, inputs)?;
+        if let (Some(kept), Some(handles)) = (inputs.kept, &declared.kept) {
+            kept.bind(&mut exec, handles)?;
+        }
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
         exec.bind(declared.words.reports, &status.reports)?;
@@ -303,6 +311,7 @@ struct Declared {
     pseudo: Vec<SurfaceHandles>,
     words: Words,
     inputs: Inputs,
+    kept: Option<Kept>,
 }
 
 fn declare(
@@ -333,7 +342,8 @@ fn declare(
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
     let inputs = Inputs::declare(&mut g, sizes, tables, o);
-    build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, &words, o)?;
+    let kept = environment.filter(|_| o.environment_every > 1).map(|e| Kept::declare(&mut g, e, false));
+    build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, kept.as_ref(), &words, o)?;
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, steps, surface, pseudo, words, inputs })
+    Ok(Declared { plan, steps, surface, pseudo, words, inputs, kept })
 }

@@ -10,7 +10,8 @@ use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{
-    environment_collect, environment_mips, environment_mips_bwd, environment_prefilter, environment_prefilter_bwd,
+    environment_collect, environment_gather, environment_mips, environment_mips_bwd, environment_prefilter,
+    environment_prefilter_bwd,
 };
 
 /// An environment as surfaces see it.
@@ -28,6 +29,71 @@ impl Filtered {
     /// Levels that another graph has left in memory: for looking them up, not for gradients.
     pub fn kept(radiance: Buffer) -> Filtered {
         Filtered { radiance, inverse_sums: radiance, smoothed: None }
+    }
+}
+
+/// Levels that stay from step to step, and what steps ask of them until the texels move.
+#[derive(Clone, Copy, Debug)]
+pub struct Kept {
+    /// `[texels of all levels * 3]`.
+    pub radiance: Buffer,
+    /// `[texels of all levels]`: one over the sum of each filter's weights.
+    pub inverse_sums: Buffer,
+    /// `[texels of all levels * 3]`: gradients, over the sums of weights.
+    pub gathered: Buffer,
+    /// The mip that smoothness is measured on, where it is not the cube itself.
+    pub smoothed: Option<Buffer>,
+}
+
+impl Kept {
+    /// Bytes of its buffers, in their order.
+    pub fn bytes(e: &Environment) -> [u64; 4] {
+        let all = u64::from(e.filtered_texels());
+        let side = u64::from(Environment::SMOOTHED);
+        [12 * all, 4 * all, 12 * all, if e.size > Environment::SMOOTHED { 72 * side * side } else { 0 }]
+    }
+
+    /// Declares them in a graph: `moving` where it filters and moves texels, else where steps look up and gather.
+    pub fn declare(g: &mut Graph, e: &Environment, moving: bool) -> Kept {
+        let [radiance, inverse_sums, gathered, smoothed] = Kept::bytes(e);
+        let mut fixed = |name: &str, bytes: u64| match moving {
+            true => g.external(format!("environment.kept_{name}"), bytes),
+            false => g.input(format!("environment.kept_{name}"), bytes),
+        };
+        let (radiance, inverse_sums) = (fixed("radiance", radiance), fixed("inverse_sums", inverse_sums));
+        let smoothed = (smoothed > 0 && moving).then(|| fixed("smoothed", smoothed));
+        Kept { radiance, inverse_sums, gathered: g.external("environment.gathered", gathered), smoothed }
+    }
+
+    /// As lookups take it.
+    pub fn filtered(&self) -> Filtered {
+        Filtered { radiance: self.radiance, inverse_sums: self.inverse_sums, smoothed: self.smoothed }
+    }
+
+    /// Adds the pass that adds a step's gradients, `share` of them.
+    ///
+    /// # Errors
+    /// If a buffer does not belong to the graph or is too small to be bound.
+    pub fn gather(
+        &self,
+        g: &mut Graph,
+        t: &Tuning,
+        e: &Environment,
+        sums: &EnvironmentSums,
+        share: f32,
+    ) -> Result<(), GraphError> {
+        let texels = e.filtered_texels();
+        let bindings = environment_gather::Bindings {
+            texel_sums: sums.texel_sums.into(),
+            largest: sums.largest.into(),
+            inverse_sums: self.inverse_sums.into(),
+            gathered: self.gathered.into(),
+        };
+        let specs = environment_gather::Specs { workgroup: t.workgroup, fixed_bits: sums.bits };
+        let push = environment_gather::Push { texels, share };
+        let (kernel, bytes) = (&environment_gather::KERNEL, bytemuck::bytes_of(&push));
+        stage(g, "environment_gather", kernel, bindings.entries(), specs.entries(), bytes)
+            .dispatch(groups(3 * u64::from(texels), t.workgroup))
     }
 }
 
@@ -77,13 +143,44 @@ pub fn environment_filter(
     tables: &EnvironmentTables,
     texels: Buffer,
 ) -> Result<Filtered, GraphError> {
+    let radiance = g.transient("environment.radiance", floats(e.filtered_texels()));
+    let inverse_sums = g.transient("environment.inverse_sums", 4 * u64::from(e.filtered_texels()));
+    filter_into(g, t, e, tables, texels, Filtered { radiance, inverse_sums, smoothed: None })
+}
+
+/// The same into levels that stay.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn environment_filter_kept(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    texels: Buffer,
+    kept: &Kept,
+) -> Result<(), GraphError> {
+    filter_into(g, t, e, tables, texels, kept.filtered()).map(|_| ())
+}
+
+fn filter_into(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    texels: Buffer,
+    into: Filtered,
+) -> Result<Filtered, GraphError> {
     // Down to the coarsest mip that a level is made from; the last one is always of 16.
     let mut mips = vec![(e.size, texels)];
     while let Some(&(size, finer)) = mips.last()
         && size > 16
     {
         let half = size / 2;
-        let coarser = g.transient(format!("environment.mip{half}"), floats(6 * half * half));
+        let coarser = match into.smoothed.filter(|_| half == Environment::SMOOTHED) {
+            Some(kept) => kept,
+            None => g.transient(format!("environment.mip{half}"), floats(6 * half * half)),
+        };
         let bindings = environment_mips::Bindings { finer: finer.into(), coarser: coarser.into() };
         let specs = environment_mips::Specs { workgroup: t.workgroup };
         let push = environment_mips::Push { size: half };
@@ -93,8 +190,7 @@ pub fn environment_filter(
         mips.push((half, coarser));
     }
     let mip = |size: u32| mips.iter().find(|(s, _)| *s == size).map_or(texels, |(_, b)| *b);
-    let radiance = g.transient("environment.radiance", floats(e.filtered_texels()));
-    let inverse_sums = g.transient("environment.inverse_sums", 4 * u64::from(e.filtered_texels()));
+    let Filtered { radiance, inverse_sums, .. } = into;
     for (i, level) in e.levels.iter().enumerate() {
         let part = |buffer: Buffer, floats: u64| Slice {
             buffer,
@@ -147,7 +243,35 @@ pub fn environment_filter_bwd(
     let (kernel, bytes) = (&environment_collect::KERNEL, bytemuck::bytes_of(&push));
     stage(g, "environment_collect", kernel, bindings.entries(), specs.entries(), bytes)
         .dispatch(groups(3 * u64::from(texels), t.workgroup))?;
+    back(g, t, e, tables, scaled, smoothness, gradient)
+}
 
+/// The same from what steps have gathered.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn environment_filter_kept_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    kept: &Kept,
+    smoothness: Option<&Smoothness>,
+    gradient: Buffer,
+) -> Result<(), GraphError> {
+    back(g, t, e, tables, kept.gathered, smoothness, gradient)
+}
+
+fn back(
+    g: &mut Graph,
+    t: &Tuning,
+    e: &Environment,
+    tables: &EnvironmentTables,
+    scaled: Buffer,
+    smoothness: Option<&Smoothness>,
+    gradient: Buffer,
+) -> Result<(), GraphError> {
+    let texels = e.filtered_texels();
     let parts = e.parts(smoothness.is_some());
     let smoothed = parts[e.levels.len()..].iter().map(|(_, size)| 6 * size * size).sum::<u32>();
     let mip_gradients = g.transient("environment.mip_gradients", floats(texels + smoothed));

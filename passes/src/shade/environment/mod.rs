@@ -21,7 +21,9 @@ mod lookup;
 mod smoothness;
 pub mod split_sum;
 
-pub use filter::{Filtered, environment_filter, environment_filter_bwd};
+pub use filter::{
+    Filtered, Kept, environment_filter, environment_filter_bwd, environment_filter_kept, environment_filter_kept_bwd,
+};
 pub use lookup::{
     EnvironmentSums, EnvironmentView, environment, environment_background, environment_bwd, environment_diffuse,
 };

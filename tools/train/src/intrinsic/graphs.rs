@@ -2,6 +2,7 @@
 
 use super::Intrinsic;
 use super::consistency::StepKind;
+use super::seldom::Seldom;
 use crate::error::{Result, TrainError};
 use sgs_passes::pipeline::{COPIES, IntrinsicInputs, IntrinsicStep};
 
@@ -36,6 +37,7 @@ impl Intrinsic {
             parameters: &self.parameters,
             gains: Some(&self.gains),
             environment: self.environment.as_ref().map(|(e, m)| (e, m)),
+            kept: self.seldom.as_ref().map(Seldom::kept),
             traced: self.traced.as_ref(),
             targets: &self.data.targets,
             albedo: self.priors.albedo.as_ref(),

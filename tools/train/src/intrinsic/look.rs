@@ -55,6 +55,7 @@ impl Intrinsic {
         }
         // They are part of the graphs.
         self.execs = [None, None, None];
+        self.forget_refresh();
     }
 
     /// Looks at the reports up to a step that is known to be done.

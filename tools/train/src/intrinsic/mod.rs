@@ -13,6 +13,7 @@ mod look;
 mod modeled;
 mod needs;
 mod relit;
+mod seldom;
 mod start;
 mod state;
 mod surfaces;
@@ -37,6 +38,7 @@ use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use graphs::gone;
 use needs::Sizes;
 use relit::Relit;
+use seldom::Seldom;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport, IntrinsicSizes,
@@ -85,6 +87,8 @@ pub struct Intrinsic {
     bounds: [[f32; 3]; 2],
     gains: DeviceBuffer,
     environment: Option<(Environment, EnvironmentMemory)>,
+    /// Where its texels do not move with every step.
+    seldom: Option<Seldom>,
     /// What rays to lights go through.
     traced: Option<TracedMemory>,
     status: IntrinsicStatus,
@@ -128,6 +132,8 @@ impl Intrinsic {
 
     fn of(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats, asks: bool) -> Result<Intrinsic> {
         settings.check()?;
+        let smaller = (settings.intrinsic.scale < 1.0).then(|| scene.scaled(settings.intrinsic.scale));
+        let scene = smaller.as_ref().unwrap_or(scene);
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
         if splats.is_empty() {
@@ -221,6 +227,7 @@ impl Intrinsic {
             light_prune: s.lights.prune,
             cull_error: s.cull_error,
             environment_smooth: s.losses.environment_smooth,
+            environment_every: s.environment.every,
             cross_view: false,
             relight: false,
             relight_roughness: s.relight.roughness,
@@ -368,7 +375,7 @@ impl Intrinsic {
         let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
         device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
         let status = IntrinsicStatus::new(device)?;
-        let training = Intrinsic {
+        let mut training = Intrinsic {
             device: device.clone(),
             tuning,
             settings: asked.clone(),
@@ -386,6 +393,7 @@ impl Intrinsic {
             bounds,
             gains,
             environment,
+            seldom: None,
             traced,
             status,
             options,
@@ -397,6 +405,7 @@ impl Intrinsic {
             watch,
             roll_backs: Vec::new(),
         };
+        training.keep_environment()?;
         Ok(training)
     }
 
@@ -456,6 +465,7 @@ impl Intrinsic {
             let Some(exec) = &mut self.execs[kind as usize] else { return Err(gone()) };
             self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
             self.submitted = step;
+            self.move_environment(step)?;
             // Each graph has replays of its own in flight: only what all have waited for is surely done.
             let decides = self.decides_after(step);
             if step.is_multiple_of(LOOK) || decides {

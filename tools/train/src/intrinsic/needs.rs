@@ -11,8 +11,8 @@ use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, IntrinsicOptions, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, PSEUDO_VIEWS, RelitOptions,
-    RelitView,
+    EnvironmentMemory, EnvironmentRefresh, IntrinsicOptions, IntrinsicSizes, IntrinsicStatus, IntrinsicStep,
+    KeptEnvironment, PSEUDO_VIEWS, RelitOptions, RelitView,
 };
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::environment::Environment;
@@ -45,6 +45,8 @@ pub struct IntrinsicNeeds {
     pub pseudo_surfaces: u64,
     /// Transients of finding it.
     pub surface_arena: u64,
+    /// Transients of moving the environment's texels, where that is not done in every step.
+    pub environment_arena: u64,
     /// Transients of a step.
     pub arena: u64,
     /// Those of steps that compare albedo with pseudo-views.
@@ -106,6 +108,12 @@ impl IntrinsicNeeds {
         if let Some(e) = s.environment {
             needs.environment = learned(e.floats().into()) + EnvironmentMemory::bytes_of(e);
             largest = largest.max(8 * u64::from(e.floats()));
+            if o.environment_every > 1 {
+                let plan = EnvironmentRefresh::plan(tuning, e, o)?;
+                needs.environment += KeptEnvironment::bytes_of(e);
+                needs.environment_arena = plan.arena_bytes;
+                needs.small += uniform_bytes(device, &plan, 1);
+            }
         }
         if let Some(config) = &o.visibility {
             needs.visibility = VisibilityField::bytes(config, true).map_err(|e| TrainError::Setting(e.to_string()))?;
@@ -149,7 +157,7 @@ impl IntrinsicNeeds {
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 18] {
+    pub fn parts(&self) -> [(&'static str, u64); 19] {
         [
             ("photographs", self.photographs),
             ("priors of materials", self.priors),
@@ -163,6 +171,7 @@ impl IntrinsicNeeds {
             ("surfaces of views", self.surfaces),
             ("surfaces of pseudo-views", self.pseudo_surfaces),
             ("arena of surfaces", self.surface_arena),
+            ("arena of surroundings", self.environment_arena),
             ("arena", self.arena),
             ("arena of pseudo-views", self.cross_view_arena),
             ("arena of other lights", self.relight_arena),

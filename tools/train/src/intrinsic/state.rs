@@ -18,6 +18,9 @@ use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
 
+/// What steps have asked of the surroundings since these moved.
+const GATHERED: &str = "environment_gathered";
+
 const FORMAT: &str = "sgs-intrinsic-1";
 
 /// Tensors of what is said of views under other lights, and of the steps at which that was.
@@ -49,6 +52,9 @@ impl Intrinsic {
             for (name, v) in FIELD.iter().zip([tables, mlp, table_moments, mlp_moments]) {
                 values.push(((*name).to_owned(), v));
             }
+        }
+        if let Some(s) = &self.seldom {
+            values.push((GATHERED.to_owned(), s.kept().download(&self.device)?));
         }
         // What has been said of views, and when: asking again would be about other parameters.
         let mut words = Vec::new();
@@ -123,6 +129,7 @@ impl Intrinsic {
             read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
         }
         let gains = floats("light_gains", self.light_model.lights as usize)?;
+        let gathered = self.seldom.as_ref().map(|s| floats(GATHERED, s.kept().floats())).transpose()?;
         // Of a run without a provider there is nothing, and everything is asked anew.
         let mut estimates = None;
         if let (Some(relit), true) = (&self.relit, tensors.tensor(ASKED_AT).is_ok()) {
@@ -162,6 +169,9 @@ impl Intrinsic {
             }
             relit.asked_at = asked_at;
         }
+        if let (Some(s), Some(gathered)) = (&self.seldom, &gathered) {
+            s.kept().upload(&self.device, gathered)?;
+        }
         self.submitted = step;
         self.done = step;
         self.watch.restore(&course.watch);
@@ -169,7 +179,7 @@ impl Intrinsic {
         self.status = IntrinsicStatus::new(&self.device)?;
         self.set_rates(HALF.powi(course.roll_backs.len() as i32));
         self.roll_backs = course.roll_backs;
-        Ok(())
+        self.keep_environment()
     }
 
     /// The splats with their materials.

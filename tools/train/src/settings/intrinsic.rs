@@ -11,6 +11,8 @@ use sgs_passes::shade::visibility::FieldConfig;
 pub struct IntrinsicSettings {
     /// Training steps.
     pub steps: u32,
+    /// Share of the pictures' width and height that materials and lights are learned at: 0.5 shades a quarter of the pixels.
+    pub scale: f64,
     /// Whether there is a metallic value for each Gaussian.
     pub metallic: Metallic,
     /// Where materials begin.
@@ -50,6 +52,7 @@ impl Default for IntrinsicSettings {
     fn default() -> Self {
         IntrinsicSettings {
             steps: 3000,
+            scale: 1.0,
             metallic: Metallic::Auto,
             start: MaterialStart::Priors,
             lights: LightSettings::default(),
@@ -164,11 +167,14 @@ pub struct EnvironmentSettings {
     /// Mean of its texels at first. The published start is 1, which in closed rooms takes long to go away: pictures of the White
     /// Room are 2 to 3 dB better from 0.1 (docs/ABLATION.md).
     pub start: f32,
+    /// Its texels move after one of so many steps, as far, by what all of these asked of them; its mips are filtered then and not in
+    /// between.
+    pub every: u32,
 }
 
 impl Default for EnvironmentSettings {
     fn default() -> Self {
-        EnvironmentSettings { enabled: true, resolution: 256, start: 0.1 }
+        EnvironmentSettings { enabled: true, resolution: 256, start: 0.1, every: 1 }
     }
 }
 
@@ -341,6 +347,12 @@ impl IntrinsicSettings {
                 "intrinsic.environment.resolution is {}, but must be 16, 32, 64, 128, 256 or 512.",
                 e.resolution
             ));
+        }
+        if !(0.05..=1.0).contains(&self.scale) {
+            return fail(format!("intrinsic.scale is {}, but must be 0.05 to 1.", self.scale));
+        }
+        if !(1..=64).contains(&e.every) {
+            return fail(format!("intrinsic.environment.every is {}, but must be 1 to 64.", e.every));
         }
         if !(1..=8).contains(&l.grid) {
             return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));

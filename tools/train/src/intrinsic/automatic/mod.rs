@@ -125,6 +125,7 @@ impl Intrinsic {
         self.execs = [None, None, None];
         match part {
             Part::Environment => {
+                self.seldom = None;
                 self.environment = None;
                 self.parameters.environment = None;
             }
