@@ -200,6 +200,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         relight_roughness: 0.0,
         returning: false,
         rates,
+        picture: false,
         timestamps: false,
         frames_in_flight: 2,
     };

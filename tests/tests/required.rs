@@ -5,8 +5,9 @@ use sgs_tests::Place;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 
-const SMALL: [&str; 7] = [
+const SMALL: [&str; 8] = [
     "intrinsic.automatic.enabled=true",
+    "intrinsic.automatic.ready=100",
     "intrinsic.environment.resolution=64",
     "intrinsic.lights.grid=2",
     "intrinsic.visibility.levels=8",
@@ -100,6 +101,21 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     let lights = json(&place, "dark/lights.json");
     let on = lights["lights"].as_array().unwrap().iter().filter(|l| l["gain"] != 0.0).count();
     assert_eq!(on, 1, "the brightest light stays");
+}
+
+#[test]
+fn nothing_is_judged_before_it_is_learned() {
+    let place = room();
+    let all = ["intrinsic.automatic.gain=100", "intrinsic.automatic.ready=0"];
+    // Colors that have been trained are better than materials after a few steps.
+    let more = ["--geometry-steps", "60", "--no-densify", "-q"];
+    sgs(&[&["train", &place.text("scene"), "-o", &place.text("geometry")], &more[..]].concat()).ok();
+    let said = sgs(&arguments(&place, "run", &all)).ok().stderr;
+    let decided = decisions(&place, "run");
+    let judged: Vec<_> = decided.iter().filter(|d| d.0 > 0).map(|d| (d.0, d.1.as_str(), d.2)).collect();
+    assert_eq!(judged, [(5, "all parts", true), (10, "all parts", true), (15, "all parts", true)]);
+    assert!(said.contains("dB short of the splats' own colors (asked: 0): nothing is judged yet"), "{said}");
+    assert!(place.path("run/lights.json").is_file() && place.path("run/visibility.safetensors").is_file());
 }
 
 #[test]

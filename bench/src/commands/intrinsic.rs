@@ -29,9 +29,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     // Steps that compare with pseudo-views are other graphs: the plain one is measured.
     (settings.intrinsic.losses.cross_view, settings.intrinsic.losses.relight) = (0.0, 0.0);
     let folder = tempfile::tempdir()?;
-    let path = match &a.scene {
-        Some(path) => path.clone(),
-        None => {
+    let path = match (&a.scene, &a.run) {
+        (Some(path), _) => path.clone(),
+        (None, Some(_)) => settings.scene.clone(),
+        (None, None) => {
             let path = folder.path().join("room");
             let (_, [width, height]) = Args::sizes(&device, a.gaussians, a.size);
             let options = sgs_synth::SynthOptions {
@@ -46,11 +47,16 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     settings.scene.clone_from(&path);
     let scene = Scene::open(&path, &settings.scene_options())?;
-    let splats = match &a.geometry {
-        Some(file) => Splats::read_ply(file)?,
-        None => opaque(Splats::from_points(&scene.points, 0)?),
+    let splats = match (&a.geometry, &a.run) {
+        (Some(file), _) => Splats::read_ply(file)?,
+        (None, Some(run)) => Splats::read_ply(&run.join("scene.ply"))?,
+        (None, None) => opaque(Splats::from_points(&scene.points, 0)?),
     };
     let mut training = Intrinsic::new(&device, &scene, &settings, &splats)?;
+    if let Some(run) = &a.run {
+        training.restore(&run.join("checkpoint").join("intrinsic.safetensors"))?;
+        report.setting("run", run.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()));
+    }
     let camera = &scene.views[scene.split.train[0]].camera;
     let pixels = f64::from(camera.width) * f64::from(camera.height);
     report.setting("stage", "intrinsic");
@@ -62,8 +68,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("visibility", format!("{:?}", settings.intrinsic.visibility.kind).to_lowercase());
 
     report.setting("cull error", settings.intrinsic.cull_error);
+    if let Some(lights) = training.lights()? {
+        report.setting("lights that are on", lights.lights.iter().filter(|l| l.gain != 0.0).count());
+    }
 
-    let mut done = 0;
+    let mut done = training.step();
     let mut losses = Vec::new();
     let mut train = |training: &mut Intrinsic, count: u32, each: bool| -> anyhow::Result<Vec<f64>> {
         let mut wall = Vec::new();
@@ -117,9 +126,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Settings from `--config`, if it is given.
+/// Settings of the run, or from `--config`, if one is given.
 fn settings(a: &Args) -> anyhow::Result<Settings> {
-    let Some(path) = &a.config else { return Ok(Settings::default()) };
+    let of_run = a.run.as_ref().map(|run| run.join("config.toml"));
+    let Some(path) = a.config.as_ref().or(of_run.as_ref()) else { return Ok(Settings::default()) };
     read(path).with_context(|| format!("\"{}\"", path.display()))
 }
 

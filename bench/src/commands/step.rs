@@ -41,6 +41,10 @@ pub struct Args {
     /// Settings of the intrinsic stage from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
+    /// A run of the intrinsic stage in place of scene, geometry and settings: the step that it has come to, without what has been
+    /// left out.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "geometry", "config", "gaussians", "size"])]
+    pub run: Option<PathBuf>,
     /// Steps to measure, in place of --repeats.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: Option<u32>,
@@ -149,7 +153,7 @@ impl Args {
 /// # Errors
 /// If the device fails, or what is measured is not what it should be.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    if a.stage == Stage::Intrinsic {
+    if a.stage == Stage::Intrinsic || a.run.is_some() {
         return super::intrinsic::run(common, a);
     }
     let device = common.open_device()?;

@@ -21,8 +21,9 @@ pub use geometry::{
     GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, PSEUDO_VIEWS, SemanticInputs, SemanticSizes,
 };
 pub use intrinsic::{
-    COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes,
-    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, KeptEnvironment, RelitOptions, RelitView,
+    COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters,
+    IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, KeptEnvironment, RelitOptions,
+    RelitView,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};

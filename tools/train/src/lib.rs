@@ -49,7 +49,7 @@ pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_s
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
 pub use geometry::{Decision, Geometry, Progress};
 pub use head::SemanticHead;
-pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, read_lights, write_lights};
+pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, Probe, read_lights, write_lights};
 pub use kept::Kept;
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};

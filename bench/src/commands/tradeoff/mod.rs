@@ -9,15 +9,18 @@
 //! shared machine can only add to it.
 
 mod choices;
+mod intrinsic;
+mod lit;
 mod plot;
 
-use super::step::Args as StepArgs;
+use super::step::{Args as StepArgs, Stage};
 use crate::common::{Common, parse_size};
 use crate::harness::spans;
 use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
 use choices::{Choice, choices};
+use plot::Mark;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
@@ -35,6 +38,15 @@ pub struct Args {
     /// A scene directory in place of the synthetic room.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["gaussians", "size"])]
     pub scene: Option<PathBuf>,
+    /// Whose choices.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub stage: Stage,
+    /// Settings of the intrinsic stage that choices differ from, a TOML file as config.toml of a run.
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Steps of the intrinsic stage after which each choice is measured at the test views; not measured without.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub quality: Option<u32>,
     /// Trained Gaussians of the scene; without them its points, or those of the room, are trained first.
     #[arg(long, value_name = "FILE.ply", requires = "scene")]
     pub geometry: Option<PathBuf>,
@@ -86,11 +98,24 @@ pub struct Point {
     pub front: bool,
 }
 
+impl From<&Point> for Mark {
+    fn from(p: &Point) -> Mark {
+        Mark { name: p.name.clone(), time: p.step.least, error: p.mean, front: p.front }
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// If the device fails, a file cannot be read or written, or `exact` is not.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    if a.stage == Stage::Intrinsic {
+        return intrinsic::run(common, a);
+    }
+    anyhow::ensure!(
+        a.quality.is_none() && a.config.is_none(),
+        "--quality and --config are for --stage intrinsic; bench/accuracy-quality trains geometry with each level of accuracy."
+    );
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
     let mut workload = workload(&device, a)?;
@@ -124,7 +149,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     if let Some(path) = &a.svg {
         let title = format!("{}, {} Gaussians, {}", workload.name, workload.start.len(), device.info().name);
-        let text = plot::svg(&points, &title)?;
+        let text = plot::svg(&points.iter().map(Mark::from).collect::<Vec<_>>(), &title, "mean error of a picture")?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
     if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
@@ -234,14 +259,18 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
 
 /// Largest and mean difference, and decibels, of all pixels.
 fn errors(image: &[f32], truth: &Blended) -> (f64, f64, f64) {
-    let differences = image.iter().zip(&truth.image).map(|(a, b)| (f64::from(*a) - b).abs());
+    differences(image, &truth.image)
+}
+
+fn differences(image: &[f32], truth: &[f64]) -> (f64, f64, f64) {
+    let differences = image.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs());
     let (mut largest, mut sum, mut square) = (0.0_f64, 0.0, 0.0);
     for d in differences {
         largest = largest.max(d);
         sum += d;
         square += d * d;
     }
-    let n = truth.image.len().max(1) as f64;
+    let n = truth.len().max(1) as f64;
     (largest, sum / n, -10.0 * (square / n).max(1e-30).log10())
 }
 
@@ -260,15 +289,17 @@ fn difference(exact: &GaussianData, other: &GaussianData) -> f64 {
 
 /// A choice is on the front if no other is at least as fast and as close, and better in one of them. Times within one
 /// percent are the same time.
+fn front(all: &[(f64, f64)]) -> Vec<bool> {
+    let beaten = |p: &(f64, f64)| {
+        let beats = |o: &(f64, f64)| o.0 <= p.0 && o.1 <= p.1 && (o.0 < 0.99 * p.0 || o.1 < 0.99 * p.1);
+        all.iter().any(beats)
+    };
+    all.iter().map(|p| !beaten(p)).collect()
+}
+
 fn mark_front(points: &mut [Point]) {
-    let all = points.to_vec();
-    for p in points {
-        p.front = !all.iter().any(|o| {
-            let (fast, close) = (o.step.least <= p.step.least, o.mean <= p.mean);
-            let better = o.step.least < 0.99 * p.step.least || o.mean < 0.99 * p.mean;
-            fast && close && better
-        });
-    }
+    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.step.least, p.mean)).collect();
+    points.iter_mut().zip(front(&all)).for_each(|(p, front)| p.front = front);
 }
 
 fn table(points: &[Point]) -> String {
@@ -341,7 +372,8 @@ mod tests {
     fn the_picture_of_the_front_is_drawn() {
         let mut points = [point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
         mark_front(&mut points);
-        let text = plot::svg(&points, "a title").unwrap();
+        let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
+        let text = plot::svg(&marks, "a title", "errors").unwrap();
         assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));
         roxmltree::Document::parse(&text).unwrap();
     }

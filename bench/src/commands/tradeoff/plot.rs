@@ -1,23 +1,35 @@
 //! Time against error, as a drawing.
 
-use super::Point;
 use anyhow::anyhow;
 use plotters::prelude::*;
 
 /// Errors below this are drawn here: exact ones would be at minus infinity.
 const LEAST: f64 = 1e-8;
 
-/// Step time by the exact one's to the right, mean error of the picture upwards in powers of ten. Choices on the front are
+/// Where a choice is drawn.
+#[derive(Clone, Debug)]
+pub struct Mark {
+    /// Its name.
+    pub name: String,
+    /// Of a step.
+    pub time: f64,
+    /// Of whatever is compared.
+    pub error: f64,
+    /// Whether nothing is both faster and closer.
+    pub front: bool,
+}
+
+/// Step time by that of the first to the right, errors upwards in powers of ten; `what` they are of. Choices on the front are
 /// filled, and joined by a line.
-pub fn svg(points: &[Point], title: &str) -> anyhow::Result<String> {
+pub fn svg(points: &[Mark], title: &str, what: &str) -> anyhow::Result<String> {
     let mut out = String::new();
-    draw(points, title, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;
+    draw(points, title, what, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;
     Ok(out)
 }
 
-fn draw(points: &[Point], title: &str, out: &mut String) -> Result<(), Box<dyn std::error::Error>> {
-    let first = points.first().ok_or("there is nothing to draw")?.step.least;
-    let at = |p: &Point| (p.step.least / first, p.mean.max(LEAST));
+fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+    let first = points.first().ok_or("there is nothing to draw")?.time;
+    let at = |p: &Mark| (p.time / first, p.error.max(LEAST));
     let low = points.iter().map(|p| at(p).0).fold(f64::INFINITY, f64::min) - 0.05;
     let high = points.iter().map(|p| at(p).0).fold(0.0, f64::max) + 0.2;
     let top = points.iter().map(|p| at(p).1).fold(LEAST, f64::max) * 4.0;
@@ -32,7 +44,7 @@ fn draw(points: &[Point], title: &str, out: &mut String) -> Result<(), Box<dyn s
     chart
         .configure_mesh()
         .x_desc("time of a training step, of exact")
-        .y_desc("mean error of a picture")
+        .y_desc(what)
         .y_label_formatter(&|v| format!("{v:.0e}"))
         .light_line_style(WHITE)
         .draw()?;

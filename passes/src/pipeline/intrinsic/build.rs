@@ -11,8 +11,8 @@ use crate::optim::{EPSILON, Rate};
 use crate::pipeline::{RING, SurfaceHandles};
 use crate::scene::StepWords;
 use crate::shade::environment::{
-    Environment, EnvironmentView, Kept, environment as ambient_light, environment_bwd, environment_clamp, environment_filter,
-    environment_filter_bwd, environment_smoothness,
+    Environment, EnvironmentView, Kept, environment as ambient_light, environment_bwd, environment_clamp,
+    environment_filter, environment_filter_bwd, environment_smoothness,
 };
 use crate::shade::lights::{
     LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_normals_bwd,
@@ -55,6 +55,7 @@ pub(super) struct Frame<'a> {
     pub o: &'a IntrinsicOptions,
 }
 
+/// Adds all passes of a step; returns the picture that it shades.
 pub(super) fn build(
     g: &mut Graph,
     t: &Tuning,
@@ -66,7 +67,7 @@ pub(super) fn build(
     kept: Option<&Kept>,
     words: &Words,
     o: &IntrinsicOptions,
-) -> Built<()> {
+) -> Built<Buffer> {
     let step = steps.shaded;
     let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
     let pixels = screen.pixels();
@@ -142,7 +143,7 @@ pub(super) fn build(
         returning: o.returning,
         largest: o.shape.largest,
     };
-    let image = g.transient("shaded", 12 * pixels);
+    let image = if o.picture { g.external("shaded", 12 * pixels) } else { g.transient("shaded", 12 * pixels) };
     let saturated = compose(g, *t, &composed, image)?;
     let (grad_image, stats) = compared(g, t, "shaded", step, image, inputs.targets, o)?;
     let radiance_gradient = g.transient("radiance_gradient", 12 * pixels);
@@ -269,5 +270,6 @@ pub(super) fn build(
         roughness: of_priors[1].is_some(),
         metallic: of_priors[2].is_some(),
     };
-    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
+    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
+    Ok(image)
 }

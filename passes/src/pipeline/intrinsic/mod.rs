@@ -74,6 +74,8 @@ pub struct IntrinsicOptions {
     pub returning: bool,
     /// Learning rates.
     pub rates: IntrinsicRates,
+    /// Whether the shaded picture can be had after a step ([`IntrinsicStep::picture`]).
+    pub picture: bool,
     /// Timestamps around every pass.
     pub timestamps: bool,
     /// Replays in flight.
@@ -140,6 +142,7 @@ pub struct IntrinsicStep {
     surface: SurfaceHandles,
     pseudo: Vec<SurfaceHandles>,
     field: Option<Buffer>,
+    picture: Option<DeviceBuffer>,
     tile: [u32; 2],
     options: IntrinsicOptions,
 }
@@ -221,6 +224,12 @@ impl IntrinsicStep {
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
         exec.bind(declared.words.reports, &status.reports)?;
+        let bytes = 12 * u64::from(options.shape.largest[0]) * u64::from(options.shape.largest[1]);
+        let make = || device.buffer("shaded_picture", bytes, Location::Device);
+        let picture = declared.picture.map(|_| make()).transpose()?;
+        if let (Some(handle), Some(buffer)) = (declared.picture, &picture) {
+            exec.bind(handle, buffer)?;
+        }
         let field = declared.inputs.visibility.map(|v| v.field.step);
         Ok(IntrinsicStep {
             exec,
@@ -228,6 +237,7 @@ impl IntrinsicStep {
             surface: declared.surface,
             pseudo: declared.pseudo,
             field,
+            picture,
             tile: tuning.tile,
             options,
         })
@@ -292,6 +302,19 @@ impl IntrinsicStep {
         self.exec.finish()
     }
 
+    /// What the last step shaded, display-referred, three floats a pixel of the largest view (waits for the device). Nothing where
+    /// [`IntrinsicOptions::picture`] did not ask for it.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn picture(&mut self, device: &Device) -> Result<Vec<f32>> {
+        self.exec.finish()?;
+        match &self.picture {
+            Some(buffer) => device.download_as(buffer, buffer.bytes() as usize / 4),
+            None => Ok(Vec::new()),
+        }
+    }
+
     /// What it was made of.
     pub fn options(&self) -> &IntrinsicOptions {
         &self.options
@@ -312,6 +335,7 @@ struct Declared {
     words: Words,
     inputs: Inputs,
     kept: Option<Kept>,
+    picture: Option<Buffer>,
 }
 
 fn declare(
@@ -343,7 +367,8 @@ fn declare(
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
     let inputs = Inputs::declare(&mut g, sizes, tables, o);
     let kept = environment.filter(|_| o.environment_every > 1).map(|e| Kept::declare(&mut g, e, false));
-    build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, kept.as_ref(), &words, o)?;
+    let shaded = build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, kept.as_ref(), &words, o)?;
+    let picture = o.picture.then_some(shaded);
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, steps, surface, pseudo, words, inputs, kept })
+    Ok(Declared { plan, steps, surface, pseudo, words, inputs, kept, picture })
 }

@@ -12,6 +12,7 @@ mod graphs;
 mod look;
 mod modeled;
 mod needs;
+mod probe;
 mod relit;
 mod seldom;
 mod start;
@@ -22,6 +23,7 @@ mod values;
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub(crate) use files::{MOST as MOST_LIGHTS, raw_lobe};
 pub use needs::IntrinsicNeeds;
+pub use probe::Probe;
 pub(crate) use values::field_box;
 
 use crate::convert::gaussian_data;
@@ -245,6 +247,7 @@ impl Intrinsic {
                 visibility: r.visibility,
                 normals: r.normals,
             },
+            picture: false,
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };

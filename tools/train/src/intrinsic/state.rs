@@ -129,7 +129,12 @@ impl Intrinsic {
             read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
         }
         let gains = floats("light_gains", self.light_model.lights as usize)?;
-        let gathered = self.seldom.as_ref().map(|s| floats(GATHERED, s.kept().floats())).transpose()?;
+        // Where texels moved with every step, nothing is left over.
+        let gathered = match &self.seldom {
+            Some(s) if tensors.tensor(GATHERED).is_ok() => Some(floats(GATHERED, s.kept().floats())?),
+            Some(s) => Some(vec![0.0; s.kept().floats()]),
+            None => None,
+        };
         // Of a run without a provider there is nothing, and everything is asked anew.
         let mut estimates = None;
         if let (Some(relit), true) = (&self.relit, tensors.tensor(ASKED_AT).is_ok()) {

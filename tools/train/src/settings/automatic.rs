@@ -10,6 +10,9 @@ pub struct AutomaticSettings {
     pub enabled: bool,
     /// What a part must be worth to stay: decibels of the shaded picture at training views.
     pub gain: f32,
+    /// Nothing is judged by pictures as long as the shaded ones are more than so many decibels worse than those of the splats' own
+    /// colors: what has not been learned yet is worth nothing yet.
+    pub ready: f32,
     /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
     pub sizes: bool,
     /// Metallic, by its priors; false: as intrinsic.metallic says.
@@ -28,6 +31,7 @@ impl Default for AutomaticSettings {
         AutomaticSettings {
             enabled: false,
             gain: 0.02,
+            ready: 8.0,
             sizes: all,
             metallic: all,
             lights: all,

@@ -16,9 +16,12 @@ use crate::geometry::Decision;
 use crate::settings::{AutomaticSettings, VisibilityKind};
 use sgs_passes::pipeline::Camera;
 
-/// Shares of the steps after which it is looked at. Lights can be judged at both; surroundings and shadows have to be learned first, and are
-/// judged at the last.
-const LOOKS: [f64; 2] = [0.25, 0.5];
+/// Shares of the steps after which it is looked at. Lights can be judged at all of them; surroundings and shadows have to be learned first,
+/// and are judged from [`WHOLE`] on.
+const LOOKS: [f64; 3] = [0.25, 0.5, 0.75];
+
+/// The share of the steps from which whole parts are judged.
+const WHOLE: f64 = 0.5;
 
 /// Most training views that are looked at.
 const VIEWS: usize = 6;
@@ -31,6 +34,8 @@ pub(super) struct Automatic {
     views: Vec<Watched>,
     /// So far.
     pub decisions: Vec<Decision>,
+    /// The sum of squared errors of the splats' own colors there, once it is known.
+    own: Option<f64>,
 }
 
 /// Pixels of a training view.
@@ -76,7 +81,7 @@ impl Automatic {
             let pixels = taken.filter(|p| image[*p] >> 24 != 0).map(|p| (p, color(image[p]))).collect();
             Watched { camera: views[i].0, pixels }
         };
-        Automatic { views: (0..chosen).map(watched).collect(), decisions }
+        Automatic { views: (0..chosen).map(watched).collect(), decisions, own: None }
     }
 }
 
@@ -85,9 +90,9 @@ fn looks(step: u32, steps: u32) -> bool {
     LOOKS.iter().any(|share| due(*share, steps) == step) && step < steps
 }
 
-/// Whether that is the last time.
-fn looks_last(step: u32, steps: u32) -> bool {
-    due(LOOKS[LOOKS.len() - 1], steps) == step
+/// Whether whole parts are judged then.
+fn looks_at_parts(step: u32, steps: u32) -> bool {
+    step >= due(WHOLE, steps)
 }
 
 /// The step at a share of all.
@@ -171,10 +176,10 @@ mod tests {
     #[test]
     fn it_is_looked_at_a_few_times_and_never_at_the_end() {
         let all = |steps: u32| (1..=steps).filter(|step| looks(*step, steps)).collect::<Vec<_>>();
-        assert_eq!(all(300), [75, 150]);
-        assert_eq!(all(3000), [750, 1500]);
-        assert_eq!(all(4), [1, 2]);
+        assert_eq!(all(300), [75, 150, 225]);
+        assert_eq!(all(3000), [750, 1500, 2250]);
+        assert_eq!(all(4), [1, 2, 3]);
         assert_eq!(all(1), [0; 0]);
-        assert!(looks_last(150, 300) && !looks_last(75, 300));
+        assert!(looks_at_parts(150, 300) && looks_at_parts(225, 300) && !looks_at_parts(75, 300));
     }
 }

@@ -5,11 +5,15 @@
 //! as all that are gone are worth less than asked together.
 
 use super::{Part, Watched};
+use crate::convert::gaussian_data;
 use crate::error::Result;
 use crate::geometry::Decision;
 use crate::intrinsic::Intrinsic;
 use crate::shaded::{RunLight, Shading, Visibility, shaded_scene};
 use rayon::prelude::*;
+use sgs_passes::pipeline::Renderer;
+use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::splat::Channels;
 use sgs_scene::{Splats, linear_to_srgb, srgb_to_linear};
 
 /// Linear light of the chosen pixels of all views, one behind the other.
@@ -98,13 +102,39 @@ impl Intrinsic {
 
     fn worthless(&mut self, step: u32) -> Result<Vec<Decision>> {
         let (asked, watched) = (*self.automatic_settings(), self.automatic.take());
-        let Some(watched) = watched else { return Ok(Vec::new()) };
-        let found = self.found(step, &asked, &watched.views);
+        let Some(mut watched) = watched else { return Ok(Vec::new()) };
+        let found = match watched.own {
+            Some(own) => Ok(own),
+            None => self.own(&watched.views),
+        };
+        let found = found.and_then(|own| {
+            watched.own = Some(own);
+            self.found(step, &asked, &watched.views, own)
+        });
         self.automatic = Some(watched);
         found
     }
 
-    fn found(&mut self, step: u32, a: &super::AutomaticSettings, views: &[Watched]) -> Result<Vec<Decision>> {
+    /// The sum of squared errors of the pictures that the splats' own colors make: about as good as shaded ones can get.
+    fn own(&self, views: &[Watched]) -> Result<f64> {
+        let model = Model { sh_degree: self.splats.sh_degree() as u32, normals: false, semantics: false };
+        let gaussians = Gaussians::with(&self.device, model, self.splats.len() as u32, false, false)?;
+        gaussians.upload(&self.device, &gaussian_data(&self.splats, model))?;
+        let mut renderer =
+            Renderer::new(&self.device, self.tuning, &gaussians, self.data.largest, Channels::default())?;
+        let mut sum = 0.0;
+        for view in views {
+            let background = self.required.geometry.background;
+            let picture = renderer.render(&gaussians, &view.camera, model.sh_degree, background)?;
+            for (p, photo) in &view.pixels {
+                let off = |c: usize| f64::from(picture.image[3 * p + c].clamp(0.0, 1.0) - photo[c]).powi(2);
+                sum += (0..3).map(off).sum::<f64>();
+            }
+        }
+        Ok(sum)
+    }
+
+    fn found(&mut self, step: u32, a: &super::AutomaticSettings, views: &[Watched], own: f64) -> Result<Vec<Decision>> {
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
@@ -114,15 +144,25 @@ impl Intrinsic {
             let light = add(p.behind[i], p.direct[i]);
             if ambient { add(light, p.ambient[i]) } else { light }
         };
+        let with = error(&photos, |i| sum(&all, true, i));
+        let short = loss(own, with);
+        if short > f64::from(a.ready) {
+            let (ready, setting) = (a.ready, "intrinsic.automatic.ready".to_owned());
+            let reason = format!(
+                "shaded pictures are {short:.1} dB short of the splats' own colors (asked: {ready}): nothing is judged yet"
+            );
+            let (what, asked) = ("all parts".to_owned(), Some(f64::from(ready)));
+            return Ok(vec![Decision { step, what, on: true, reason, measured: Some(short), asked, setting }]);
+        }
+        tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
         let mut decisions = Vec::new();
         let mut decided = |what: &str, on: bool, reason: String, worth: f64| {
             let (what, setting) = (what.to_owned(), format!("intrinsic.automatic.{what}"));
             decisions.push(Decision { step, what, on, reason, measured: Some(worth), asked: Some(gain), setting });
         };
-        let with = error(&photos, |i| sum(&all, true, i));
         // A network is shown views under other lights by graphs of its own, which have all parts.
         let whole = self.relit.is_none();
-        let last = super::looks_last(step, self.required.intrinsic.steps);
+        let judged = whole && super::looks_at_parts(step, self.required.intrinsic.steps);
 
         let mut gains: Vec<f32> = light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
         let mut none_left = false;
@@ -151,14 +191,14 @@ impl Intrinsic {
             }
         }
         let mut out = Vec::new();
-        if last && whole && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
+        if judged && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
             let worth = loss(with, error(&photos, |i| sum(&all, false, i)));
             if worth <= gain {
                 decided("environment", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
                 out.push(Part::Environment);
             }
         }
-        if last && whole && a.visibility && self.has(Part::Visibility) && !none_left {
+        if judged && a.visibility && self.has(Part::Visibility) && !none_left {
             let light = RunLight { visibility: Visibility::None, ..light };
             let without = self.pictures(&mut self.shading(&splats, &light)?, views)?;
             let worth = loss(with, error(&photos, |i| sum(&without, true, i)));

@@ -1,0 +1,361 @@
+//! The choices of the intrinsic stage: what each saves of a step, and what it does to picture, gradients and, after a fixed
+//! training, to measures at test views.
+//!
+//! Materials and lights are learned as `exact` has it first. Choices that have the same model then begin there: the picture of
+//! the next step is held to double precision, its gradients to those of `exact`. Choices of another model learn for
+//! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
+//! at once, since some choices do not do the same in every step.
+
+use super::plot::{Mark, svg};
+use super::{Args, front, lit};
+use crate::common::Common;
+use crate::stats::Summary;
+use anyhow::{Context, ensure};
+use sgs_engine::Device;
+use sgs_passes::Matrices;
+use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
+use sgs_train::metrics::psnr;
+use sgs_train::{Intrinsic, Probe, Settings, Shading, displayed, overlay, shaded_scene};
+use std::fmt::Write;
+use std::path::Path;
+use std::time::Instant;
+
+/// Steps that are timed at once: as many as the slowest rhythm of a choice has, or a multiple of it.
+const RHYTHM: u32 = 8;
+
+/// One way to do it.
+#[derive(Clone, Debug)]
+struct Choice {
+    name: &'static str,
+    sets: Vec<String>,
+    /// Whether what is learned has the same shape as that of `exact`.
+    same: bool,
+}
+
+/// `exact` first, then every choice alone, then some together.
+fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
+    let own = |name, sets: &[&str]| Choice { name, sets: sets.iter().map(|s| (*s).to_owned()).collect(), same: true };
+    let mut all = vec![
+        own("exact", &[]),
+        own("weights anew", &["intrinsic.surface_bytes=1"]),
+        own("surroundings every 4", &["intrinsic.environment.every=4"]),
+        own("surroundings every 8", &["intrinsic.environment.every=8"]),
+        own("one pair of 4", &["intrinsic.visibility.sample=4"]),
+        own("one pair of 16", &["intrinsic.visibility.sample=16"]),
+        own("lights culled, 0.002", &["intrinsic.cull_error=0.002"]),
+        own("lights culled, 0.02", &["intrinsic.cull_error=0.02"]),
+        own("half size", &["intrinsic.scale=0.5"]),
+    ];
+    if Matrices::for_device(device.info()).is_ok() {
+        all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"]));
+    }
+    let balanced = ["intrinsic.environment.every=4", "intrinsic.visibility.sample=4"];
+    all.push(own("first two together", &balanced));
+    let fast = ["intrinsic.environment.every=8", "intrinsic.visibility.sample=16", "intrinsic.cull_error=0.02"];
+    all.push(own("three together", &fast));
+    all.push(own("all together", &[&fast[..], &["intrinsic.scale=0.5"]].concat()));
+    let s = &base.intrinsic;
+    let mut other = |name, sets: Vec<String>| all.push(Choice { name, sets, same: false });
+    if s.lights.grid > 1 {
+        other("fewer lights", vec![format!("intrinsic.lights.grid={}", s.lights.grid - 1)]);
+    }
+    if s.environment.resolution > 16 {
+        other(
+            "coarser surroundings",
+            vec![format!("intrinsic.environment.resolution={}", s.environment.resolution / 2)],
+        );
+    }
+    if s.visibility.levels > 4 {
+        let levels = s.visibility.levels / 2;
+        let ratio = f64::from(s.visibility.finest) / f64::from(s.visibility.coarsest.max(1));
+        let finest =
+            f64::from(s.visibility.coarsest) * ratio.powf(f64::from(levels - 1) / f64::from(s.visibility.levels - 1));
+        let sets = [("levels", f64::from(levels)), ("finest", finest.round())];
+        other("half of the field", sets.iter().map(|(k, v)| format!("intrinsic.visibility.{k}={v}")).collect());
+    }
+    all
+}
+
+/// What is known of one choice.
+struct Row {
+    choice: Choice,
+    step: Summary,
+    bytes: u64,
+    /// Largest and mean error of a picture against double precision, and decibels.
+    picture: Option<[f64; 3]>,
+    /// Relative difference of gradients: all but the visibility field's, the worst, and the field's.
+    gradients: Option<[f64; 2]>,
+    /// Decibels of shaded pictures and albedo at test views.
+    quality: Option<[f64; 2]>,
+    front: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the device fails, a file cannot be read or written, or `exact` is not.
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let device = common.open_device()?;
+    let mut report = common.report("tradeoff", &device);
+    let base = base(a)?;
+    let folder = tempfile::tempdir()?;
+    let (scene, splats) = scene(&device, a, &base, folder.path())?;
+    let steps = common.repeats.div_ceil(RHYTHM) * RHYTHM;
+    report.setting("stage", "intrinsic");
+    report.setting("scene", scene.root.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()));
+    report.setting("gaussians", splats.len());
+    let camera = &scene.views[scene.split.train[0]].camera;
+    report.setting("size", format!("{}x{}", camera.width, camera.height));
+    report.setting("lights", base.intrinsic.lights.grid.pow(3));
+    report.setting("environment", base.intrinsic.environment.resolution);
+    report.setting("trained", a.train);
+    report.setting("rounds", a.rounds);
+    let rows = measure(a, &device, &scene, &splats, &base, folder.path(), steps)?;
+    for r in &rows {
+        let name = r.choice.name;
+        report.time(&format!("step, {name}"), "ms", r.step);
+        report.fact(&format!("device memory of training, {name}, MB"), r.bytes as f64 / 1e6);
+        if let Some([largest, mean, db]) = r.picture {
+            report.time(&format!("largest error, {name}"), "", Summary::of(&[largest]));
+            report.time(&format!("mean error, {name}"), "", Summary::of(&[mean]));
+            report.fact(&format!("picture, {name}, dB"), db);
+        }
+        if let Some([all, field]) = r.gradients {
+            report.time(&format!("gradient error, {name}"), "", Summary::of(&[all]));
+            report.time(&format!("gradient error of the field, {name}"), "", Summary::of(&[field]));
+        }
+        if let Some([pictures, albedo]) = r.quality {
+            report.fact(&format!("shaded pictures after training, {name}, dB"), pictures);
+            report.fact(&format!("albedo after training, {name}, dB"), albedo);
+        }
+    }
+    let best: Vec<&str> = rows.iter().filter(|r| r.front).map(|r| r.choice.name).collect();
+    report.fact("on the front", best.join(", "));
+    report.check("the exact picture agrees with double precision");
+    let table = table(&rows);
+    if let Some(path) = &a.table {
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, table.as_bytes()))?;
+    }
+    if let Some(path) = &a.svg {
+        let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
+        let mark =
+            |r: &Row| Mark { name: r.choice.name.to_owned(), time: r.step.least, error: error(r), front: r.front };
+        let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.same).map(mark).collect();
+        let text = svg(&marks, &title, "error of gradients")?;
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+    }
+    if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
+        println!("{table}");
+    }
+    common.finish(&report, &device)
+}
+
+/// Settings that choices differ from. Steps that compare with other views are other graphs: plain ones are measured.
+fn base(a: &Args) -> anyhow::Result<Settings> {
+    let mut settings = match &a.config {
+        Some(path) => Settings::from_table(
+            std::fs::read_to_string(path).with_context(|| format!("\"{}\"", path.display()))?.parse()?,
+        )?,
+        None => Settings::default(),
+    };
+    (settings.intrinsic.losses.cross_view, settings.intrinsic.losses.relight) = (0.0, 0.0);
+    settings.intrinsic.automatic.enabled = false;
+    settings.intrinsic.visibility.sample = 1;
+    Ok(settings)
+}
+
+fn scene(device: &Device, a: &Args, base: &Settings, folder: &Path) -> anyhow::Result<(Scene, Splats)> {
+    let path = match &a.scene {
+        Some(path) => path.clone(),
+        None => {
+            let path = folder.join("room");
+            let (_, [width, height]) = super::StepArgs::sizes(device, a.gaussians, a.size);
+            let options = sgs_synth::SynthOptions {
+                views: 4,
+                width: width as usize,
+                height: height as usize,
+                ..Default::default()
+            };
+            sgs_synth::generate(&path, &options, &|_, _| {})?;
+            path
+        }
+    };
+    let scene = Scene::open(&path, &base.scene_options())?;
+    let splats = match &a.geometry {
+        Some(file) => Splats::read_ply(file)?,
+        None => {
+            let mut splats = Splats::from_points(&scene.points, 0)?;
+            splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
+            splats
+        }
+    };
+    Ok((scene, splats))
+}
+
+/// A choice as settings.
+fn settings(base: &Settings, choice: &Choice) -> anyhow::Result<Settings> {
+    let mut table: toml::Table = toml::Table::try_from(base)?;
+    for set in &choice.sets {
+        let over: toml::Table = set.parse().with_context(|| set.clone())?;
+        overlay(&mut table, over);
+    }
+    Ok(Settings::from_table(table)?)
+}
+
+fn measure(
+    a: &Args,
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    base: &Settings,
+    folder: &Path,
+    steps: u32,
+) -> anyhow::Result<Vec<Row>> {
+    let wanted = |c: &Choice| c.name == "exact" || a.filter.as_ref().is_none_or(|f| c.name.contains(f.as_str()));
+    let mut subjects: Vec<(Row, Intrinsic, Vec<f64>)> = Vec::new();
+    let start = folder.join("start");
+    let mut exact: Option<(Probe, Vec<f64>)> = None;
+    for choice in choices(base, device).into_iter().filter(wanted) {
+        let settings = settings(base, &choice)?;
+        let before = device.memory_use().0;
+        let mut training = Intrinsic::new(device, scene, &settings, splats)?;
+        if exact.is_none() || !choice.same {
+            training.train(a.train.max(1), |_| {}, || true)?;
+        }
+        if exact.is_none() {
+            training.save(&start)?;
+        } else if choice.same {
+            restore(&mut training, &start, &choice)?;
+        }
+        let probe = training.probe()?;
+        let (mut picture, mut gradients): (Option<[f64; 3]>, _) = (None, None);
+        if exact.is_none() {
+            let light = training.light()?;
+            let truth = lit::picture(&training.splats()?, &light, &probe.camera, base.geometry.background)?;
+            exact = Some((probe.clone(), truth));
+        }
+        if let (Some((of_exact, truth)), true) = (&exact, choice.same) {
+            // Pictures of another size are of other pixels.
+            picture = (probe.picture.len() == truth.len()).then(|| super::differences(&probe.picture, truth).into());
+            gradients = Some(difference(of_exact, &probe));
+        }
+        if choice.name == "exact" {
+            let db = picture.map_or(0.0, |p| p[2]);
+            ensure!(db > 50.0, "The exact picture is {db:.1} dB off double precision.");
+        }
+        training.train(training.step() + RHYTHM, |_| {}, || true)?;
+        let bytes = device.memory_use().0 - before;
+        let row = Row { choice, step: Summary::default(), bytes, picture, gradients, quality: None, front: false };
+        subjects.push((row, training, Vec::new()));
+    }
+    // Every round begins elsewhere, every other one runs backwards: whoever is first in a round is often slower.
+    let count = subjects.len();
+    for round in 0..a.rounds as usize {
+        for i in 0..count {
+            let i = (i + round / 2 * 5) % count;
+            let (row, training, times) = &mut subjects[if round % 2 == 0 { i } else { count - 1 - i }];
+            if row.choice.same {
+                restore(training, &start, &row.choice)?;
+            }
+            // From a move of the surroundings to another.
+            training.train(training.step().next_multiple_of(RHYTHM) + RHYTHM, |_| {}, || true)?;
+            let begin = Instant::now();
+            training.train(training.step() + steps, |_| {}, || true)?;
+            times.push(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps));
+        }
+    }
+    let mut rows: Vec<Row> =
+        subjects.into_iter().map(|(row, _, times)| Row { step: Summary::of(&times), ..row }).collect();
+    if let Some(quality) = a.quality {
+        for row in &mut rows {
+            let mut settings = settings(base, &row.choice)?;
+            settings.intrinsic.steps = quality;
+            row.quality = Some(trained(device, scene, splats, &settings)?);
+        }
+    }
+    let same: Vec<(f64, f64)> = rows.iter().filter(|r| r.choice.same).map(|r| (r.step.least, error(r))).collect();
+    let front = front(&same);
+    rows.iter_mut().filter(|r| r.choice.same).zip(front).for_each(|(r, front)| r.front = front);
+    Ok(rows)
+}
+
+/// Puts a training where `exact` came to.
+fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::Result<()> {
+    training.restore(start).with_context(|| format!("\"{}\" cannot begin where \"exact\" came to", choice.name))
+}
+
+/// What a choice goes by: its gradients, or its picture if that is farther off.
+fn error(row: &Row) -> f64 {
+    let gradients = row.gradients.map_or(0.0, |[all, field]| all.max(field));
+    gradients.max(row.picture.map_or(0.0, |[_, mean, _]| mean))
+}
+
+/// Relative differences of gradients: the worst of all but the field's, and the field's.
+fn difference(exact: &Probe, other: &Probe) -> [f64; 2] {
+    let mut worst = [0.0_f64; 2];
+    for (name, a) in &exact.gradients {
+        let Some((_, b)) = other.gradients.iter().find(|(n, _)| n == name) else { continue };
+        let square = |f: &dyn Fn((&f32, &f32)) -> f64| a.iter().zip(b).map(f).sum::<f64>();
+        let size = square(&|(x, _)| f64::from(*x).powi(2));
+        if size > 0.0 {
+            let off = square(&|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2));
+            let of = usize::from(name.starts_with("visibility_"));
+            worst[of] = worst[of].max((off / size).sqrt());
+        }
+    }
+    worst
+}
+
+/// Decibels of shaded pictures and of albedo at the test views, of the training views where there are none.
+fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings) -> anyhow::Result<[f64; 2]> {
+    let mut training = Intrinsic::new(device, scene, settings, splats)?;
+    training.train(settings.intrinsic.steps, |_| {}, || true)?;
+    let (splats, light) = (training.splats()?, training.light()?);
+    drop(training);
+    let made = shaded_scene(device, &splats, light.lights.as_ref(), light.environment.as_ref(), &light.visibility)?;
+    let mut shading = Shading::new(device, made)?;
+    let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
+    let truth = GroundTruth::of(scene);
+    let mut sums = [0.0; 2];
+    for &i in views {
+        let shaded = shading.shade(&scene.views[i].camera)?;
+        let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
+        sums[0] += psnr(&displayed(&shaded.radiance(settings.geometry.background)), &photo, counts.as_ref())?;
+        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        sums[1] += match truth.load(GroundTruthKind::Albedo, i)? {
+            Some(albedo) => psnr(&displayed(&shaded.albedo()), &displayed(&albedo), mask.as_ref())?,
+            None => f64::NAN,
+        };
+    }
+    Ok(sums.map(|s| s / views.len() as f64))
+}
+
+fn table(rows: &[Row]) -> String {
+    let mut out = String::from(
+        "| choice | setting | step, of exact | memory, of exact | largest error | mean error | picture, dB | gradients | gradients of the field | pictures after training, dB | albedo, dB | front |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    let Some(exact) = rows.first() else { return out };
+    let cell = |v: Option<f64>, form: &dyn Fn(f64) -> String| v.filter(|v| v.is_finite()).map_or("".to_owned(), form);
+    let small = |v: f64| format!("{v:.1e}");
+    let db = |v: f64| format!("{v:.2}");
+    for r in rows {
+        let sets: Vec<String> = r.choice.sets.iter().map(|s| format!("`{s}`")).collect();
+        let _ = writeln!(
+            out,
+            "| {} | {} | {:.3} | {:.3} | {} | {} | {} | {} | {} | {} | {} | {} |",
+            r.choice.name,
+            sets.join(", "),
+            r.step.least / exact.step.least,
+            r.bytes as f64 / exact.bytes as f64,
+            cell(r.picture.map(|p| p[0]), &small),
+            cell(r.picture.map(|p| p[1]), &small),
+            cell(r.picture.map(|p| p[2]), &|v| format!("{v:.1}")),
+            cell(r.gradients.map(|g| g[0]), &small),
+            cell(r.gradients.map(|g| g[1]), &small),
+            cell(r.quality.map(|q| q[0]), &db),
+            cell(r.quality.map(|q| q[1]), &db),
+            if r.front { "yes" } else { "" }
+        );
+    }
+    out
+}
