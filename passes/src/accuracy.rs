@@ -26,6 +26,10 @@ pub struct Accuracy {
     /// any ([`Matrices`](crate::Matrices)), and where there are none nothing changes. Sums and everything else keep 32 bits, and
     /// gradients are those of 32. Visibility is off by 1e-4 with layers as they start, 1e-3 with such four times as large.
     pub visibility_operands: u32,
+    /// Bits of a channel of splats' colors between projection and blending, 32 or 16. With 16 each is rounded to half precision,
+    /// to nearest: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14, and never above 65504. A picture is off by no
+    /// more than that of its brightest splat. Gradients are those at the rounded colors, passed on as if nothing had been rounded.
+    pub color_bits: u32,
 }
 
 impl Accuracy {
@@ -38,6 +42,7 @@ impl Accuracy {
         keep_last: false,
         fast_exp: false,
         visibility_operands: 32,
+        color_bits: 32,
     };
 }
 
@@ -47,8 +52,8 @@ impl Accuracy {
     pub const BALANCED: Accuracy =
         Accuracy { depth_bits: 24, transmittance_min: 1e-3, keep_last: true, ..Accuracy::EXACT };
 
-    /// For looking and for drafts: footprints end at an opacity of 1/64, pixels at a transmittance of 1e-2, sixteen bits of depth
-    /// and of what the visibility field multiplies.
+    /// For looking and for drafts: footprints end at an opacity of 1/64, pixels at a transmittance of 1e-2, sixteen bits of depth,
+    /// of what the visibility field multiplies, and of colors.
     pub const FAST: Accuracy = Accuracy {
         depth_bits: 16,
         alpha_min: 1.0 / 64.0,
@@ -56,6 +61,7 @@ impl Accuracy {
         keep_last: true,
         fast_exp: true,
         visibility_operands: 16,
+        color_bits: 16,
     };
 }
 

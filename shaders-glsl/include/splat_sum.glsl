@@ -47,9 +47,10 @@ Visible visible_splat(uint v) {
     s.rotation = rotations[s.gaussian];
     Projection p;
     project_splat(camera, s.mean, s.log_scale, s.rotation, opacity_logits[s.gaussian], p);
-    uint at = v * CHANNELS;
-    s.color = vec3(features[at] > 0.0 ? colors[0] : 0.0, features[at + 1u] > 0.0 ? colors[1u % CHANNELS] : 0.0,
-                   features[at + 2u] > 0.0 ? colors[2u % CHANNELS] : 0.0);
+    uint at = v * CHANNEL_WORDS;
+    vec3 shown = color_of_words(features[at], features[at + 1u], COLOR_BITS == 16u ? 0u : features[at + 2u]);
+    s.color = vec3(shown.x > 0.0 ? colors[0] : 0.0, shown.y > 0.0 ? colors[1u % CHANNELS] : 0.0,
+                   shown.z > 0.0 ? colors[2u % CHANNELS] : 0.0);
     float depth = 0.0;
     if (HAS_DEPTH) {
         // The last two channels: z and z².

@@ -15,13 +15,14 @@ layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const bool HAS_COLORS = true;
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);
 IN(uint, sorted_entries);
 IN(uint, entry_splats);
 IN(Splat, splats);
-IN(float, features);
+IN(uint, features);
 OUT(float, image);         // [pixels * CHANNELS]
 OUT(float, transmittance); // [pixels]
 
@@ -45,8 +46,7 @@ void main() {
         uint mine = min(batch + gl_SubgroupInvocationID, end - 1u);
         uint v = entry_splats[sorted_entries[mine]];
         Splat s = splats[v];
-        float f[CHANNELS];
-        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) f[c] = features[v * CHANNELS + c];
+        FETCH_CHANNELS(f, features, v)
         uint count = min(SUBGROUP, end - batch);
         for (uint i = 0u; i < count; ++i) {
             float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);

@@ -14,6 +14,7 @@ layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0; // 1: also the sum of blending weights
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 #include "lane_sums.glsl"
 
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS;
@@ -24,7 +25,7 @@ IN(uint, tile_ranges);
 IN(uint, sorted_entries);
 IN(uint, entry_splats);
 IN(Splat, splats);
-IN(float, features);
+IN(uint, features);
 IN(float, grad_image);
 IN(float, debt);
 OUT(float, entry_gradients); // [entries * GRADIENTS]
@@ -65,8 +66,7 @@ void main() {
         }
         uint v = entry_splats[entry];
         Splat s = splats[v];
-        float f[CHANNELS];
-        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) f[c] = features[v * CHANNELS + c];
+        FETCH_CHANNELS(f, features, v)
         for (uint i = 0u; i < count; ++i) {
             float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
             float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);

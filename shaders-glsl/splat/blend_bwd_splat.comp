@@ -14,6 +14,7 @@ layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0;
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS;
 
@@ -22,7 +23,7 @@ IN(uint, tile_ranges);
 IN(uint, sorted_entries);
 IN(uint, entry_splats);
 IN(Splat, splats);
-IN(float, features);
+IN(uint, features);
 IN(float, grad_image);
 IN(float, debt);
 OUT(float, entry_gradients);
@@ -63,8 +64,7 @@ void main() {
         if (!subgroupAll(best < 0.0)) {
             uint v = entry_splats[entry];
             Splat s = splats[v];
-            float f[CHANNELS];
-            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) f[c] = features[v * CHANNELS + c];
+            FETCH_CHANNELS(f, features, v)
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
                 for (uint i = 0u; i < SUBGROUP; ++i) {
                     float start = subgroupShuffle(T[k], i);

@@ -17,6 +17,7 @@ layout(constant_id = 7) const uint TILE_HEIGHT = 16;
 layout(constant_id = 8) const bool HAS_COLORS = true;
 layout(constant_id = 9) const uint DEPTH_BITS = 31;  // of the keys that splats are sorted by
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
@@ -33,7 +34,7 @@ IN(uint, block_offsets);
 OUT(uint, splat_ids);
 OUT(uint, depth_keys);
 OUT(Splat, splats);
-OUT(float, features);
+OUT(uint, features);
 OUT(uint, tile_counts);
 
 shared uint sums[SUBGROUPS];
@@ -108,24 +109,30 @@ void main() {
     depth_keys[v] = depth_key(p.point.z, camera.near);
     splats[v] = p.splat;
     tile_counts[v] = count_tiles(p.splat, limit, box);
-    uint at = v * CHANNELS;
+    uint at = v * CHANNEL_WORDS;
     if (HAS_COLORS) {
         vec3 color = color_of(i, mean);
-        features[at] = color.x;
-        features[at + 1u] = color.y;
-        features[at + 2u] = color.z;
-        at += 3u;
+        if (COLOR_BITS == 16u) {
+            features[at] = pack_halves(color.xy);
+            features[at + 1u] = pack_halves(vec2(color.z, 0.0));
+            at += 2u;
+        } else {
+            features[at] = floatBitsToUint(color.x);
+            features[at + 1u] = floatBitsToUint(color.y);
+            features[at + 2u] = floatBitsToUint(color.z);
+            at += 3u;
+        }
     }
     if (HAS_NORMALS) {
         vec3 n = normals[i];
         n /= max(length(n), 1e-3);
-        features[at] = n.x;
-        features[at + 1u] = n.y;
-        features[at + 2u] = n.z;
+        features[at] = floatBitsToUint(n.x);
+        features[at + 1u] = floatBitsToUint(n.y);
+        features[at + 2u] = floatBitsToUint(n.z);
         at += 3u;
     }
     if (HAS_DEPTH) {
-        features[at] = p.point.z;
-        features[at + 1u] = p.point.z * p.point.z;
+        features[at] = floatBitsToUint(p.point.z);
+        features[at + 1u] = floatBitsToUint(p.point.z * p.point.z);
     }
 }

@@ -18,13 +18,14 @@ layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool POSE = false;
 layout(constant_id = 8) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
 IN(uint, splat_ids);
 IN(uint, entry_starts);
 IN(uint, tile_counts);
-IN(float, features);
+IN(uint, features);
 IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);

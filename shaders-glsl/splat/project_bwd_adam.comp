@@ -22,6 +22,7 @@ layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
 layout(constant_id = 9) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(constant_id = 10) const bool EXTRA = false; // whether other views left gradients
 layout(local_size_x_id = 0) in;
+#include "channels.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
@@ -29,7 +30,7 @@ IN(uint, flags);
 IN(uint, splat_ids);
 IN(uint, entry_starts);
 IN(uint, tile_counts);
-IN(float, features);
+IN(uint, features);
 IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);

@@ -1,12 +1,15 @@
 //! What is traded for speed, against the double-precision twin of the same choice; and how far each choice is from none.
 
+use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
-use sgs_passes::pipeline::Renderer;
+use sgs_passes::pipeline::{Renderer, Step};
 use sgs_passes::reference::blend::{Blended, render, render_at};
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::scene::{Gaussians as GpuGaussians, Model};
-use sgs_passes::splat::Channels;
-use sgs_tests::{Gpu, scenes};
+use sgs_passes::scene::{Gaussians as GpuGaussians, Layout, Model};
+use sgs_passes::splat::{Channels, Screen, Visible, project};
+use sgs_tests::Gpu;
+use sgs_tests::feature_view::gaussian_inputs;
+use sgs_tests::scenes::{self, Rng};
 
 const EXACT: Accuracy = Accuracy::EXACT;
 const BACKGROUND: [f64; 3] = [0.2, 0.5, 0.8];
@@ -22,6 +25,7 @@ fn choices() -> Vec<(&'static str, Accuracy)> {
         ("last kept", Accuracy { keep_last: true, ..EXACT }),
         ("last kept at 1e-2", Accuracy { transmittance_min: 1e-2, keep_last: true, ..EXACT }),
         ("transmittance 1e-6", Accuracy { transmittance_min: 1e-6, ..EXACT }),
+        ("colors in 16 bits", Accuracy { color_bits: 16, ..EXACT }),
         ("fast exponential", Accuracy { fast_exp: true, ..EXACT }),
         ("fast", Accuracy::FAST),
     ]
@@ -123,6 +127,78 @@ fn thresholds_keep_their_bounds() {
         println!("{transmittance_min}, {keep_last}: {largest:.2e} of {bound:.2e}");
         assert!(largest > 1e-2 * bound && largest <= bound + 1e-5, "{largest:.2e} of {bound:.2e}");
     }
+}
+
+/// The records of visible splats, words, and how many there are.
+fn records(gpu: &Gpu, g: &Gaussians, color_bits: u32) -> (Vec<u32>, usize) {
+    let camera = scenes::camera([80, 60]);
+    let t = gpu.tuning().with(Accuracy { color_bits, ..EXACT });
+    let model = Model { sh_degree: 0, normals: true, ..Default::default() };
+    let layout = Layout { model, capacity: g.len() as u32, training: false, statistics: false };
+    let mut graph = Graph::new("records");
+    let handles = layout.declare(&mut graph, false);
+    let step = graph.uniform("step", size_of::<Step>() as u64);
+    let screen = Screen { step, largest: camera.size, tile: t.tile };
+    let channels = Channels { colors: true, normals: true, depth: true };
+    let visible = project(&mut graph, &t, &screen, &handles, channels).unwrap();
+    let words = Visible::words(channels, color_bits) as usize;
+    let records = graph.external("records", 4 * (words * g.len()) as u64);
+    let counts = graph.external("counts", 4 * g.len() as u64);
+    graph.copy("records", visible.features, records).unwrap();
+    graph.copy("counts", visible.tile_counts, counts).unwrap();
+    let mut seen = scenes::gpu_camera(&camera);
+    seen.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+    let mut inputs = gaussian_inputs(g, &handles);
+    inputs.push((step, bytemuck::bytes_of(&Step { camera: seen, step: 1, ..Default::default() }).to_vec()));
+    let out = gpu.run(graph, &inputs);
+    let count = out.get::<u32>(counts).iter().filter(|c| **c != u32::MAX).count();
+    (out.get::<u32>(records), count)
+}
+
+/// Colors of every size, and none: what is kept in 16 bits is what is kept in 32, rounded, bit for bit; all else is what it was.
+#[test]
+fn colors_are_rounded_to_nearest_on_every_device() {
+    let gpu = Gpu::new();
+    let mut g = scenes::ordinary(700, 0, true, 3);
+    let mut r = Rng::new(5);
+    for c in &mut g.sh[0] {
+        let color = r.between(0.5, 2.0) * 2.0_f64.powf(r.between(-26.0, 19.0));
+        *c = f64::from(((color - 0.5) / 0.282_094_791_773_878_14) as f32);
+    }
+    for (i, c) in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e30, -1.0 / 0.282_094_79, 1e-6].into_iter().enumerate()
+    {
+        g.sh[0][5 * i] = c;
+    }
+    let (wide, count) = records(&gpu, &g, 32);
+    let (narrow, again) = records(&gpu, &g, 16);
+    assert!(count == again && count > 500, "{count} and {again} are seen");
+    let color = |x: f32| half::f16::from_f32(x.min(65504.0)).to_bits();
+    let (mut ties, mut largest) = (0, 0);
+    for (v, (wide, narrow)) in wide.chunks_exact(8).zip(narrow.chunks_exact(7)).take(count).enumerate() {
+        let [red, green, blue] = [0, 1, 2].map(|c| color(f32::from_bits(wide[c])));
+        let expected = [u32::from(red) | u32::from(green) << 16, u32::from(blue)];
+        assert_eq!(narrow[..2], expected, "splat {v}: {:?}", [0, 1, 2].map(|c| f32::from_bits(wide[c])));
+        assert_eq!(narrow[2..], wide[3..], "splat {v}");
+        ties += u32::from(red < 1024) + u32::from(green < 1024);
+        largest += u32::from([red, green, blue].contains(&0x7bff));
+    }
+    assert!(ties > 20 && largest > 20, "{ties} small ones, {largest} large ones");
+    // What is beyond the visible is not written.
+    assert!(narrow[7 * count..].iter().all(|w| *w == u32::MAX));
+}
+
+/// What `Accuracy` promises of colors in 16 bits.
+#[test]
+fn colors_in_16_bits_keep_their_bound() {
+    let gpu = Gpu::new();
+    let camera = scenes::camera([80, 60]);
+    let g = scenes::ordinary(2000, 0, false, 9);
+    let brightest = g.sh[0].iter().fold(0.0_f64, |m, c| m.max(0.5 + 0.282_094_8 * c));
+    let [wide, narrow] = [32, 16].map(|color_bits| picture(&gpu, &g, &camera, Accuracy { color_bits, ..EXACT }));
+    let off = wide.iter().zip(&narrow).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+    let bound = brightest * 2.0_f64.powi(-11);
+    println!("{off:.2e} of {bound:.2e}");
+    assert!(off > 1e-2 * bound && off <= bound + 1e-6, "{off:.2e} of {bound:.2e}");
 }
 
 #[test]

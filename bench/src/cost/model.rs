@@ -29,7 +29,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     let (n, v, e, p) = (c.gaussians, c.visible, c.entries, c.pixels);
     let channels = spec("CHANNELS");
     // What blending fetches for an entry: its number, its splat, footprint and features; what it leaves backward.
-    let fetched = 8.0 + SPLAT_BYTES + 4.0 * channels;
+    let words = channels - if spec("COLOR_BITS") == 16.0 { 1.0 } else { 0.0 };
+    let fetched = 8.0 + SPLAT_BYTES + 4.0 * words;
     let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS"));
     let (bytes, operations) = match s.kernel {
         "project_count" => (SHAPE_BYTES * n, PROJECT * n),
@@ -37,7 +38,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             let degree = spec("SH_DEGREE");
             let read = 12.0 * (degree + 1.0).powi(2) + 12.0 * spec("HAS_NORMALS");
             // Id, depth, number of tiles, footprint, features. Tiles are counted row by row: about 3 rows of 30.
-            let written = 12.0 + SPLAT_BYTES + 4.0 * channels;
+            let written = 12.0 + SPLAT_BYTES + 4.0 * words;
             (SHAPE_BYTES * n + (read + written) * v, PROJECT * n + (harmonics(degree) + 90.0) * v)
         }
         "intersect" => ((16.0 + SPLAT_BYTES) * v + 8.0 * e, 90.0 * v + 10.0 * e),
@@ -59,7 +60,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "geometry_loss" => (56.0 * p, 450.0 * p),
         "project_bwd_adam" => {
             // Every scalar of a visible Gaussian and both its moments, read and written.
-            let gaussian = 24.0 * c.width + 12.0 + 4.0 * channels + 24.0 * spec("STATISTICS");
+            let gaussian = 24.0 * c.width + 12.0 + 4.0 * words + 24.0 * spec("STATISTICS");
             let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
             (gradients * e + gaussian * v, (6.0 + channels) * e + arithmetic * v)
         }

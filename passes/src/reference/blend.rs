@@ -14,8 +14,8 @@ pub struct Blended {
     pub image: Vec<f64>,
     /// `[pixels]`
     pub transmittance: Vec<f64>,
-    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4 or others in their place, or two depths that single
-    /// precision may order either way): there single and double precision may rightly differ.
+    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4 or others in their place, two depths that single
+    /// precision may order either way, or a color between two that are stored): there single and double precision may rightly differ.
     pub doubtful: Vec<bool>,
 }
 
@@ -63,6 +63,7 @@ pub fn blend_at(splats: &[Projected], size: [u32; 2], channels: usize, backgroun
                     }
                 });
                 doubtful[at] |= near(next, transmittance_min) || unordered;
+                doubtful[at] |= alpha * t * s.color_doubt > 1e-6;
                 last[at] = Some(s);
                 stopped[at] = next < transmittance_min;
                 if stopped[at] && !a.keep_last {

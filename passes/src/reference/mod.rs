@@ -25,6 +25,7 @@ pub mod scan;
 pub mod semantic;
 pub mod show;
 pub mod srgb;
+pub mod stored;
 pub mod taps;
 pub mod traced;
 pub mod visibility;

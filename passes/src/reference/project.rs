@@ -3,6 +3,7 @@
 //! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the plain quadratic form, not
 //! from the kernel, so that an error in one is not repeated in the other.
 
+use super::stored::stored;
 use crate::Accuracy;
 use crate::scene::SEMANTIC_FEATURES;
 use glam::{DMat3, DVec2, DVec3};
@@ -74,6 +75,8 @@ pub struct Projected {
     pub key: u32,
     /// Whether rounding in single precision may change the key.
     pub key_doubtful: bool,
+    /// By how much what is stored of its color may change by rounding in single precision.
+    pub color_doubt: f64,
     /// Smallest opacity at a pixel that counts.
     pub alpha_min: f64,
 }
@@ -152,7 +155,10 @@ fn project_one(
     if !(covariance.iter().all(|v| v.is_finite()) && center.is_finite()) {
         return None;
     }
-    let mut features = color(g, i, camera, mean, sh_degree).to_array().to_vec();
+    let color = color(g, i, camera, mean, sh_degree);
+    let kept = |by: f64| color.map(|c| stored(c + by * c.max(1.0), a.color_bits));
+    let color_doubt = if a.color_bits < 32 { (kept(5e-7) - kept(-5e-7)).abs().max_element() } else { 0.0 };
+    let mut features = kept(0.0).to_array().to_vec();
     if !g.normals.is_empty() {
         let n = DVec3::from_slice(&g.normals[3 * i..]);
         features.extend((n / n.length().max(1e-3)).to_array());
@@ -174,6 +180,7 @@ fn project_one(
         features,
         key: key(1.0),
         key_doubtful: key(1.0 - 1e-6) != key(1.0 + 1e-6),
+        color_doubt,
         alpha_min,
     };
     // A box without a pixel center is not seen.

@@ -1,8 +1,9 @@
 //! `blend`, `blend_debt` and `blend_bwd`: any number of channels in one go, one subgroup a tile.
 //!
-//! Cost: every entry's record is fetched once a tile (28 + 4 C bytes); a pixel evaluates about 12 + C multiply-adds and
-//! one exponential for each entry of its tile until it is opaque, backward about 30 + 2 C. Pixels write 4 (C + 1) bytes;
-//! the debt reads twice that and writes 4; backward reads 4 (C + 1), and writes 4 (6 + C) bytes an entry.
+//! Cost: every entry's record is fetched once a tile (28 + 4 C bytes, 4 fewer with colors in 16 bits); a pixel evaluates
+//! about 12 + C multiply-adds and one exponential for each entry of its tile until it is opaque, backward about 30 + 2 C.
+//! Pixels write 4 (C + 1) bytes; the debt reads twice that and writes 4; backward reads 4 (C + 1), and writes 4 (6 + C)
+//! bytes an entry.
 
 use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
@@ -56,7 +57,8 @@ pub fn blend(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         channels: visible.channels.count(),
-        has_colors: visible.channels.colors, });
+        has_colors: visible.channels.colors,
+        color_bits: visible.color_bits, });
     stage(g, "blend", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(u64::from(screen.tiles()), 1))
@@ -134,7 +136,8 @@ pub fn blend_bwd(
                 tile_width: screen.tile[0],
                 tile_height: screen.tile[1],
                 channels,
-                weights: u32::from(weights), });
+                weights: u32::from(weights),
+                color_bits: visible.color_bits, });
             stage(g, stringify!($kernel), &sgs_shaders::$kernel::KERNEL, bindings.entries(), specs.entries(), &[])
                 .subgroup_size(Some(t.subgroup_size))
                 .dispatch(groups(u64::from(screen.tiles()), 1))?

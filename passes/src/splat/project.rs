@@ -1,8 +1,8 @@
 //! `project`, `project_bwd`, its form fused with Adam, and its form for what came through features alone.
 //!
 //! Cost a Gaussian of N: 44 bytes read twice (the first time only to count). Cost a visible one: 4 (d+1)² · 3 bytes of
-//! harmonics read, 36 + 4 C written. Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each),
-//! 12 bytes read and 12 written for each of its scalars.
+//! harmonics read, 36 + 4 C written (4 fewer with colors in 16 bits). Backward, fused: the gradients of its entries read
+//! once (4 (6 + C) bytes each), 12 bytes read and 12 written for each of its scalars.
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen};
 use crate::Tuning;
@@ -23,7 +23,7 @@ pub struct Visible {
     pub depth_keys: Buffer,
     /// Footprints.
     pub splats: Buffer,
-    /// `[V * channels]`
+    /// `[V * words]`: channels, a word each, but two words for a color of 16 bits.
     pub features: Buffer,
     /// Tiles of each.
     pub tile_counts: Buffer,
@@ -31,6 +31,15 @@ pub struct Visible {
     pub capacity: u32,
     /// What the features are.
     pub channels: Channels,
+    /// Bits of a color's channel, 32 or 16 ([`crate::Accuracy::color_bits`]).
+    pub color_bits: u32,
+}
+
+impl Visible {
+    /// Words of a splat's channels.
+    pub fn words(channels: Channels, color_bits: u32) -> u32 {
+        channels.count() - u32::from(color_bits == 16)
+    }
 }
 
 /// Projects the Gaussians of a step.
@@ -70,15 +79,18 @@ pub fn project(
     let overflow = Overflow { capacity: gaussians.capacity, flags: flag.into(), flag: 1, wanted: wanted.into() };
     let visible_work = work(g, "visible", total, overflow, works, group_sizes(t))?;
     let c = channels.count();
+    let color_bits = if channels.colors { t.accuracy.color_bits } else { 32 };
+    let words = Visible::words(channels, color_bits);
     let visible = Visible {
         work: visible_work,
         ids: g.transient("splat_ids", 4 * n),
         depth_keys: g.transient("depth_keys", 4 * n),
         splats: g.transient("splats", size_of::<sgs_shaders::structs::Splat>() as u64 * n),
-        features: g.transient("features", 4 * u64::from(c) * n),
+        features: g.transient("features", 4 * u64::from(words) * n),
         tile_counts: g.transient("tile_counts", 4 * n),
         capacity: gaussians.capacity,
         channels,
+        color_bits,
     };
     let bindings = kernel::Bindings {
         params: screen.step.into(),
@@ -107,6 +119,7 @@ pub fn project(
         has_normals: channels.normals,
         has_depth: channels.depth,
         depth_bits: t.accuracy.depth_bits,
+        color_bits,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1], });
     stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
@@ -191,7 +204,8 @@ pub fn project_bwd(
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
         pose: into.pose.is_some(),
-        features: feature_width(entries), });
+        features: feature_width(entries),
+        color_bits: visible.color_bits, });
     stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     if let Some(pose) = into.pose {
@@ -285,7 +299,8 @@ pub fn project_bwd_adam(
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),
         features: feature_width(entries),
-        extra: adam.extra.is_some(), });
+        extra: adam.extra.is_some(),
+        color_bits: visible.color_bits, });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

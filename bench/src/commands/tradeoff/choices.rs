@@ -47,6 +47,7 @@ pub fn choices(own: Tuning) -> Vec<Choice> {
         add(&name, &setting, Accuracy { transmittance_min: least, keep_last: true, ..exact });
     }
     add("cubic for exp", "`accuracy.fast_exp=true`", Accuracy { fast_exp: true, ..exact });
+    add("colors in 16 bits", "`accuracy.color_bits=16`", Accuracy { color_bits: 16, ..exact });
     add("balanced", "`--accuracy balanced`", Accuracy::BALANCED);
     add("fast", "`--accuracy fast`", Accuracy::FAST);
     let [width, height] = own.tile;

@@ -21,6 +21,8 @@ pub struct AccuracySettings {
     pub fast_exp: bool,
     /// Bits of the numbers that the visibility field's second layer multiplies: 32, or 16 where there are matrix units.
     pub visibility_operands: u32,
+    /// Bits of a channel of splats' colors between projection and blending: 32 or 16.
+    pub color_bits: u32,
 }
 
 /// The named ones.
@@ -35,15 +37,32 @@ impl Default for AccuracySettings {
 
 impl From<Accuracy> for AccuracySettings {
     fn from(a: Accuracy) -> Self {
-        let Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands } = a;
-        AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands }
+        let Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands, color_bits } =
+            a;
+        AccuracySettings {
+            depth_bits,
+            alpha_min,
+            transmittance_min,
+            keep_last,
+            fast_exp,
+            visibility_operands,
+            color_bits,
+        }
     }
 }
 
 impl From<AccuracySettings> for Accuracy {
     fn from(s: AccuracySettings) -> Self {
-        let AccuracySettings { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands } = s;
-        Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands }
+        let AccuracySettings {
+            depth_bits,
+            alpha_min,
+            transmittance_min,
+            keep_last,
+            fast_exp,
+            visibility_operands,
+            color_bits,
+        } = s;
+        Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands, color_bits }
     }
 }
 
@@ -75,11 +94,10 @@ impl AccuracySettings {
                 self.transmittance_min
             ));
         }
-        if ![16, 32].contains(&self.visibility_operands) {
-            return fail(format!(
-                "accuracy.visibility_operands is {}, but must be 16 or 32.",
-                self.visibility_operands
-            ));
+        for (name, bits) in [("visibility_operands", self.visibility_operands), ("color_bits", self.color_bits)] {
+            if ![16, 32].contains(&bits) {
+                return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
+            }
         }
         Ok(())
     }
@@ -111,6 +129,7 @@ mod tests {
             AccuracySettings { alpha_min: f32::NAN, ..good },
             AccuracySettings { transmittance_min: 0.6, ..good },
             AccuracySettings { visibility_operands: 24, ..good },
+            AccuracySettings { color_bits: 24, ..good },
         ] {
             assert!(bad.check().unwrap_err().to_string().starts_with("accuracy."));
         }
