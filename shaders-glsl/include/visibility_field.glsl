@@ -6,7 +6,7 @@
 // Call field_weights(), then field_pixel() for each pixel, then field_visibility() as often as wanted, all of them from
 // uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most
 // 16), FIELD_SPREAD, and buffers `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last),
-// `field_levels`, `tables`.
+// `field_levels`; the tables are visibility_tables.glsl's.
 //
 // With FIELD_SPREAD the eight lanes of a subgroup work on their eight pixels together, neurons side by side, because processors
 // read weights cheaply from an invocation's own arrays alone; see visibility_lanes.glsl. Without, every invocation works
@@ -32,7 +32,7 @@ void field_encode(vec3 position) {
         FIELD_EACH(corner, 8u) {
             float weight;
             uint entry = field_corner(level, cell, corner, weight);
-            sum = fma(vec2(weight), tables[entry], sum);
+            sum = fma(vec2(weight), table_entry(entry), sum);
         }
         field_features[2u * l] = sum.x;
         field_features[2u * l + 1u] = sum.y;

@@ -7,7 +7,7 @@ layout(constant_id = 11) const bool FIELD_SPREAD = false; // see visibility_fiel
 layout(scalar) uniform FieldBlock { FieldStep field; } field_params;
 
 IN(FieldLevel, field_levels);
-IN(vec2, tables);
+#include "visibility_tables.glsl"
 IN(float, mlp);
 
 const uint WORKGROUP = SUBGROUP;

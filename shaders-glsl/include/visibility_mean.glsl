@@ -16,7 +16,7 @@ layout(constant_id = 6) const uint ONE = 0xffffffffu; // a light, instead of the
 layout(scalar) uniform FieldBlock { FieldStep field; } params;
 
 IN(FieldLevel, field_levels);
-IN(vec2, tables);
+#include "visibility_tables.glsl"
 IN(float, mlp);
 IN(vec3, light_positions); // world
 IN(vec3, points);

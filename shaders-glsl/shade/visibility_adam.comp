@@ -1,53 +1,5 @@
 // Adam for the visibility field's tables, at the entries that were touched, a word of 32 bits an invocation. Leaves their
 // gradients and bits zero, whether or not anything was allowed to move. What has a gradient of exactly zero stays as it is.
 #version 460
-#include "common.glsl"
-#include "visibility_grid.glsl"
-#include "adam.glsl"
-
-layout(constant_id = 0) const uint WORKGROUP = 64;
-layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint FLAGS = 1; // words of `flags`
-
-layout(push_constant, scalar) uniform Push {
-    uint words; // of `touched`
-} push;
-
-layout(scalar) uniform FieldBlock { FieldStep field; } params;
-
-IN(uint, flags);
-IN(float, scale);             // of whole numbers, and its inverse
-INOUT(uint, touched);         // a bit an entry
-INOUT(uint, table_gradients); // entries x 2 x 2
-INOUT(float, tables);         // entries x 2
-INOUT(vec2, moments);         // entries x 2
-
-#define WHOLE_SUMS table_gradients
-#include "whole_sum.glsl"
-
-void main() {
-    uint raised = 0u;
-    for (uint i = 0u; i < FLAGS; i++) raised |= flags[i];
-    uint word = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (word >= push.words) return;
-    uint bits = touched[word];
-    if (bits == 0u) return;
-    touched[word] = 0u;
-    [[dont_unroll]] while (bits != 0u) {
-        uint entry = word * 32u + uint(findLSB(bits));
-        bits &= bits - 1u;
-        [[dont_unroll]] for (uint i = 2u * entry; i < 2u * entry + 2u; i++) {
-            uint low = table_gradients[2u * i], high = table_gradients[2u * i + 1u];
-            if ((low | high) == 0u) continue;
-            table_gradients[2u * i] = 0u;
-            table_gradients[2u * i + 1u] = 0u;
-            if (raised != 0u) continue;
-            float parameter = tables[i];
-            vec2 m = moments[i];
-            adam(parameter, m, whole(low, high) * scale[1], params.field.rate, params.field.correction1,
-                 params.field.correction2);
-            tables[i] = parameter;
-            moments[i] = m;
-        }
-    }
-}
+#define PACKED 0
+#include "visibility_adam.glsl"

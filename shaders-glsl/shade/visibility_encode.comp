@@ -20,7 +20,7 @@ layout(push_constant, scalar) uniform Push {
 layout(scalar) uniform FieldBlock { FieldStep field; } params;
 
 IN(FieldLevel, field_levels);
-IN(vec2, tables);
+#include "visibility_tables.glsl"
 IN(float, mlp);
 IN(vec3, points);
 OUT(float, rows); // count x 32

@@ -20,7 +20,7 @@ layout(push_constant, scalar) uniform Push {
 layout(scalar) uniform FieldBlock { FieldStep field; } params;
 
 IN(FieldLevel, field_levels);
-IN(vec2, tables);
+#include "visibility_tables.glsl"
 IN(float, mlp);
 IN(vec3, points);
 IN(float, coverage);
@@ -81,7 +81,7 @@ void encode(vec3 position) {
         [[unroll]] for (uint corner = 0u; corner < 8u; corner++) {
             float weight;
             uint entry = field_corner(level, cell, corner, weight);
-            sum = fma(vec2(weight), tables[entry], sum);
+            sum = fma(vec2(weight), table_entry(entry), sum);
         }
         features[2u * l] = sum.x;
         features[2u * l + 1u] = sum.y;

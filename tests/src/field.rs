@@ -6,7 +6,7 @@ use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::visibility::{
-    BackwardOptions, Constant, Field, FieldConfig, Gradients, View, visibility, visibility_bwd,
+    BackwardOptions, Constant, Field, FieldConfig, Gradients, View, packed_tables, visibility, visibility_bwd,
 };
 use sgs_shaders::structs::FieldStep;
 
@@ -35,6 +35,8 @@ pub struct Case {
     pub lights: Vec<[f32; 3]>,
     /// What changes from step to step.
     pub step: FieldStep,
+    /// Bits of the tables where they are looked up.
+    pub table_bits: u32,
 }
 
 /// Sixteen small levels, most of them hashed.
@@ -74,12 +76,13 @@ impl Case {
             coverage: (0..pixels).map(|i| if i % 11 == 7 { 9.9e-4 } else { 0.3 }).collect(),
             lights,
             step,
+            table_bits: 32,
         }
     }
 
     /// For the reference.
     pub fn twin(&self) -> twin::Field {
-        twin::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high)
+        twin::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high).stored(self.table_bits)
     }
 
     /// In double precision.
@@ -100,9 +103,10 @@ impl Case {
         let points = given("points", bytes(&self.points));
         let coverage = given("coverage", bytes(&self.coverage));
         let lights = given("lights", bytes(&self.lights));
+        let packed = (self.table_bits == 16).then(|| given("packed", bytes(&packed_tables(&self.tables))));
         let step = g.uniform("field", size_of::<FieldStep>() as u64);
         inputs.push((step, bytes(&[self.step])));
-        let field = Field { config: self.config, step, levels, tables, mlp };
+        let field = Field { config: self.config, step, levels, tables, packed, mlp };
         (field, View { pixels: self.points.len() as u32, points, coverage, lights })
     }
 

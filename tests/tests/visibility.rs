@@ -2,7 +2,9 @@
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
-use sgs_passes::shade::visibility::{Field, FieldConfig, Gradients, Moments, visibility_adam, visibility_encode};
+use sgs_passes::shade::visibility::{
+    Field, FieldConfig, Gradients, Moments, packed_tables, visibility_adam, visibility_encode,
+};
 use sgs_shaders::structs::{FieldStep, Step, Work};
 use sgs_tests::field::{Asked, Case, Found, SMALL, jittered};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -53,6 +55,35 @@ fn rows_of_points_are_the_references() {
             }
         }
     }
+}
+
+/// Tables that are looked up in 16 bits, of every size that halves have and beyond: the twin's, which rounds them too.
+#[test]
+fn values_of_tables_in_16_bits_are_the_references() {
+    let gpu = Gpu::new();
+    let mut largest = 0.0_f64;
+    for size in [1.0_f32, 1e-4, 1e-6, 30.0] {
+        let mut case = Case::random(SMALL, 300, 5, 3);
+        case.tables.iter_mut().for_each(|t| *t *= size);
+        let exact = case.forward(&gpu, None, true);
+        case.table_bits = 16;
+        let (expected, found) = (case.expected(None), case.forward(&gpu, None, true));
+        let tolerance = if size > 1.0 { Tolerance::new(1e-4, 1e-4) } else { VALUES };
+        assert_close("mean", &expected, &found, tolerance);
+        assert_close("mean, first layer anew", &expected, &case.forward(&gpu, None, false), tolerance);
+        let off = exact.iter().zip(&found).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+        println!("tables times {size}: {off:.2e}");
+        if size <= 1.0 {
+            largest = largest.max(off);
+            assert!(off > 0.0 || size < 1e-4, "tables times {size}: nothing is rounded");
+        }
+    }
+    // What `Accuracy` promises.
+    assert!(largest > 1e-5 && largest < 1e-3, "{largest}");
+    let mut wild = Case::random(SMALL, 64, 2, 3);
+    wild.table_bits = 16;
+    wild.tables.iter_mut().enumerate().for_each(|(i, t)| *t = [1e30, -70000.0, f32::INFINITY, 65504.0][i % 4]);
+    assert!(wild.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v)));
 }
 
 /// At the light, beyond the box, with weights that saturate, and without anything to do.
@@ -149,11 +180,16 @@ fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32
     };
     let tables = given(&mut g, "tables", bytes(&case.tables));
     let mlp = given(&mut g, "mlp", bytes(&case.mlp));
+    let packed = (case.table_bits == 16).then(|| given(&mut g, "packed", bytes(&packed_tables(&case.tables))));
     let step = g.uniform("field", size_of::<FieldStep>() as u64);
     inputs.push((step, bytes(&[case.step])));
-    let field = Field { config: case.config, step, levels: tables, tables, mlp };
+    let field = Field { config: case.config, step, levels: tables, tables, packed, mlp };
     visibility_adam(&mut g, gpu.tuning(), &field, &gradients, &moments).unwrap();
     let out = gpu.run(g, &inputs);
+    if let Some(packed) = packed {
+        // Whatever has moved, the copy is what the tables round to.
+        assert!(out.get::<u32>(packed) == packed_tables(&out.get::<f32>(tables)), "the copy is another");
+    }
     (
         out.get(tables),
         out.get(moments.tables),
@@ -200,6 +236,26 @@ fn step_dense(case: &Case, gpu: &Gpu, parameters: &[f32], gradient: &[f32]) -> (
     ];
     let out = gpu.run(g, &inputs);
     (out.get(a.parameters), out.get(a.moments))
+}
+
+/// What moves is the same whether or not there is a copy in 16 bits, of numbers of every size; and the copy is looked at, each time.
+#[test]
+fn a_copy_in_16_bits_follows_the_tables() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 30, 2, 12);
+    case.step = FieldStep { rate: 4e-3, correction1: 2.5, correction2: 300.0, ..case.step };
+    let sizes = [1.0, 1e-3, 1e-5, 1e5, 3e-8];
+    case.tables.iter_mut().enumerate().for_each(|(i, t)| *t *= sizes[i % sizes.len()]);
+    let mut asked = Asked::random(&case, 1.0, 13);
+    asked.options.regularized = false;
+    let found = case.backward(&gpu, &asked);
+    let scale = [found.scale, 1.0 / found.scale];
+    for flag in [0, 4] {
+        case.table_bits = 32;
+        let plain = step_sparse(&case, &gpu, &found, scale, flag);
+        case.table_bits = 16;
+        assert!(step_sparse(&case, &gpu, &found, scale, flag) == plain, "flag {flag}");
+    }
 }
 
 /// Tables and layers move as a dense Adam that skips zeros would move them, bit for bit; gradients are zero afterwards; a raised

@@ -21,6 +21,23 @@ fn gradients_are_the_references() {
     }
 }
 
+/// Where tables are looked up in 16 bits gradients are those at the rounded numbers, at ordinary ones and at the edges.
+#[test]
+fn gradients_of_tables_in_16_bits_are_the_references() {
+    let gpu = Gpu::new();
+    for (regularizer, size) in [(0.0, 1.0), (0.3, 1.0), (0.0, 1e-4)] {
+        let mut case = Case::random(SMALL, 120, 4, 8);
+        case.table_bits = 16;
+        case.tables.iter_mut().for_each(|t| *t *= size);
+        case.points[0] = case.lights[0];
+        case.points[1] = [1e6, -1e6, 1e30];
+        case.step.regularizer = regularizer;
+        let mut asked = Asked::random(&case, 1.0, 9);
+        asked.options.regularized = regularizer > 0.0;
+        case.check_gradients(&gpu, &asked, 2e-5);
+    }
+}
+
 /// Two runs, and runs with another number of workgroups where only tables are compared: their sums have no order.
 #[test]
 fn gradients_are_the_same_bits() {

@@ -3,13 +3,14 @@
 
 use sgs_engine::MatrixShape;
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_normals_bwd, lights_prepare,
     lights_prepare_bwd,
 };
 use sgs_passes::shade::visibility::{
     BackwardOptions, Gradients, VisibilityField, lights_bwd_field, lights_field, lights_normals_bwd_field,
-    lights_split_field, lights_train_field, visibility_lights_bwd,
+    lights_split_field, lights_train_field, packed_tables, visibility_lights_bwd,
 };
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
@@ -105,11 +106,12 @@ impl Scene {
     }
 
     fn field(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> sgs_passes::shade::visibility::Field {
-        let handles = VisibilityField::handles(g, self.case.config, false);
+        let handles = VisibilityField::handles(g, self.case.config, false, self.case.table_bits);
         let f = handles.field;
         inputs.push((f.levels, bytes(&self.case.config.table_levels())));
         inputs.push((f.tables, bytes(&self.case.tables)));
         inputs.push((f.mlp, bytes(&self.case.mlp)));
+        inputs.extend(f.packed.map(|b| (b, bytes(&packed_tables(&self.case.tables)))));
         inputs.push((f.step, bytes(&[self.case.step])));
         f
     }
@@ -168,6 +170,25 @@ fn lights_are_seen_as_the_field_says() {
     seen_as(&gpu, gpu.tuning(), &scene, visibility, Tolerance::new(1e-7, 1e-4));
 }
 
+/// And as a field says whose tables are looked up in 16 bits, which is another.
+#[test]
+fn lights_are_seen_as_tables_of_halves_say() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::new();
+    let exact = scene.case.twin();
+    scene.case.table_bits = 16;
+    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let of = |f: &twin::Field, i, j| f.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
+    let apart = (0..PIXELS).map(|i| (of(&field, i, 0) - of(&exact, i, 0)).abs()).fold(0.0, f64::max);
+    assert!(apart > 1e-5 && apart < 1e-3, "{apart}");
+    seen_as(&gpu, gpu.tuning(), &scene, |i, j| of(&field, i, j), Tolerance::new(1e-7, 1e-4));
+    // And with pieces of 16-bit operands.
+    let own = gpu.tuning().with(Accuracy { visibility_operands: 16, ..Accuracy::EXACT });
+    let matrices = Matrices { shape: MatrixShape { rows: 16, columns: 8, depth: 16 }, units: false };
+    let half = |i, j| field.visibility_half(at(&scene.case.points, i), at(&scene.case.lights, j));
+    seen_as(&gpu, Tuning { matrices: Some(matrices), ..own }, &scene, half, Tolerance::new(1e-7, 2e-4));
+}
+
 /// The same with the second layer in pieces of 16-bit operands; the reference rounds them too. Layers are large enough for exact ones
 /// to be noticed.
 #[test]
@@ -195,8 +216,9 @@ fn lights_are_seen_as_a_field_of_halves_says() {
 fn the_field_learns_from_lights() {
     let gpu = Gpu::new();
     let mut scene = Scene::new();
-    for (metallic, regularizer) in [(false, 0.0), (true, 2e-3)] {
+    for (metallic, regularizer, table_bits) in [(false, 0.0, 32), (true, 2e-3, 32), (true, 0.0, 16)] {
         scene.case.step.regularizer = regularizer;
+        scene.case.table_bits = table_bits;
         let alone = scene.unshadowed(&gpu, metallic);
         let options = BackwardOptions { regularized: regularizer > 0.0, ..Default::default() };
         let asked = |i: usize, j: usize| -> f64 {
@@ -244,10 +266,17 @@ fn the_field_learns_from_lights() {
 #[test]
 fn lights_learn_as_far_as_they_are_seen() {
     let gpu = Gpu::new();
-    let scene = Scene::new();
-    let alone = scene.unshadowed(&gpu, true);
+    for table_bits in [32, 16] {
+        let mut scene = Scene::new();
+        scene.case.table_bits = table_bits;
+        learn_as_seen(&gpu, &scene);
+    }
+}
+
+fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
+    let alone = scene.unshadowed(gpu, true);
     let mut g = Graph::new("lights_bwd_field");
-    let (what, parameters, mut inputs) = scene.declare_with(&gpu, &mut g, true, &[1.0; LIGHTS]);
+    let (what, parameters, mut inputs) = scene.declare_with(gpu, &mut g, true, &[1.0; LIGHTS]);
     let field = scene.field(&mut g, &mut inputs);
     let gradient = g.input("gradient", 12 * PIXELS as u64);
     inputs.push((gradient, bytes(&scene.gradient)));
@@ -278,10 +307,17 @@ fn lights_learn_as_far_as_they_are_seen() {
 #[test]
 fn normals_learn_as_far_as_lights_are_seen() {
     let gpu = Gpu::new();
-    let scene = Scene::new();
+    for table_bits in [32, 16] {
+        let mut scene = Scene::new();
+        scene.case.table_bits = table_bits;
+        normals_learn_as_seen(&gpu, &scene);
+    }
+}
+
+fn normals_learn_as_seen(gpu: &Gpu, scene: &Scene) {
     let run = |gains: &[f32], hidden: bool| {
         let mut g = Graph::new("lights_normals_bwd_field");
-        let (what, mut inputs) = scene.declare(&gpu, &mut g, true, gains);
+        let (what, mut inputs) = scene.declare(gpu, &mut g, true, gains);
         let gradient = g.input("gradient", 12 * PIXELS as u64);
         inputs.push((gradient, bytes(&scene.gradient)));
         let normals = g.external("normals_gradient", 12 * PIXELS as u64);

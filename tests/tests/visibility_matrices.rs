@@ -49,16 +49,19 @@ fn rounds_as_the_reference(name: &str, case: &Case, one: Option<u32>, found: &[f
 #[test]
 fn pieces_of_every_shape_make_the_same_layer() {
     let gpu = Gpu::new();
-    let case = scaled(100, 5, 4.0);
-    let with = |subgroup_size, shape| {
-        case.forward_with(&gpu, by_pieces(gpu.tuning(), subgroup_size, shape, false), None, true)
-    };
-    let first = with(8, SHAPES[0]);
-    rounds_as_the_reference("mean", &case, None, &first);
-    // Every element is summed in the same order, whoever does it.
-    let others = SHAPES[1..].iter().map(|shape| (8, *shape)).chain([(32, SHAPES[1]), (64, SHAPES[2]), (16, SHAPES[4])]);
-    for (subgroup_size, shape) in others {
-        assert!(with(subgroup_size, shape) == first, "{subgroup_size} lanes, {shape:?}");
+    // With tables of 16 bits as well.
+    for table_bits in [32, 16] {
+        let case = Case { table_bits, ..scaled(100, 5, 4.0) };
+        let with = |subgroup_size, shape| {
+            case.forward_with(&gpu, by_pieces(gpu.tuning(), subgroup_size, shape, false), None, true)
+        };
+        let first = with(8, SHAPES[0]);
+        rounds_as_the_reference("mean", &case, None, &first);
+        // Every element is summed in the same order, whoever does it.
+        let wider = [(32, SHAPES[1]), (64, SHAPES[2]), (16, SHAPES[4])];
+        for (subgroup_size, shape) in SHAPES[1..].iter().map(|shape| (8, *shape)).chain(wider) {
+            assert!(with(subgroup_size, shape) == first, "{subgroup_size} lanes, {shape:?}");
+        }
     }
 }
 

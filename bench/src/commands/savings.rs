@@ -115,7 +115,7 @@ impl Bench<'_> {
         let mut forms = Vec::new();
         for split in [false, true] {
             let mut g = Graph::new("first_layer");
-            let f = VisibilityField::handles(&mut g, config, false).field;
+            let f = VisibilityField::handles(&mut g, config, false, 32).field;
             let view = View {
                 pixels: n as u32,
                 points: g.input("points", 12 * n),

@@ -30,7 +30,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     match super::visibility::portable(s.kernel).strip_suffix("_field") {
         Some(kernel) => {
             let plain = plain(&Stage { kernel, ..*s }, c)?;
-            let field = super::visibility::field((s.specs)("LEVELS"), c);
+            let field = super::visibility::field(s, c);
             Some(Cost { bytes: plain.bytes + field.bytes, operations: plain.operations + field.operations })
         }
         None => plain(s, c),

@@ -12,11 +12,20 @@ const PAIR_BWD: f64 = 2.0 * (2.0 * 1024.0 + 2.0 * 5.0 * 32.0 + 4.0 * 32.0) + 60.
 /// A corner of a cell: its place and weight 12, hash 6, two features 4.
 const CORNER: f64 = 22.0;
 
+/// An entry where it is looked up.
+fn entry_bytes(s: &Stage<'_>) -> f64 {
+    if (s.specs)("TABLE_BITS") == 16.0 { 4.0 } else { 8.0 }
+}
+
 /// What the field costs a kernel that asks it at each pixel, and of each pair of which one of two faces the other.
-pub(super) fn field(levels: f64, c: &Counts) -> Cost {
+pub(super) fn field(s: &Stage<'_>, c: &Counts) -> Cost {
+    let levels = (s.specs)("LEVELS");
     let corners = 8.0 * levels;
     let (p, pairs) = (c.pixels, 0.5 * c.pixels * c.lights);
-    Cost { bytes: 8.0 * corners * p, operations: (CORNER * corners + 2.0 * 32.0 * 2.0 * levels) * p + PAIR * pairs }
+    Cost {
+        bytes: entry_bytes(s) * corners * p,
+        operations: (CORNER * corners + 2.0 * 32.0 * 2.0 * levels) * p + PAIR * pairs,
+    }
 }
 
 /// The kernel that does the same in 32 bits. What is worked out is the same, so products on matrix units count as any others.
@@ -28,27 +37,30 @@ pub(super) fn portable(kernel: &str) -> &str {
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
     let (p, pairs, levels) = (c.pixels, c.pixels * c.lights, spec("LEVELS"));
-    let corners = 8.0 * levels;
+    let (corners, entry) = (8.0 * levels, entry_bytes(s));
     // What the first layer makes of a point.
     let project = 2.0 * 32.0 * 2.0 * levels;
     let (bytes, operations) = match portable(s.kernel) {
         "visibility" => {
             let again = if s.kernel == "visibility" && spec("SPLIT") == 0.0 { project } else { 0.0 };
-            ((20.0 + 8.0 * corners) * p, (CORNER * corners + project) * p + (PAIR + again) * pairs)
+            ((20.0 + entry * corners) * p, (CORNER * corners + project) * p + (PAIR + again) * pairs)
         }
-        "visibility_encode" => ((12.0 + 128.0 + 8.0 * corners) * p, (CORNER * corners + project) * p),
+        "visibility_encode" => ((12.0 + 128.0 + entry * corners) * p, (CORNER * corners + project) * p),
         "visibility_bwd" => {
             let moved = spec("REGULARIZED");
             ((28.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
         }
         // Entries are read for the weights, and two sums of two words each changed for the tables.
-        "visibility_encode_bwd" => ((16.0 + 128.0 + 40.0 * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p),
+        "visibility_encode_bwd" => {
+            ((16.0 + 128.0 + (32.0 + entry) * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p)
+        }
         "visibility_reduce" => {
             let (pairs, points) = ((s.push)(0), (s.push)(1));
             let sums = 1184.0 * pairs + 64.0 * levels * points;
             (4.0 * sums, sums)
         }
         // Bits of all entries; gradients, parameters and moments of those that were touched.
+        "visibility_adam_packed" => (4.0 * (s.push)(0) + 84.0 * c.touched, 60.0 * c.touched),
         "visibility_adam" => (4.0 * (s.push)(0) + 80.0 * c.touched, 40.0 * c.touched),
         "visibility_adam_layers" => (28.0 * (s.push)(0), 19.0 * (s.push)(0)),
         // A single workgroup.

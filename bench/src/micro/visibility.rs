@@ -26,7 +26,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let lit = Lit::room(size, model);
     let n = lit.points.len();
     let mut g = Graph::new("visibility");
-    let handles = VisibilityField::handles(&mut g, config, true);
+    let handles = VisibilityField::handles(&mut g, config, true, 32);
     let f = handles.field;
     let view = View {
         pixels: n as u32,

@@ -1,6 +1,7 @@
 //! Twin of the visibility field: value and gradients at one pair of point and light, and the loss that is sent through it.
 
 use crate::reference::rng::{normal_from, random_bits};
+use crate::reference::stored::stored;
 use crate::shade::visibility::{FIELD_FEATURES, FIELD_WIDTH, FieldConfig};
 use sgs_shaders::structs::FieldLevel;
 
@@ -58,6 +59,12 @@ impl Field {
         let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect();
         let inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
         Field { levels: config.table_levels(), tables: wide(tables), mlp: wide(mlp), low, high, inverse }
+    }
+
+    /// The same with tables as they are looked up in so many bits.
+    pub fn stored(mut self, table_bits: u32) -> Field {
+        self.tables.iter_mut().for_each(|t| *t = stored(*t, table_bits));
+        self
     }
 
     fn inputs(&self) -> usize {

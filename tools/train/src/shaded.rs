@@ -82,7 +82,7 @@ pub fn shaded_scene(
     };
     let visibility = match visibility {
         Visibility::Learned(file) => {
-            let field = VisibilityField::new(device, file.config, 0, false)?;
+            let field = VisibilityField::new(device, file.config, 0, false, 32)?;
             field.upload(device, &file.tables, &file.mlp)?;
             Some(ShadedVisibility::Field { field, place: field_box(file.low, file.high) })
         }

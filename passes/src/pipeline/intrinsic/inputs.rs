@@ -182,6 +182,7 @@ impl Declared {
         sizes: &IntrinsicSizes,
         tables: Option<(EnvironmentTables, u32)>,
         o: &IntrinsicOptions,
+        table_bits: u32,
     ) -> Declared {
         let n = o.shape.gaussians;
         let mut learned = |name: &'static str, floats: u64| {
@@ -212,7 +213,7 @@ impl Declared {
             lights,
             environment,
             normals,
-            visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true)),
+            visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true, table_bits)),
             traced: o.traced.map(|shape| Traced::declare(g, &shape)),
             targets: g.input("targets", sizes.targets),
             albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),

@@ -365,7 +365,7 @@ fn declare(
         reports: g.external("reports", REPORTS),
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
-    let inputs = Inputs::declare(&mut g, sizes, tables, o);
+    let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.table_bits);
     let kept = environment.filter(|_| o.environment_every > 1).map(|e| Kept::declare(&mut g, e, false));
     let shaded = build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, kept.as_ref(), &words, o)?;
     let picture = o.picture.then_some(shaded);

@@ -2,14 +2,14 @@
 //!
 //! Promises: an entry whose gradient is exactly zero keeps its numbers and moments; gradients of tables and the bits of what was
 //! touched are zero afterwards, whatever happened; a raised flag moves nothing. What moves is bit for bit what
-//! [`crate::optim::adam()`] with `skip_zero` makes of the same gradients. Cost: the bits, 1/8 byte an entry, and 80 bytes for each entry
+//! [`crate::optim::adam()`] with `skip_zero` makes of the same gradients. A copy in 16 bits is what the tables round to. Cost: the bits, 1/8 byte an entry, and 80 bytes for each entry
 //! that was touched; those that were not, most of the finer levels, cost nothing.
 
 use super::{Field, Gradients};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{visibility_adam as tables, visibility_adam_layers as layers};
+use sgs_shaders::{visibility_adam as tables, visibility_adam_layers as layers, visibility_adam_packed as packed};
 
 /// What drives the field, and what remembers.
 #[derive(Clone, Copy, Debug)]
@@ -38,19 +38,29 @@ pub fn visibility_adam(
     moments: &Moments,
 ) -> Result<(), GraphError> {
     let workgroup = tuning.workgroup.min(64);
-    let bindings = tables::Bindings {
-        params: field.step.into(),
-        flags: moments.flags.into(),
-        scale: gradients.scale.into(),
-        touched: gradients.touched.into(),
-        table_gradients: gradients.tables.into(),
-        tables: field.tables.into(),
-        moments: moments.tables.into(),
-    };
-    let specs = tables::Specs { workgroup, flags: moments.flag_words };
-    let push = tables::Push { words: field.config.entries().div_ceil(32) };
-    stage(g, "visibility_adam", &tables::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-        .dispatch(groups(u64::from(push.words), workgroup))?;
+    macro_rules! of_tables {
+        ($kernel:ident, $($more:tt)*) => {{
+            let bindings = $kernel::Bindings {
+                params: field.step.into(),
+                flags: moments.flags.into(),
+                scale: gradients.scale.into(),
+                touched: gradients.touched.into(),
+                table_gradients: gradients.tables.into(),
+                tables: field.tables.into(),
+                moments: moments.tables.into(),
+                $($more)*
+            };
+            let specs = $kernel::Specs { workgroup, flags: moments.flag_words };
+            let push = $kernel::Push { words: field.config.entries().div_ceil(32) };
+            let bytes = bytemuck::bytes_of(&push);
+            stage(g, "visibility_adam", &$kernel::KERNEL, bindings.entries(), specs.entries(), bytes)
+                .dispatch(groups(u64::from(push.words), workgroup))?;
+        }};
+    }
+    match field.packed {
+        Some(copy) => of_tables!(packed, packed_tables: copy.into(),),
+        None => of_tables!(tables,),
+    }
     let bindings = layers::Bindings {
         params: field.step.into(),
         flags: moments.flags.into(),

@@ -16,7 +16,7 @@
 //! where it is held at the faces.
 //!
 //! Cost a pair: 3 x 1024 multiply-adds for value and way back, 1024 more with the smoothness term, and about 500 for the rest.
-//! A pixel: 384 gathers of 8 bytes, 5 x 1024 multiply-adds, 256 to 512 atomics. Memory: 128 bytes a pixel, and 256 for each of a chunk.
+//! A pixel: 384 gathers of 8 bytes (4 with tables of 16 bits), 5 x 1024 multiply-adds, 256 to 512 atomics. Memory: 128 bytes a pixel, and 256 for each of a chunk.
 
 use super::{Field, View, visibility_encode};
 use crate::Tuning;
@@ -252,7 +252,8 @@ impl Plan {
             let bindings = points::Bindings {
                 params: field.step.into(),
                 field_levels: field.levels.into(),
-                tables: field.tables.into(),
+                tables: field.lookup().into(),
+                packed_tables: field.lookup().into(),
                 mlp: field.mlp.into(),
                 points: view.points.into(),
                 coverage: view.coverage.into(),
@@ -262,7 +263,7 @@ impl Plan {
                 table_gradients: into.tables.into(),
                 touched: into.touched.into(),
             };
-            let specs = points::Specs { subgroup: tuning.subgroup_size, levels };
+            let specs = points::Specs { subgroup: tuning.subgroup_size, levels, table_bits: field.table_bits() };
             let push = points::Push { first, count };
             let bytes = bytemuck::bytes_of(&push);
             stage(g, "visibility_encode_bwd", &points::KERNEL, bindings.entries(), specs.entries(), bytes)

@@ -35,13 +35,15 @@ pub fn lights_field(
     let bindings = of_lights!(render, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
     });
     let specs = lit_specs!(render, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
+        table_bits: field.table_bits(),
     });
     let push = render::Push { normalizer: a.normalizer };
     let (kernel, specs) = forward(tuning, [&render::KERNEL, &render_halves::KERNEL], specs.entries());
@@ -67,7 +69,8 @@ pub fn lights_split_field(
     let bindings = of_lights!(split, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
         diffuse: diffuse.into(),
@@ -75,6 +78,7 @@ pub fn lights_split_field(
     let specs = lit_specs!(split, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
+        table_bits: field.table_bits(),
     });
     let push = split::Push { normalizer: a.normalizer };
     let (kernel, specs) = forward(tuning, [&split::KERNEL, &split_halves::KERNEL], specs.entries());
@@ -100,7 +104,8 @@ pub fn lights_train_field(
     let bindings = of_lights!(train, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         direct: direct.into(),
         sums: sums.into(),
@@ -108,6 +113,7 @@ pub fn lights_train_field(
     let specs = lit_specs!(train, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
+        table_bits: field.table_bits(),
     });
     let push = train::Push { normalizer: a.normalizer };
     let (kernel, specs) = forward(tuning, [&train::KERNEL, &train_halves::KERNEL], specs.entries());
@@ -139,7 +145,8 @@ pub fn lights_bwd_field(
     let bindings = of_lights!(lights_kernel, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         partials: partials.into(),
@@ -149,6 +156,7 @@ pub fn lights_bwd_field(
         mine: shape.spread && shape.subgroup == 8 && model.lights * (1 + model.lobes) <= OWN,
         levels: field.config.levels,
         field_spread: field_spread(tuning),
+        table_bits: field.table_bits(),
     });
     let push = lights_kernel::Push { normalizer: a.normalizer, blocks };
     let bytes = bytemuck::bytes_of(&push);
@@ -175,7 +183,8 @@ pub fn lights_normals_bwd_field(
     let bindings = of_lights!(normals, a, {
         field_params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         normals_gradient: normals_gradient.into(),
@@ -183,6 +192,7 @@ pub fn lights_normals_bwd_field(
     let specs = lit_specs!(normals, a, shape, {
         levels: field.config.levels,
         field_spread: field_spread(tuning),
+        table_bits: field.table_bits(),
     });
     let push = normals::Push { normalizer: a.normalizer };
     let name = "lights_normals_bwd_field";

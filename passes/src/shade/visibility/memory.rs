@@ -1,6 +1,7 @@
 //! The visibility field in device memory.
 
 use super::{Field, FieldConfig, FieldError, Gradients, Moments};
+use half::f16;
 use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -13,6 +14,7 @@ pub struct VisibilityField {
     levels: DeviceBuffer,
     tables: DeviceBuffer,
     mlp: DeviceBuffer,
+    packed: Option<DeviceBuffer>,
     training: Option<Training>,
 }
 
@@ -61,13 +63,32 @@ fn sizes(config: &FieldConfig) -> [u64; 3] {
     [8 * entries, 4 * config.weights() as u64, 4 * entries.div_ceil(32)]
 }
 
+/// Bytes of the tables' copy in 16 bits.
+fn packed_bytes(config: &FieldConfig) -> u64 {
+    4 * u64::from(config.entries())
+}
+
+/// Tables as words of two halves, rounded as kernels round them.
+pub fn packed_tables(tables: &[f32]) -> Vec<u32> {
+    let most = f16::MAX.to_f32();
+    let bits = |x: f32| u32::from(f16::from_f32(x.clamp(-most, most)).to_bits());
+    tables.chunks_exact(2).map(|t| bits(t[0]) | bits(t[1]) << 16).collect()
+}
+
 impl VisibilityField {
     /// Makes it with a random start ([`FieldConfig::initial_tables`], [`FieldConfig::initial_weights`]); `training` adds moments
-    /// and gradients. The configuration must pass [`FieldConfig::check`].
+    /// and gradients, `table_bits` of 16 ([`crate::Accuracy::table_bits`]) a copy of the tables. The configuration must pass
+    /// [`FieldConfig::check`].
     ///
     /// # Errors
     /// If memory runs out.
-    pub fn new(device: &Device, config: FieldConfig, seed: u32, training: bool) -> Result<VisibilityField> {
+    pub fn new(
+        device: &Device,
+        config: FieldConfig,
+        seed: u32,
+        training: bool,
+        table_bits: u32,
+    ) -> Result<VisibilityField> {
         let [tables, mlp, bits] = sizes(&config);
         let make = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
         let levels = config.table_levels();
@@ -86,6 +107,10 @@ impl VisibilityField {
             levels: make("visibility_levels", (levels.len() * size_of::<FieldLevel>()) as u64)?,
             tables: make("visibility_tables", tables)?,
             mlp: make("visibility_mlp", mlp)?,
+            packed: match table_bits {
+                16 => Some(make("visibility_packed_tables", packed_bytes(&config))?),
+                _ => None,
+            },
             training,
         };
         device.upload(&field.levels, 0, bytemuck::cast_slice(&levels))?;
@@ -105,6 +130,9 @@ impl VisibilityField {
     pub fn upload(&self, device: &Device, tables: &[f32], mlp: &[f32]) -> Result<()> {
         device.upload(&self.tables, 0, bytemuck::cast_slice(tables))?;
         device.upload(&self.mlp, 0, bytemuck::cast_slice(mlp))?;
+        if let Some(packed) = &self.packed {
+            device.upload(packed, 0, bytemuck::cast_slice(&packed_tables(tables)))?;
+        }
         let Some(t) = &self.training else { return Ok(()) };
         for buffer in [&t.table_moments, &t.mlp_moments, &t.table_gradients, &t.touched] {
             device.fill(buffer, 0)?;
@@ -147,30 +175,34 @@ impl VisibilityField {
     ///
     /// # Errors
     /// If there can be no such field.
-    pub fn bytes(config: &FieldConfig, training: bool) -> std::result::Result<u64, FieldError> {
+    pub fn bytes(config: &FieldConfig, training: bool, table_bits: u32) -> std::result::Result<u64, FieldError> {
         config.check()?;
         let [tables, mlp, bits] = sizes(config);
         let levels = u64::from(config.levels) * size_of::<FieldLevel>() as u64;
-        Ok(levels + if training { 5 * tables + 3 * mlp + bits } else { tables + mlp })
+        let packed = if table_bits == 16 { packed_bytes(config) } else { 0 };
+        Ok(levels + packed + if training { 5 * tables + 3 * mlp + bits } else { tables + mlp })
     }
 
     /// Declares the buffers in a graph; kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> FieldHandles {
-        VisibilityField::handles(g, self.config, training && self.training.is_some())
+        let table_bits = if self.packed.is_some() { 16 } else { 32 };
+        VisibilityField::handles(g, self.config, training && self.training.is_some(), table_bits)
     }
 
     /// Declares the buffers of a field that need not exist yet.
-    pub fn handles(g: &mut Graph, config: FieldConfig, training: bool) -> FieldHandles {
+    pub fn handles(g: &mut Graph, config: FieldConfig, training: bool, table_bits: u32) -> FieldHandles {
         let [tables, mlp, bits] = sizes(&config);
         let levels = u64::from(config.levels) * size_of::<FieldLevel>() as u64;
         let mut learned =
             |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
         let (table_buffer, mlp_buffer) = (learned("visibility_tables", tables), learned("visibility_mlp", mlp));
+        let packed = (table_bits == 16).then(|| learned("visibility_packed_tables", packed_bytes(&config)));
         let field = Field {
             config,
             step: g.uniform("visibility_step", size_of::<FieldStep>() as u64),
             levels: g.input("visibility_levels", levels),
             tables: table_buffer,
+            packed,
             mlp: mlp_buffer,
         };
         let beside = |g: &mut Graph| {
@@ -191,6 +223,9 @@ impl VisibilityField {
     pub fn bind(&self, exec: &mut Executor, handles: &FieldHandles) -> Result<()> {
         exec.bind(handles.field.levels, &self.levels)?;
         exec.bind(handles.field.tables, &self.tables)?;
+        if let (Some(handle), Some(memory)) = (handles.field.packed, &self.packed) {
+            exec.bind(handle, memory)?;
+        }
         exec.bind(handles.field.mlp, &self.mlp)?;
         if let (Some(handles), Some(t)) = (handles.training, &self.training) {
             let buffers = [&t.table_moments, &t.mlp_moments, &t.table_gradients, &t.touched];
@@ -208,7 +243,7 @@ mod tests {
 
     #[test]
     fn memory_of_the_published_size() {
-        let megabytes = |training| VisibilityField::bytes(&FieldConfig::default(), training).unwrap() >> 20;
-        assert_eq!((megabytes(false), megabytes(true)), (54, 274));
+        let megabytes = |training, bits| VisibilityField::bytes(&FieldConfig::default(), training, bits).unwrap() >> 20;
+        assert_eq!((megabytes(false, 32), megabytes(true, 32), megabytes(true, 16)), (54, 274, 302));
     }
 }

@@ -8,7 +8,10 @@
 //! Nothing of size pixels times lights is stored. What the first layer makes of a point can be (`visibility_encode`, 128
 //! bytes a pixel): whoever goes through the lights in another order, or twice, then need not look into the tables again.
 //!
-//! Cost: 128 gathers of 8 bytes and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
+//! Tables may be looked up in 16 bits ([`crate::Accuracy::table_bits`]): a copy of them, rounded to nearest, that whoever moves them
+//! keeps. Gradients are those at the rounded numbers, passed on as if nothing had been rounded; tables and moments keep 32 bits.
+//!
+//! Cost: 128 gathers of 8 bytes (4 with tables of 16 bits) and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
 
 mod adam;
 mod bwd;
@@ -23,7 +26,7 @@ pub use lights::{
     lights_bwd_field, lights_field, lights_normals_bwd_field, lights_split_field, lights_train_field,
     visibility_lights_bwd,
 };
-pub use memory::{FieldHandles, VisibilityField};
+pub use memory::{FieldHandles, VisibilityField, packed_tables};
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -41,8 +44,22 @@ pub struct Field {
     pub levels: Buffer,
     /// `[entries * 2]` floats.
     pub tables: Buffer,
+    /// `[entries]` words of two halves: what is looked up instead of the tables, if that has 16 bits.
+    pub packed: Option<Buffer>,
     /// `[weights]` floats: rows of the first layer (features, direction, distance), of the second, the last.
     pub mlp: Buffer,
+}
+
+impl Field {
+    /// What lookups read.
+    fn lookup(&self) -> Buffer {
+        self.packed.unwrap_or(self.tables)
+    }
+
+    /// Bits of a number there.
+    fn table_bits(&self) -> u32 {
+        if self.packed.is_some() { 16 } else { 32 }
+    }
 }
 
 /// What is looked at from where.
@@ -107,7 +124,8 @@ pub fn visibility(
     let bindings = kernel::Bindings {
         params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         light_positions: view.lights.into(),
         points: view.points.into(),
@@ -116,7 +134,8 @@ pub fn visibility(
     };
     let ([workgroup, subgroup], field_spread) = shape(tuning);
     let one = one.unwrap_or(u32::MAX);
-    let specs = kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels, split, one };
+    let (levels, table_bits) = (field.config.levels, field.table_bits());
+    let specs = kernel::Specs { workgroup, subgroup, field_spread, levels, split, one, table_bits };
     // What is there for comparison is the portable kernel.
     let tuning = if split { tuning } else { Tuning { matrices: None, ..tuning } };
     let (chosen, specs) = forward(tuning, [&kernel::KERNEL, &halves::KERNEL], specs.entries());
@@ -146,13 +165,15 @@ pub fn visibility_encode(
     let bindings = encode_kernel::Bindings {
         params: field.step.into(),
         field_levels: field.levels.into(),
-        tables: field.tables.into(),
+        tables: field.lookup().into(),
+        packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
         points: view.points.into(),
         rows: into.into(),
     };
     let ([workgroup, subgroup], field_spread) = shape(tuning);
-    let specs = encode_kernel::Specs { workgroup, subgroup, field_spread, levels: field.config.levels };
+    let (levels, table_bits) = (field.config.levels, field.table_bits());
+    let specs = encode_kernel::Specs { workgroup, subgroup, field_spread, levels, table_bits };
     let push = encode_kernel::Push { first, count, moved: jitter.into() };
     stage(g, name, &encode_kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(subgroup))

@@ -367,7 +367,7 @@ impl Intrinsic {
                 None => None,
             },
             visibility: match s.visibility.config().filter(|_| s.lights.enabled) {
-                Some(config) => Some(VisibilityField::new(device, config, seed, true)?),
+                Some(config) => Some(VisibilityField::new(device, config, seed, true, tuning.accuracy.table_bits)?),
                 None => None,
             },
             normals: match splats.normals.as_ref().filter(|_| options.learns_normals()) {

@@ -116,7 +116,8 @@ impl IntrinsicNeeds {
             }
         }
         if let Some(config) = &o.visibility {
-            needs.visibility = VisibilityField::bytes(config, true).map_err(|e| TrainError::Setting(e.to_string()))?;
+            let bytes = VisibilityField::bytes(config, true, tuning.accuracy.table_bits);
+            needs.visibility = bytes.map_err(|e| TrainError::Setting(e.to_string()))?;
             largest = largest.max(16 * u64::from(config.entries()));
         }
         if let Some(tree) = &o.traced {

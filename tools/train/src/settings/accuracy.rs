@@ -23,6 +23,8 @@ pub struct AccuracySettings {
     pub visibility_operands: u32,
     /// Bits of a channel of splats' colors between projection and blending: 32 or 16.
     pub color_bits: u32,
+    /// Bits of the visibility field's tables where they are looked up: 32 or 16.
+    pub table_bits: u32,
 }
 
 /// The named ones.
@@ -37,8 +39,16 @@ impl Default for AccuracySettings {
 
 impl From<Accuracy> for AccuracySettings {
     fn from(a: Accuracy) -> Self {
-        let Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands, color_bits } =
-            a;
+        let Accuracy {
+            depth_bits,
+            alpha_min,
+            transmittance_min,
+            keep_last,
+            fast_exp,
+            visibility_operands,
+            color_bits,
+            table_bits,
+        } = a;
         AccuracySettings {
             depth_bits,
             alpha_min,
@@ -47,6 +57,7 @@ impl From<Accuracy> for AccuracySettings {
             fast_exp,
             visibility_operands,
             color_bits,
+            table_bits,
         }
     }
 }
@@ -61,8 +72,18 @@ impl From<AccuracySettings> for Accuracy {
             fast_exp,
             visibility_operands,
             color_bits,
+            table_bits,
         } = s;
-        Accuracy { depth_bits, alpha_min, transmittance_min, keep_last, fast_exp, visibility_operands, color_bits }
+        Accuracy {
+            depth_bits,
+            alpha_min,
+            transmittance_min,
+            keep_last,
+            fast_exp,
+            visibility_operands,
+            color_bits,
+            table_bits,
+        }
     }
 }
 
@@ -94,7 +115,11 @@ impl AccuracySettings {
                 self.transmittance_min
             ));
         }
-        for (name, bits) in [("visibility_operands", self.visibility_operands), ("color_bits", self.color_bits)] {
+        for (name, bits) in [
+            ("visibility_operands", self.visibility_operands),
+            ("color_bits", self.color_bits),
+            ("table_bits", self.table_bits),
+        ] {
             if ![16, 32].contains(&bits) {
                 return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
             }
@@ -130,6 +155,7 @@ mod tests {
             AccuracySettings { transmittance_min: 0.6, ..good },
             AccuracySettings { visibility_operands: 24, ..good },
             AccuracySettings { color_bits: 24, ..good },
+            AccuracySettings { table_bits: 8, ..good },
         ] {
             assert!(bad.check().unwrap_err().to_string().starts_with("accuracy."));
         }

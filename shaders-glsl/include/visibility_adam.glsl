@@ -1,0 +1,58 @@
+// The body of Adam for the visibility field's tables: with PACKED they are also kept in 16 bits, for lookups.
+#include "common.glsl"
+#include "visibility_grid.glsl"
+#include "adam.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 64;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 2) const uint FLAGS = 1; // words of `flags`
+
+layout(push_constant, scalar) uniform Push {
+    uint words; // of `touched`
+} push;
+
+layout(scalar) uniform FieldBlock { FieldStep field; } params;
+
+IN(uint, flags);
+IN(float, scale);             // of whole numbers, and its inverse
+INOUT(uint, touched);         // a bit an entry
+INOUT(uint, table_gradients); // entries x 2 x 2
+INOUT(float, tables);         // entries x 2
+#if PACKED
+#include "half.glsl"
+OUT(uint, packed_tables);     // entries
+#endif
+INOUT(vec2, moments);         // entries x 2
+
+#define WHOLE_SUMS table_gradients
+#include "whole_sum.glsl"
+
+void main() {
+    uint raised = 0u;
+    for (uint i = 0u; i < FLAGS; i++) raised |= flags[i];
+    uint word = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
+    if (word >= push.words) return;
+    uint bits = touched[word];
+    if (bits == 0u) return;
+    touched[word] = 0u;
+    [[dont_unroll]] while (bits != 0u) {
+        uint entry = word * 32u + uint(findLSB(bits));
+        bits &= bits - 1u;
+        [[dont_unroll]] for (uint i = 2u * entry; i < 2u * entry + 2u; i++) {
+            uint low = table_gradients[2u * i], high = table_gradients[2u * i + 1u];
+            if ((low | high) == 0u) continue;
+            table_gradients[2u * i] = 0u;
+            table_gradients[2u * i + 1u] = 0u;
+            if (raised != 0u) continue;
+            float parameter = tables[i];
+            vec2 m = moments[i];
+            adam(parameter, m, whole(low, high) * scale[1], params.field.rate, params.field.correction1,
+                 params.field.correction2);
+            tables[i] = parameter;
+            moments[i] = m;
+        }
+#if PACKED
+        if (raised == 0u) packed_tables[entry] = pack_halves(vec2(tables[2u * entry], tables[2u * entry + 1u]));
+#endif
+    }
+}
