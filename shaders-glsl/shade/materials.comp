@@ -6,15 +6,18 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool METALLIC = false;
 layout(local_size_x_id = 0) in;
+#include "entry_weights.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, row_starts); // [pixels + 1]
 IN(uint, columns);
-IN(float, weights);
+IN(uint, weights);
 IN(vec4, values);     // [Gaussians]
 IN(float, metallic_values);
 OUT(vec4, materials); // [pixels]
 OUT(float, metallic);
+
+ENTRY_WEIGHTS(weight_of, weights)
 
 void main() {
     uint p = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
@@ -25,7 +28,7 @@ void main() {
     // Rows that did not fit were not written.
     uint end = min(row_starts[p + 1u], columns.length());
     for (uint e = row_starts[p]; e < end; ++e) {
-        float w = weights[e];
+        float w = weight_of(e);
         uint g = columns[e];
         sum += w * values[g];
         if (METALLIC) metal += w * metallic_values[g];

@@ -10,10 +10,11 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool METALLIC = false;
 layout(constant_id = 2) const bool ADD = false; // to what other views of the step left
 layout(local_size_x_id = 0) in;
+#include "entry_weights.glsl"
 
 IN(uint, column_starts); // [Gaussians + 1]
 IN(uint, rows);
-IN(float, row_weights);
+IN(uint, row_weights);
 IN(vec4, materials_gradient); // [pixels]
 IN(float, metallic_gradient);
 IN(vec3, albedo);             // raw
@@ -24,6 +25,8 @@ INOUT(float, grad_roughness);
 INOUT(float, grad_metallic);
 
 const uint LANES = 8u;
+
+ENTRY_WEIGHTS(row_weight_of, row_weights)
 
 void main() {
     uint lane = gl_SubgroupInvocationID % LANES;
@@ -38,7 +41,7 @@ void main() {
         [[unroll]] for (uint k = 0u; k < 4u; ++k) {
             bool there = e + k * LANES < end;
             uint at = there ? e + k * LANES : e;
-            float w = there ? row_weights[at] : 0.0;
+            float w = there ? row_weight_of(at) : 0.0;
             uint p = rows[at];
             sum += w * materials_gradient[p];
             if (METALLIC) metal += w * metallic_gradient[p];

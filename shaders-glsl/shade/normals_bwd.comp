@@ -8,15 +8,18 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
+#include "entry_weights.glsl"
 
 IN(uint, column_starts); // [Gaussians + 1]
 IN(uint, rows);
-IN(float, row_weights);
+IN(uint, row_weights);
 IN(vec3, normals_gradient); // [pixels], of unit normals and across them
 IN(float, inverse_lengths); // [pixels]
 OUT(vec3, grad_normals);    // [Gaussians]
 
 const uint LANES = 8u;
+
+ENTRY_WEIGHTS(row_weight_of, row_weights)
 
 void main() {
     uint lane = gl_SubgroupInvocationID % LANES;
@@ -32,7 +35,7 @@ void main() {
             bool there = e + k * LANES < end;
             uint at = there ? e + k * LANES : e;
             uint p = rows[at];
-            float w = there ? row_weights[at] * inverse_lengths[p] : 0.0;
+            float w = there ? row_weight_of(at) * inverse_lengths[p] : 0.0;
             sum += w * normals_gradient[p];
         }
     }

@@ -11,6 +11,7 @@ layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(constant_id = 1) const uint PER_LANE = 8;
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
+layout(constant_id = 30) const uint WEIGHT_BITS = 32;
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -22,18 +23,31 @@ IN(uint, splat_ids);
 IN(uint, row_starts); // [pixels + 1]
 IN(float, coverage);
 OUT(uint, columns);   // Gaussians
-OUT(float, weights);
+OUT(uint, weights);   // floats, or with WEIGHT_BITS 16 parts of 65535
 OUT(uint, pixels);    // of each entry
 
 uint next_entry[PER_LANE];
 float inverse[PER_LANE];
+float carried[PER_LANE];
+
+// Parts of 65535 of a row are rounded one after the other, what rounding leaves going on to the next: a row adds up as it did, to half
+// a part, however long it is, and each weight is off by no more than one part.
+uint kept(uint k, float weight) {
+    if (WEIGHT_BITS != 16u) return floatBitsToUint(weight);
+    precise float wanted = weight * 65535.0 + carried[k];
+    precise float parts = clamp(roundEven(wanted), 0.0, 65535.0);
+    carried[k] = wanted - parts;
+    return uint(parts);
+}
+
 #define START(k, pixel)                 \
     next_entry[k] = row_starts[pixel];  \
+    carried[k] = 0.0;                   \
     inverse[k] = inverse_coverage(coverage[pixel]);
 #define VISIT(k, pixel, v, w)                   \
     if (next_entry[k] < columns.length()) {     \
         columns[next_entry[k]] = splat_ids[v];  \
-        weights[next_entry[k]] = w * inverse[k];\
+        weights[next_entry[k]] = kept(k, w * inverse[k]); \
         pixels[next_entry[k]] = pixel;          \
     }                                           \
     ++next_entry[k];

@@ -3,12 +3,12 @@
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::{Blended as TwinBlended, render};
-use sgs_passes::reference::gbuffer::{Materials, gbuffer as twin_gbuffer, weights as twin_weights};
+use sgs_passes::reference::gbuffer::{Materials, gbuffer as twin_gbuffer, stored_rows, weights as twin_weights};
 use sgs_passes::reference::project::{Camera, Gaussians, project as twin_project};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Model};
 use sgs_passes::shade::{
-    GBUFFER_CHANNELS, PixelMaterials, RawMaterials, Room, Surfaces, Weights, gbuffer, materials, materials_bwd, values,
-    weights,
+    GBUFFER_CHANNELS, PixelMaterials, RawMaterials, Room, Surfaces, Weights, gbuffer, materials, materials_bwd,
+    unpacked_weights, values, weight_words, weights,
 };
 use sgs_passes::splat::{Blended, Screen, blend, intersect, project};
 use sgs_tests::{Gpu, scenes};
@@ -43,7 +43,15 @@ fn single(values: &[f64]) -> Vec<u8> {
 }
 
 /// Everything at once: `gradient` is of the five materials of every pixel.
-fn run(gpu: &Gpu, scene: &Gaussians, camera: &Camera, raw: &Materials, gradient: &[[f64; 5]], room: u32) -> Found {
+fn run(
+    gpu: &Gpu,
+    scene: &Gaussians,
+    camera: &Camera,
+    raw: &Materials,
+    gradient: &[[f64; 5]],
+    room: u32,
+    bits: u32,
+) -> Found {
     let (t, pixels) = (gpu.tuning(), u64::from(camera.size[0]) * u64::from(camera.size[1]));
     let n = scene.len() as u32;
     let mut g = Graph::new("gbuffer");
@@ -69,10 +77,11 @@ fn run(gpu: &Gpu, scene: &Gaussians, camera: &Camera, raw: &Materials, gradient:
     let matrix = Weights {
         row_starts: words("row_starts", pixels + 1),
         columns: words("columns", room.into()),
-        weights: words("weights", room.into()),
+        weights: words("weights", weight_words(room, bits)),
         column_starts: words("column_starts", u64::from(n) + 1),
         rows: words("rows", room.into()),
-        row_weights: words("row_weights", room.into()),
+        row_weights: words("row_weights", weight_words(room, bits)),
+        bits,
     };
     let space = Room { capacity: room, gaussians: n, flags, wanted };
     weights(&mut g, &t, &screen, &visible, &entries, surfaces.coverage, &space, &matrix).unwrap();
@@ -120,16 +129,20 @@ fn run(gpu: &Gpu, scene: &Gaussians, camera: &Camera, raw: &Materials, gradient:
         inputs.push((gradient, bytes(&one)));
     }
     let out = gpu.run(g, &inputs);
+    let of_words = |words: Vec<u32>| match bits {
+        16 => unpacked_weights(&words, room as usize),
+        _ => words.into_iter().map(f32::from_bits).collect(),
+    };
     Found {
         points: out.get(surfaces.points),
         normals: out.get(surfaces.normals),
         coverage: out.get(surfaces.coverage),
         row_starts: out.get(matrix.row_starts),
         columns: out.get(matrix.columns),
-        weights: out.get(matrix.weights),
+        weights: of_words(out.get(matrix.weights)),
         column_starts: out.get(matrix.column_starts),
         rows: out.get(matrix.rows),
-        row_weights: out.get(matrix.row_weights),
+        row_weights: of_words(out.get(matrix.row_weights)),
         flags: out.get::<u32>(flags)[0],
         wanted: out.get::<u32>(wanted)[0],
         materials: out.get(picture.materials),
@@ -153,15 +166,25 @@ fn random_gradient(pixels: usize, seed: u64) -> Vec<[f64; 5]> {
 
 /// Checks everything that `run` found against the twin; `metals` and how far raw materials reach.
 fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64) {
+    for bits in [32, 16] {
+        check_in(gpu, scene, camera, metals, reach, most_doubtful, bits);
+    }
+}
+
+/// With weights in so many bits.
+fn check_in(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64, bits: u32) {
     let n = scene.len();
     let pixels = (camera.size[0] * camera.size[1]) as usize;
     let raw = random_materials(n, metals, reach, 3);
     let gradient = random_gradient(pixels, 5);
-    let found = run(gpu, scene, camera, &raw, &gradient, ROOM);
+    let found = run(gpu, scene, camera, &raw, &gradient, ROOM, bits);
     assert_eq!(found.flags, 0);
     let truth: TwinBlended = render(scene, camera, 0, true, [0.0; 3]);
     let surfaces = twin_gbuffer(camera, &truth, 8);
-    let rows = twin_weights(&twin_project(scene, camera, 0, true), camera.size);
+    let mut rows = twin_weights(&twin_project(scene, camera, 0, true), camera.size);
+    if bits == 16 {
+        rows = stored_rows(&rows);
+    }
     let blended = raw.blend(&rows);
     let total = *found.row_starts.last().unwrap();
     assert_eq!(total, found.wanted);
@@ -268,6 +291,54 @@ fn surfaces_weights_and_materials_agree_with_the_twin() {
     }
 }
 
+/// Weights in 16 bits are those of 32, rounded along their row: each within one part of 65535, rows adding up as they did to
+/// half a part; and the columns hold the same.
+#[test]
+fn weights_in_16_bits_are_rounded_along_their_rows() {
+    let gpu = Gpu::new();
+    let scene = scenes::ordinary(900, 0, true, 61);
+    let camera = scenes::camera([61, 37]);
+    let raw = random_materials(scene.len(), false, 1.0, 3);
+    let gradient = random_gradient(61 * 37, 5);
+    let [wide, narrow] = [32, 16].map(|bits| run(&gpu, &scene, &camera, &raw, &gradient, ROOM, bits));
+    assert!(wide.row_starts == narrow.row_starts && wide.rows == narrow.rows);
+    let count = wide.wanted as usize;
+    assert!(count % 2 == 1 || count > 10_000, "{count}");
+    assert!(wide.columns[..count] == narrow.columns[..count] && wide.column_starts == narrow.column_starts);
+    let (mut largest, mut longest, mut lost) = (0.0_f64, 0, 0);
+    for row in wide.row_starts.windows(2).map(|w| w[0] as usize..w[1] as usize) {
+        let mut carried = 0.0_f32;
+        let (mut sum, mut kept) = (0.0, 0.0);
+        longest = longest.max(row.len());
+        for e in row {
+            let wanted = wide.weights[e] * 65535.0 + carried;
+            let parts = (narrow.weights[e] * 65535.0).round();
+            assert_eq!(narrow.weights[e], parts * (1.0 / 65535.0), "entry {e}");
+            // A device may work out what is halfway between two a little differently.
+            assert!((wanted - parts).abs() < 0.51, "entry {e}: {wanted} became {parts}");
+            carried = wanted - parts;
+            largest = largest.max(f64::from((wide.weights[e] - narrow.weights[e]).abs()));
+            (sum, kept) = (sum + f64::from(wide.weights[e]), kept + f64::from(narrow.weights[e]));
+            lost += usize::from(parts == 0.0);
+        }
+        assert!((sum - kept).abs() < 0.51 / 65535.0 + 1e-6, "{sum} and {kept}");
+    }
+    println!("{count} weights, rows of up to {longest}: off by {largest:.1e}; {lost} are none");
+    assert!(
+        largest > 0.5 / 65535.0 && largest < 1.01 / 65535.0 && longest > 20 && lost > 0,
+        "{largest} {longest} {lost}"
+    );
+    // What `Accuracy` promises of materials, which lie between 0 and 1.
+    let bound = (longest + 1) as f64 * 0.5 / 65535.0;
+    let apart = wide.materials.iter().flatten().zip(narrow.materials.iter().flatten());
+    let apart = apart.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+    println!("materials are off by {apart:.1e} of {bound:.1e}");
+    assert!(apart > 0.0 && apart < bound, "{apart}");
+    // Past the last entry nothing is written.
+    let past = narrow.weights[count.next_multiple_of(2)..].iter().all(|w| *w == 1.0);
+    assert!(past, "something is written past the last entry");
+}
+
 #[test]
 fn one_pixel_and_nothing_to_see() {
     let gpu = Gpu::new();
@@ -284,10 +355,10 @@ fn what_does_not_fit_is_counted_and_nothing_is_written_past_the_end() {
     let camera = scenes::camera([64, 48]);
     let raw = random_materials(scene.len(), false, 1.0, 3);
     let gradient = random_gradient(64 * 48, 5);
-    let all = run(&gpu, &scene, &camera, &raw, &gradient, ROOM);
-    let short = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted - 1);
+    let all = run(&gpu, &scene, &camera, &raw, &gradient, ROOM, 32);
+    let short = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted - 1, 32);
     assert_eq!((short.flags, short.wanted), (1, all.wanted));
-    let exact = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted);
+    let exact = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted, 32);
     assert_eq!((exact.flags, exact.wanted), (0, all.wanted));
     assert_eq!(exact.grad_albedo, all.grad_albedo, "room changes nothing");
 }

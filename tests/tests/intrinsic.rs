@@ -1,5 +1,6 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
+use sgs_passes::Accuracy;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
@@ -43,9 +44,10 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let splats = geometry(&gpu, &scene);
-    let train = |bytes: u64, resumed_at: Option<u32>| {
+    let train_at = |accuracy: Accuracy, bytes: u64, resumed_at: Option<u32>| {
         let mut s = settings(24);
         s.intrinsic.surface_bytes = bytes;
+        s.accuracy = accuracy.into();
         let mut losses = Vec::new();
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         let mut heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
@@ -61,6 +63,7 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
         training.train(24, &mut heard, || true).unwrap();
         (training.splats().unwrap(), training.lights().unwrap(), losses)
     };
+    let train = |bytes, resumed_at| train_at(Accuracy::EXACT, bytes, resumed_at);
     let (trained, lights, losses) = train(0, None);
     let mean = |range: std::ops::Range<usize>| {
         let n = range.len() as f32;
@@ -90,6 +93,14 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
         assert_eq!(heard, losses, "{bytes} bytes, resumed at {resumed_at:?}");
         assert!(other == trained && other_lights == lights, "{bytes} bytes, resumed at {resumed_at:?}");
     }
+    // With what has 16 bits here in as many: the same again, and not far from it.
+    let short = Accuracy { table_bits: 16, weight_bits: 16, ..Accuracy::EXACT };
+    let (trained, lights, heard) = train_at(short, 0, None);
+    let apart = heard.iter().zip(&losses).map(|(a, b)| (f32::from_bits(a.1) / f32::from_bits(b.1) - 1.0).abs());
+    let apart = apart.fold(0.0, f32::max);
+    assert!(heard != losses && apart < 0.05, "losses are {apart} apart");
+    let (other, other_lights, again) = train_at(short, 1, Some(7));
+    assert!(again == heard && other == trained && other_lights == lights, "16 bits are not the same every time");
 }
 
 #[test]
@@ -167,7 +178,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     let gpu = Gpu::new();
     let pixels = 1600 * 1200;
     // Twenty splats a pixel show, on a million of them.
-    let shape = SurfaceShape { largest: [1600, 1200], gaussians: 1_000_000, weights: 20 * pixels };
+    let shape = SurfaceShape { largest: [1600, 1200], gaussians: 1_000_000, weights: 20 * pixels, weight_bits: 32 };
     let environment =
         Environment::new(256, &EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() }).unwrap();
     let rates = IntrinsicRates {

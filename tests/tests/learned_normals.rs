@@ -22,6 +22,8 @@ struct Seen {
     rows: Vec<Vec<(usize, f64)>>,
     /// Of any length.
     normals: Vec<V3>,
+    /// Of the weights.
+    weight_bits: u32,
 }
 
 impl Seen {
@@ -43,7 +45,13 @@ impl Seen {
         // Where nothing is there is no row either.
         case.pixels[size[0] / 2].coverage = 0.0;
         rows[size[0] / 2].clear();
-        Seen { case, rows, normals }
+        Seen { case, rows, normals, weight_bits: 32 }
+    }
+
+    /// With weights that 16 bits hold, kept in as many.
+    fn in_16_bits(mut self) -> Seen {
+        self.rows.iter_mut().flatten().for_each(|e| e.1 = (e.1 * 65535.0).round() / 65535.0);
+        Seen { weight_bits: 16, ..self }
     }
 
     /// The pixels with the normals that the Gaussians' make.
@@ -89,7 +97,15 @@ impl Seen {
             buffer
         };
         let words = |v: &[u32]| bytemuck::cast_slice(v).to_vec();
-        let floats = |v: &[f32]| bytemuck::cast_slice(v).to_vec();
+        // Contents are what 16 bits hold.
+        let floats = |v: &[f32]| match self.weight_bits {
+            16 => {
+                let parts = |w: &f32| (w * 65535.0).round() as u32;
+                let word = |pair: &[f32]| parts(&pair[0]) | pair.get(1).map_or(0, parts) << 16;
+                words(&v.chunks(2).map(word).collect::<Vec<_>>())
+            }
+            _ => bytemuck::cast_slice(v).to_vec(),
+        };
         let (mut starts, mut columns, mut weights) = (vec![0], vec![], vec![]);
         for row in &self.rows {
             columns.extend(row.iter().map(|e| e.0 as u32));
@@ -114,6 +130,7 @@ impl Seen {
             column_starts: put("column_starts", words(&column_starts)),
             rows: put("rows", words(&rows)),
             row_weights: put("row_weights", floats(&row_weights)),
+            bits: self.weight_bits,
         }
     }
 
@@ -155,8 +172,8 @@ fn tolerance(expected: &[f64]) -> Tolerance {
 #[test]
 fn gradients_are_differences_of_the_reference() {
     let gpu = Gpu::new();
-    for (seed, size, gaussians) in [(1, [7, 5], 5), (2, [17, 9], 40), (3, [31, 4], 1)] {
-        let seen = Seen::random(size, gaussians, seed);
+    let cases = [(1, [7, 5], 5), (2, [17, 9], 40), (3, [31, 4], 1)].map(|(seed, size, n)| Seen::random(size, n, seed));
+    for seen in cases.into_iter().chain([Seen::random([17, 9], 40, 2).in_16_bits()]) {
         let [direct, gradient] = seen.run(&gpu);
         let c = &seen.case;
         let [d, s] = twin::lights(&seen.pixels(&seen.normals), &c.lights(), c.camera, c.normalizer());

@@ -11,7 +11,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let values = 4.0 + (s.specs)("METALLIC");
     let again = if (s.specs)("ADD") > 0.0 { 8.0 } else { 4.0 };
     // An entry's column or row and its weight.
-    let entries = 8.0 * e;
+    let entries = if (s.specs)("WEIGHT_BITS") == 16.0 { 6.0 * e } else { 8.0 * e };
     let (bytes, operations) = match s.kernel {
         "material_values" => (8.0 * values * n, SIGMOID * values * n),
         "materials" => (entries + 4.0 * p + 4.0 * values * (n + p), 2.0 * values * e),

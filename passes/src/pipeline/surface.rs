@@ -7,7 +7,7 @@
 use super::Step;
 use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
-use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, weights};
+use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, unpacked_weights, weight_words, weights};
 use crate::splat::{Blended, Screen, blend, intersect, project};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
@@ -24,6 +24,8 @@ pub struct SurfaceShape {
     pub gaussians: u32,
     /// Room for weights.
     pub weights: u32,
+    /// Bits of a weight, 32 or 16 ([`crate::Accuracy::weight_bits`]).
+    pub weight_bits: u32,
 }
 
 /// Names of the buffers, in the order of [`SurfaceShape::bytes`].
@@ -46,7 +48,8 @@ impl SurfaceShape {
 
     fn each(&self) -> [u64; NAMES.len()] {
         let (p, w) = (self.pixels(), 4 * u64::from(self.weights.max(1)));
-        [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, w, 4 * (u64::from(self.gaussians) + 1), w, w]
+        let kept = 4 * weight_words(self.weights.max(1), self.weight_bits);
+        [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, kept, 4 * (u64::from(self.gaussians) + 1), w, kept]
     }
 
     /// Bytes of one view's surfaces.
@@ -69,6 +72,7 @@ impl SurfaceShape {
             column_starts: next(),
             rows: next(),
             row_weights: next(),
+            bits: self.weight_bits,
         };
         SurfaceHandles { surfaces, weights }
     }
@@ -116,8 +120,8 @@ impl Surface {
     pub fn of_gaussians(device: &Device, points: &[f32], normals: &[f32], capacity: u32) -> Result<Surface> {
         let count = (points.len() / 3) as u32;
         let width = count.isqrt().max(1);
-        let shape =
-            SurfaceShape { largest: [width, count.div_ceil(width).max(1)], gaussians: capacity, weights: count };
+        let largest = [width, count.div_ceil(width).max(1)];
+        let shape = SurfaceShape { largest, gaussians: capacity, weights: count, weight_bits: 32 };
         let surface = Surface::new(device, shape)?;
         let pixels = shape.pixels() as usize;
         let floats = |given: &[f32], length: usize| {
@@ -179,9 +183,16 @@ impl Surface {
     pub fn weights(&self, device: &Device) -> Result<WeightColumns> {
         let starts: Vec<u32> = device.download_as(&self.buffers[6], self.shape.gaussians as usize + 1)?;
         let count = starts.last().map_or(0, |n| *n as usize);
-        let (pixels, weights) = match count {
+        let (pixels, weights): (Vec<u32>, Vec<u32>) = match count {
             0 => Default::default(),
-            n => (device.download_as(&self.buffers[7], n)?, device.download_as(&self.buffers[8], n)?),
+            n => {
+                let words = weight_words(n as u32, self.shape.weight_bits) as usize;
+                (device.download_as(&self.buffers[7], n)?, device.download_as::<u32>(&self.buffers[8], words)?)
+            }
+        };
+        let weights = match self.shape.weight_bits {
+            16 => unpacked_weights(&weights, count),
+            _ => weights.into_iter().map(f32::from_bits).collect(),
         };
         Ok(WeightColumns { starts, pixels, weights })
     }
@@ -233,7 +244,8 @@ impl SurfaceBuilder {
     pub fn new(device: &Device, tuning: Tuning, gaussians: &Gaussians, largest: [u32; 2]) -> Result<SurfaceBuilder> {
         let pixels = u64::from(largest[0]) * u64::from(largest[1]);
         let guess = u32::try_from(8 * pixels).unwrap_or(u32::MAX).max(1 << 10);
-        let shape = SurfaceShape { largest, gaussians: gaussians.capacity, weights: guess };
+        let weight_bits = tuning.accuracy.weight_bits;
+        let shape = SurfaceShape { largest, gaussians: gaussians.capacity, weights: guess, weight_bits };
         let entry_capacity = gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24);
         let state = State::new(device, &tuning, gaussians, shape, entry_capacity)?;
         Ok(SurfaceBuilder { device: device.clone(), tuning, shape, entry_capacity, state })

@@ -70,6 +70,20 @@ pub fn weights(splats: &[Projected], size: [u32; 2]) -> Vec<Vec<(usize, f64)>> {
     (0..width * height).map(pixel).collect()
 }
 
+/// Rows as they are kept in 16 bits: parts of 65535, what rounding leaves going on along the row.
+pub fn stored_rows(rows: &[Vec<(usize, f64)>]) -> Vec<Vec<(usize, f64)>> {
+    let row = |row: &Vec<(usize, f64)>| {
+        let mut carried = 0.0;
+        let mut kept = |w: f64| {
+            let parts = (65535.0 * w + carried).round_ties_even().clamp(0.0, 65535.0);
+            carried += 65535.0 * w - parts;
+            parts / 65535.0
+        };
+        row.iter().map(|(i, w)| (*i, kept(*w))).collect()
+    };
+    rows.iter().map(row).collect()
+}
+
 /// Materials before activation: albedo (3), roughness and, where `metallic` is not empty, metallic of each Gaussian.
 #[derive(Clone, Debug, Default)]
 pub struct Materials {

@@ -6,9 +6,12 @@
 //! gradients its transpose times the pixels' ([`super::materials`]); both are kept (compressed rows and compressed columns),
 //! so that neither direction needs atomics. Weights are over the pixel's opacity: rows of covered pixels add up to one.
 //!
-//! Promises: the weights are those of [`crate::splat::blend`] bit for bit; rows are in the order of depth, columns in the
+//! Weights may be kept in 16 bits ([`crate::Accuracy::weight_bits`]): in parts of 65535, which suits numbers between zero and one better
+//! than half precision. Rounding goes along a row and hands on what it leaves, so that rows add up to one still, to half a part.
+//!
+//! Promises: the weights are those of [`crate::splat::blend`] bit for bit, or within a part of them; both directions hold the same; rows are in the order of depth, columns in the
 //! order of pixels. Cost: the loop of `blend` twice without its channels, 12 bytes written an entry, a sort of as many pairs
-//! as there are entries, 16 bytes of memory an entry afterwards. Leaves room for the entries to the caller.
+//! as there are entries, 16 bytes of memory an entry afterwards (12 with weights of 16 bits). Leaves room for the entries to the caller.
 
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
@@ -17,6 +20,7 @@ use crate::splat::{Blended, Channels, Entries, Screen, Visible, group_sizes, per
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
     column_starts, gbuffer as kernel, surface_depth as depth, weights as fill, weights_count, weights_transpose,
+    weights_transpose_packed as packed,
 };
 
 /// What has to be blended for [`gbuffer`].
@@ -43,14 +47,27 @@ pub struct Weights {
     pub row_starts: Buffer,
     /// `[capacity]`: the Gaussian of each entry, by rows.
     pub columns: Buffer,
-    /// `[capacity]` floats: its weight.
+    /// `[capacity]`: its weight; see `bits`.
     pub weights: Buffer,
     /// `[Gaussians + 1]`: where each Gaussian's column begins.
     pub column_starts: Buffer,
     /// `[capacity]`: the pixel of each entry, by columns.
     pub rows: Buffer,
-    /// `[capacity]` floats: its weight.
+    /// `[capacity]`: its weight.
     pub row_weights: Buffer,
+    /// Bits of a weight: 32, a float; or 16, parts of 65535, two a word ([`weight_words`]).
+    pub bits: u32,
+}
+
+/// Words of so many weights.
+pub fn weight_words(weights: u32, bits: u32) -> u64 {
+    if bits == 16 { u64::from(weights).div_ceil(2) } else { weights.into() }
+}
+
+/// Weights of a matrix with `bits` of 16 as floats.
+pub fn unpacked_weights(words: &[u32], count: usize) -> Vec<f32> {
+    let parts = words.iter().flat_map(|w| [w & 0xffff, w >> 16]);
+    parts.take(count).map(|p| p as f32 * (1.0 / 65535.0)).collect()
 }
 
 /// The rows alone, which is what blending takes.
@@ -60,13 +77,15 @@ pub struct Rows {
     pub row_starts: Buffer,
     /// `[capacity]`: the Gaussian of each entry, by rows.
     pub columns: Buffer,
-    /// `[capacity]` floats: its weight.
+    /// `[capacity]`: its weight.
     pub weights: Buffer,
+    /// As [`Weights::bits`].
+    pub bits: u32,
 }
 
 impl From<&Weights> for Rows {
     fn from(w: &Weights) -> Rows {
-        Rows { row_starts: w.row_starts, columns: w.columns, weights: w.weights }
+        Rows { row_starts: w.row_starts, columns: w.columns, weights: w.weights, bits: w.bits }
     }
 }
 
@@ -147,20 +166,40 @@ pub fn weights(
     room: &Room,
     into: &Weights,
 ) -> Result<(), GraphError> {
-    let (found, entry_pixels) = rows(g, t, screen, visible, entries, coverage, room, &into.into())?;
+    let mut by_rows = Rows::from(into);
+    if into.bits == 16 {
+        // A word each as long as rows end where they like.
+        by_rows.weights = g.transient("weight_parts", 4 * u64::from(room.capacity));
+    }
+    let (found, entry_pixels) = rows(g, t, screen, visible, entries, coverage, room, &by_rows)?;
     let bits = 32 - room.gaussians.saturating_sub(1).leading_zeros();
     let sorted = radix_sort(g, *t, "weights_sort", into.columns, None, 0..bits.max(1), true, Count::Gpu(found))?;
-    let bindings = weights_transpose::Bindings {
-        entries: found.slice,
-        order: sorted.values,
-        pixels: entry_pixels.into(),
-        weights: into.weights.into(),
-        rows: into.rows.into(),
-        row_weights: into.row_weights.into(),
-    };
-    let specs = weights_transpose::Specs { workgroup: t.workgroup };
-    stage(g, "weights_transpose", &weights_transpose::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
+    if into.bits == 16 {
+        let bindings = packed::Bindings {
+            entries: found.slice,
+            order: sorted.values,
+            pixels: entry_pixels.into(),
+            parts: by_rows.weights.into(),
+            rows: into.rows.into(),
+            weights: into.weights.into(),
+            row_weights: into.row_weights.into(),
+        };
+        let specs = packed::Specs { workgroup: t.workgroup };
+        stage(g, "weights_transpose", &packed::KERNEL, bindings.entries(), specs.entries(), &[])
+            .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
+    } else {
+        let bindings = weights_transpose::Bindings {
+            entries: found.slice,
+            order: sorted.values,
+            pixels: entry_pixels.into(),
+            weights: into.weights.into(),
+            rows: into.rows.into(),
+            row_weights: into.row_weights.into(),
+        };
+        let specs = weights_transpose::Specs { workgroup: t.workgroup };
+        stage(g, "weights_transpose", &weights_transpose::KERNEL, bindings.entries(), specs.entries(), &[])
+            .dispatch_indirect(found.slice.buffer, found.slice.offset)?;
+    }
     let bindings = column_starts::Bindings {
         entries: found.slice,
         sorted_columns: sorted.keys.unwrap_or_else(|| into.columns.into()),
@@ -171,7 +210,7 @@ pub fn weights(
         .dispatch(groups(u64::from(room.gaussians) + 1, t.workgroup))
 }
 
-/// As [`weights`] without the columns, for views that only go forward. Where there is no room the last rows are cut off.
+/// As [`weights`] without the columns, for views that only go forward, in 32 bits. Where there is no room the last rows are cut off.
 ///
 /// # Errors
 /// If the graph refuses a pass.
@@ -185,6 +224,7 @@ pub fn weight_rows(
     room: &Room,
     into: &Rows,
 ) -> Result<(), GraphError> {
+    debug_assert_eq!(into.bits, 32, "rows that may be cut off are not packed");
     rows(g, t, screen, visible, entries, coverage, room, into).map(|_| ())
 }
 
@@ -238,7 +278,11 @@ fn rows(
         weights: into.weights.into(),
         pixels: entry_pixels.into(),
     };
-    let specs = splat_specs!(fill, t, { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height, });
+    let specs = splat_specs!(fill, t, { subgroup: t.subgroup_size,
+        per_lane: lanes,
+        tile_width,
+        tile_height,
+        weight_bits: into.bits, });
     stage(g, "weights", &fill::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(tiles)?;

@@ -6,7 +6,7 @@
 //! are sums over the columns of the matrix, in the order of pixels.
 //!
 //! Cost: 16 bytes read and written a Gaussian and about 60 operations (four exponentials); an entry of the matrix 24 bytes
-//! and 8 operations forward, as much backward. Metallic adds a quarter.
+//! (22 with weights of 16 bits) and 8 operations forward, as much backward. Metallic adds a quarter.
 
 use super::{Rows, Weights};
 use crate::Tuning;
@@ -58,7 +58,8 @@ pub fn materials(
         materials: into.materials.into(),
         metallic: or_nothing(g, into.metallic).into(),
     };
-    let specs = kernel::Specs { workgroup: t.workgroup, metallic: into.metallic.is_some() };
+    let metallic = into.metallic.is_some();
+    let specs = kernel::Specs { workgroup: t.workgroup, metallic, weight_bits: weights.bits };
     stage(g, "materials", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
@@ -115,7 +116,7 @@ pub fn materials_bwd(
         grad_metallic: or_nothing(g, into.metallic).into(),
     };
     let metallic = raw.metallic.is_some();
-    let specs = backward::Specs { workgroup: t.workgroup, metallic, add };
+    let specs = backward::Specs { workgroup: t.workgroup, metallic, add, weight_bits: weights.bits };
     let mut pass = stage(g, "materials_bwd", &backward::KERNEL, [], specs.entries(), &[]);
     for (name, slice) in bindings.entries() {
         let nothing = name == "grad_metallic" && !metallic;

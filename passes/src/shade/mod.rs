@@ -15,7 +15,7 @@ pub mod visibility;
 
 pub use gbuffer::{
     GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Rows, SURFACE_DEPTH, Surfaces, Weights, gbuffer, surface_depth,
-    weight_rows, weights,
+    unpacked_weights, weight_rows, weight_words, weights,
 };
 pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
 pub use normals::{LearnedNormals, normals, normals_bwd};

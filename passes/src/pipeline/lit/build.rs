@@ -100,6 +100,7 @@ pub(super) fn build(
         row_starts: g.transient("row_starts", 4 * (pixels + 1)),
         columns: g.transient("columns", words),
         weights: g.transient("weights", words),
+        bits: 32,
     };
     let wanted = g.transient("weights_wanted", 4);
     let room = Room { capacity: capacity[1], gaussians: s.gaussians.capacity, flags, wanted };

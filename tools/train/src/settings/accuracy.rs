@@ -25,6 +25,8 @@ pub struct AccuracySettings {
     pub color_bits: u32,
     /// Bits of the visibility field's tables where they are looked up: 32 or 16.
     pub table_bits: u32,
+    /// Bits of the weights of the intrinsic stage's pixels: 32 or 16.
+    pub weight_bits: u32,
 }
 
 /// The named ones.
@@ -48,6 +50,7 @@ impl From<Accuracy> for AccuracySettings {
             visibility_operands,
             color_bits,
             table_bits,
+            weight_bits,
         } = a;
         AccuracySettings {
             depth_bits,
@@ -58,6 +61,7 @@ impl From<Accuracy> for AccuracySettings {
             visibility_operands,
             color_bits,
             table_bits,
+            weight_bits,
         }
     }
 }
@@ -73,6 +77,7 @@ impl From<AccuracySettings> for Accuracy {
             visibility_operands,
             color_bits,
             table_bits,
+            weight_bits,
         } = s;
         Accuracy {
             depth_bits,
@@ -83,6 +88,7 @@ impl From<AccuracySettings> for Accuracy {
             visibility_operands,
             color_bits,
             table_bits,
+            weight_bits,
         }
     }
 }
@@ -119,6 +125,7 @@ impl AccuracySettings {
             ("visibility_operands", self.visibility_operands),
             ("color_bits", self.color_bits),
             ("table_bits", self.table_bits),
+            ("weight_bits", self.weight_bits),
         ] {
             if ![16, 32].contains(&bits) {
                 return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
@@ -156,6 +163,7 @@ mod tests {
             AccuracySettings { visibility_operands: 24, ..good },
             AccuracySettings { color_bits: 24, ..good },
             AccuracySettings { table_bits: 8, ..good },
+            AccuracySettings { weight_bits: 0, ..good },
         ] {
             assert!(bad.check().unwrap_err().to_string().starts_with("accuracy."));
         }
