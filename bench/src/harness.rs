@@ -1,12 +1,12 @@
 //! One graph with its memory, replayed and timed: the bench of every stage that is measured on its own.
 
 use crate::commands::ceiling::Ceiling;
-use crate::cost::{Counts, cost};
 use crate::report::{PassRow, Report};
 use crate::stats::Summary;
 use sgs_engine::graph::exec::{ExecOptions, Executor, HostTimes, PassTime};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_passes::cost::{Counts, cost};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -103,7 +103,7 @@ pub fn add_passes(report: &mut Report, plan: &Plan, times: &[PassTime], counts: 
     for time in times.iter().filter(|t| !t.name.starts_with("out.") && !t.nanoseconds.is_empty()) {
         let nanoseconds = Summary::of(&time.nanoseconds);
         let cost = plan.passes.iter().find(|p| p.name == time.name).and_then(|p| cost(p, counts));
-        let bound = cost.map(|c| c.bound(ceiling));
+        let bound = cost.map(|c| ceiling.bound(&c));
         report.passes.push(PassRow {
             plan: plan.name.clone(),
             pass: time.name.clone(),

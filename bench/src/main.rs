@@ -7,7 +7,6 @@
 
 mod commands;
 mod common;
-mod cost;
 mod harness;
 mod micro;
 mod process;

@@ -3,6 +3,7 @@
 //! Knows Gaussians, lights and images; never files or the command line.
 
 mod accuracy;
+pub mod cost;
 pub mod kernel;
 pub mod loss;
 mod matrices;

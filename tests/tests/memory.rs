@@ -62,10 +62,16 @@ fn the_sum_before_the_first_step_is_what_is_taken() {
         training.train(2, |_| {}, || true).unwrap();
         // What a training without growth takes in the end is foretold, but for what is uploaded at first.
         let count = training.gaussians().count(gpu.device()).unwrap();
-        let entries = training.entries().unwrap();
+        let sight = training.sight().unwrap();
+        let entries = sight.most_entries;
         let foretold = training.expected(count, count, entries).unwrap();
         assert_eq!((foretold.total() - foretold.staging, foretold.bands), (needs.total() - needs.staging, 0));
         assert!(entries > 0 && training.expected(4 * count, count, entries).unwrap().total() >= foretold.total());
+        // What it computes: every pass is known, and more Gaussians are more work.
+        let (cost, unknown) = training.step_cost(&sight).unwrap();
+        let (more, _) = training.step_cost(&sight.with(4 * count)).unwrap();
+        assert!(unknown == 0 && cost.operations > 20.0 * sight.entries && cost.bytes > 100.0 * sight.visible);
+        assert!(more.operations > 2.0 * cost.operations && more.bytes > 2.0 * cost.bytes, "{cost:?} {more:?}");
         drop(training);
 
         // With that budget there is a step; with a byte less there is a sentence, and nothing was begun.
@@ -115,12 +121,14 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     let used = || gpu.device().memory_use().0;
     for (field, asked) in [(true, false), (true, true), (false, false)] {
         if !field {
-            s.intrinsic.visibility.kind = VisibilityKind::None;
+            (s.intrinsic.visibility.kind, s.intrinsic.environment.every) = (VisibilityKind::None, 4);
         }
         s.intrinsic.relight.provider = if asked { provider("misbehave=nothing") } else { "own".into() };
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         training.train(12, |_| {}, || true).unwrap();
         let needs = *training.needs();
+        let (cost, unknown) = training.step_cost().unwrap();
+        assert!(unknown == 0 && cost.operations > 1e5, "{unknown} passes are not known: {cost:?}");
         assert_eq!(training.compares(), [true, true]);
         assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
         assert_eq!(needs.relit > 0 && needs.estimates > 0, asked, "{needs:?}");
@@ -156,6 +164,7 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     assert!(
         found["needs_bytes"] == parts && found["lights"] == 64 && found["lobes"] == 12 && found["environment"] == 256
     );
+    assert!(found["step_operations"].as_f64().unwrap() > 1e6);
     assert!(found["priors"]["albedo"] == true && found["priors"]["roughness"] == false && found["cross_view"] == true);
     let both = plan(&["--stage", "all"]).ok().stdout;
     for word in

@@ -8,6 +8,7 @@ use crate::stats::Summary;
 use serde::{Deserialize, Serialize};
 use sgs_engine::Device;
 use sgs_engine::graph::{Graph, GraphError};
+use sgs_passes::cost::Cost;
 use sgs_passes::kernel::{groups, stage};
 use sgs_shaders::{fill, fma_probe};
 
@@ -43,6 +44,13 @@ fn sizes(device: &Device) -> (u64, u32, u32) {
 }
 
 impl Ceiling {
+    /// Seconds that the device takes for a cost at best, and whether memory is what takes them.
+    pub fn bound(&self, cost: &Cost) -> (f64, bool) {
+        let memory = cost.bytes / self.bytes_per_second;
+        let arithmetic = cost.operations / self.operations_per_second;
+        (memory.max(arithmetic), memory >= arithmetic)
+    }
+
     /// Measures it: the best of some repetitions, since nothing makes a device faster than it is.
     ///
     /// # Errors
@@ -171,4 +179,16 @@ fn overheads(device: &Device, report: &mut Report, warmup: u32, repeats: u32) ->
     let one = dispatches(device, 1, false, warmup, repeats)?;
     report.fact("a submission and the wait for it, us", one / 1e3);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_higher_bound_counts() {
+        let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9 }), (1.0, true));
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10 }), (3.0, false));
+    }
 }

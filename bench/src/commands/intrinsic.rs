@@ -3,12 +3,12 @@
 use super::ceiling::Ceiling;
 use super::step::Args;
 use crate::common::Common;
-use crate::cost::Counts;
 use crate::harness::{add_passes, spans};
 use crate::process::cpu_seconds;
 use crate::stats::Summary;
 use anyhow::{Context, bail};
 use sgs_engine::graph::dump::{Track, html, trace};
+use sgs_passes::cost::Counts;
 use sgs_scene::{Scene, Splats};
 use sgs_train::{Intrinsic, Settings};
 use std::path::Path;

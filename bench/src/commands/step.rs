@@ -2,7 +2,6 @@
 
 use super::ceiling::Ceiling;
 use crate::common::{Common, parse_size};
-use crate::cost::Counts;
 use crate::harness::{add_passes, spans};
 use crate::micro::view::{Subject, overlap};
 use crate::micro::{Context, densify};
@@ -15,6 +14,7 @@ use sgs_engine::graph::Plan;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
+use sgs_passes::cost::Counts;
 use sgs_passes::pipeline::{Renderer, StepReport};
 use sgs_passes::scene::Decoder;
 use sgs_passes::splat::BackwardKernel;

@@ -2,10 +2,10 @@
 
 use super::Context;
 use super::view::work_of;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::adam as twin;
 use sgs_passes::reference::rng::Pcg;

@@ -2,11 +2,11 @@
 
 use super::Context;
 use super::view::{Subject, overlap};
-use crate::cost::Counts;
 use crate::harness::{add_passes, spans};
 use crate::report::Report;
 use crate::stats::Summary;
 use crate::workload::{twin_camera, twin_gaussians};
+use sgs_passes::cost::Counts;
 use sgs_passes::reference::blend::{Blended as Truth, render};
 use sgs_passes::splat::{Blended, Channels, blend};
 

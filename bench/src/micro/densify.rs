@@ -2,11 +2,11 @@
 
 use super::Context;
 use super::view::work_of;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes, spans};
 use crate::report::Report;
 use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::cost::Counts;
 use sgs_passes::optim::{Densify, densify};
 use sgs_passes::reference::densify::{Candidate, Settings, Verdict, verdict};
 use sgs_passes::reference::rng::Pcg;

@@ -5,10 +5,10 @@
 //! light and its gradient.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::reference::environment as twin;
 use sgs_passes::reference::environment::{Cube, Filter};
 use sgs_passes::reference::rng::Pcg;

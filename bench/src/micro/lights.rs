@@ -1,11 +1,11 @@
 //! `lights` and what leads back from it, under 64 lights of 12 lobes, at a sample of pixels against the twin.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::cost::Counts;
 use sgs_passes::reference::brdf::{Material, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;

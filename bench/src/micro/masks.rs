@@ -1,11 +1,11 @@
 //! `region_mask` and `carry_mask` against their twins: a third of the training view, carried to a camera beside it.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use glam::{DMat3, DVec2, DVec3};
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::loss::{CarryOptions, Seen, carry_mask, pack_mask, pack_regions, region_mask};
 use sgs_passes::pipeline as gpu;
 use sgs_passes::reference::project::Camera;

@@ -1,11 +1,11 @@
 //! Pictures of materials and of light, and the losses of materials, against their twins.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use anyhow::Context as _;
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::cost::Counts;
 use sgs_passes::loss::{
     Compose, CrossPicture, EdgeAware, MaterialLosses, Materials, Msg, compose, compose_bwd, cross_view, edge_aware,
     material_pictures, material_pictures_bwd, material_sum, msg, pack_mask, relight,

@@ -3,10 +3,10 @@
 //! The gradient at a pixel depends on what is at most ten pixels away, so the twin, which is slow, need not see the rest.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd};
 use sgs_passes::reference::photometric as twin;
 use sgs_passes::reference::photometric::Shape;

@@ -1,11 +1,11 @@
 //! `scan` and `radix_sort`, word for word against their twins.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes, spans};
 use crate::report::Report;
 use crate::stats::Summary;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::prim::{Count, exclusive_scan, radix_sort};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::{radix_sort as sort_twin, scan as scan_twin};

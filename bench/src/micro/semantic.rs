@@ -2,11 +2,11 @@
 //! and by the decoder.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use half::f16;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::loss::{
     Head, Pictured, SemanticLoss, SemanticTargets, correspondence_bwd, correspondence_train_bwd, decoder_gradient,
     normalize_embeddings, pack_mask, region, regions, sampled_pixels, semantic_loss, semantic_prepare, semantic_sum,

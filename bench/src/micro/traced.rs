@@ -3,10 +3,10 @@
 
 use super::Context;
 use super::lights::{CAMERA, Lit, bind};
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
 use sgs_passes::reference::lights as lights_twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::traced::{self as twin, Splat};

@@ -3,12 +3,12 @@
 //! add up to the same in every layer; and in the tables to as much as in the first layer's features.
 
 use super::Context;
-use crate::cost::Counts;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::micro::lights::Lit;
 use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
+use sgs_passes::cost::Counts;
 use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::shade::visibility::{

@@ -47,7 +47,7 @@ pub use evaluate::{
 };
 pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
-pub use geometry::{Decision, Geometry, Progress};
+pub use geometry::{Decision, Geometry, Progress, Sight};
 pub use head::SemanticHead;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, Probe, read_lights, write_lights};
 pub use kept::Kept;

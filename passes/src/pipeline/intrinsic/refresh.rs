@@ -51,6 +51,11 @@ impl KeptEnvironment {
         Kept::bytes(environment).iter().sum()
     }
 
+    /// Of it what a checkpoint holds.
+    pub fn kept_bytes_of(environment: &Environment) -> u64 {
+        Kept::bytes(environment)[2]
+    }
+
     /// What steps have gathered since the texels moved.
     ///
     /// # Errors

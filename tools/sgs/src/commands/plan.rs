@@ -122,7 +122,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
     let (needs, budget) = (*training.needs(), device.budget());
-    let entries = training.entries()?;
+    let sight = training.sight()?;
+    let entries = sight.most_entries;
     let ends = match a.gaussians {
         Some(n) => vec![n],
         None if s.geometry.densify.enabled => [1, 2, 4].map(|k| count.saturating_mul(k)).to_vec(),
@@ -130,7 +131,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let mut expected = Vec::new();
     for n in ends {
-        expected.push((n, training.expected(n, count, entries)?.total()));
+        let (cost, _) = training.step_cost(&sight.with(n))?;
+        expected.push((n, training.expected(n, count, entries)?.total(), cost));
     }
     if common.json.is_some() {
         let mut value = serde_json::json!({
@@ -151,7 +153,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "needs": needs,
             "needs_bytes": needs.total(),
             "entries": entries,
-            "expected": expected.iter().map(|(n, bytes)| serde_json::json!({"gaussians": n, "bytes": bytes})).collect::<Vec<_>>(),
+            "expected": expected.iter().map(|(n, bytes, cost)| serde_json::json!({
+                "gaussians": n, "bytes": bytes, "step_operations": cost.operations, "step_bytes": cost.bytes,
+            })).collect::<Vec<_>>(),
             "budget": budget,
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
@@ -228,8 +232,13 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         mib(budget.budget),
         source_of(&budget)
     );
-    for (n, bytes) in &expected {
-        println!("peak        {:>9.1} MiB if training ends with {n} Gaussians", mib(*bytes));
+    for (n, bytes, cost) in &expected {
+        println!(
+            "peak        {:>9.1} MiB if training ends with {n} Gaussians; a step then computes at most {} operations and moves {} MB",
+            mib(*bytes),
+            counted(cost.operations),
+            (cost.bytes / 1e6).round()
+        );
     }
     if let Some(plan) = &intrinsic {
         println!();
@@ -241,6 +250,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         (None, None) => {}
     }
     Ok(())
+}
+
+/// A large number for people.
+pub fn counted(number: f64) -> String {
+    match number {
+        n if n >= 1e12 => format!("{:.1} T", n / 1e12),
+        n if n >= 1e9 => format!("{:.1} G", n / 1e9),
+        n => format!("{:.1} M", n / 1e6),
+    }
 }
 
 /// Where a budget comes from.

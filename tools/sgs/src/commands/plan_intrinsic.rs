@@ -1,8 +1,9 @@
 //! What `sgs plan` says of the intrinsic stage.
 
-use super::plan::source_of;
+use super::plan::{counted, source_of};
 use sgs_engine::graph::Plan;
 use sgs_engine::{Budget, Device};
+use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::IntrinsicOptions;
 use sgs_scene::{Scene, Splats};
 use sgs_train::{Decision, Intrinsic, IntrinsicNeeds, Settings, read_splats};
@@ -27,6 +28,8 @@ pub struct IntrinsicPlan {
     decisions: Vec<Decision>,
     /// A plain step.
     pub graph: Arc<Plan>,
+    /// What it computes and moves.
+    cost: Cost,
 }
 
 impl IntrinsicPlan {
@@ -37,6 +40,7 @@ impl IntrinsicPlan {
         };
         let mut training = Intrinsic::planned(device, scene, s, &splats)?;
         let graph = training.executor()?.executor().plan().clone();
+        let (cost, _) = training.step_cost()?;
         Ok(IntrinsicPlan {
             gaussians: training.gaussians(),
             points: start.is_none(),
@@ -53,6 +57,7 @@ impl IntrinsicPlan {
             asked: s.intrinsic.relight.command().is_some(),
             needs: *training.needs(),
             graph,
+            cost,
         })
     }
 
@@ -79,6 +84,8 @@ impl IntrinsicPlan {
             "needs": self.needs,
             "needs_bytes": self.needs.total(),
             "budget": budget,
+            "step_operations": self.cost.operations,
+            "step_bytes": self.cost.bytes,
             "passes": self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": self.graph.groups.iter().filter(|g| g.barrier.is_some()).count(),
         })
@@ -134,6 +141,11 @@ impl IntrinsicPlan {
             self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             self.graph.groups.len(),
             self.graph.groups.iter().filter(|g| g.barrier.is_some()).count()
+        );
+        println!(
+            "computed    {} operations and {} MB moved in a step that compares nothing with other views",
+            counted(self.cost.operations),
+            (self.cost.bytes / 1e6).round()
         );
         for (name, bytes) in self.needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
             println!("memory      {:>9.1} MiB {name}", mib(bytes));

@@ -6,30 +6,89 @@ use super::{Geometry, entries_with, next_room};
 use crate::error::Result;
 use crate::memory::Needs;
 use sgs_engine::STAGING_BYTES;
+use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::GeometryOptions;
 use sgs_passes::scene::{Layout, Model};
 
 /// Views that are looked at.
 const VIEWS: usize = 64;
 
+/// What training views see of the Gaussians as they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sight {
+    /// Gaussians.
+    pub gaussians: f64,
+    /// Tile entries of the view that has most.
+    pub most_entries: u32,
+    /// Mean of all views.
+    pub entries: f64,
+    /// Gaussians that a view sees, mean.
+    pub visible: f64,
+    /// Pixels of a view, mean.
+    pub pixels: f64,
+}
+
+impl Sight {
+    /// The same of so many Gaussians, which grow out of these.
+    #[must_use]
+    pub fn with(&self, gaussians: u32) -> Sight {
+        let (now, then) = (self.gaussians.max(1.0), f64::from(gaussians));
+        Sight {
+            gaussians: then,
+            visible: self.visible * then / now,
+            entries: entries_with(self.entries as u32, now as u32, gaussians),
+            most_entries: entries_with(self.most_entries, now as u32, gaussians) as u32,
+            ..*self
+        }
+    }
+}
+
 impl Geometry {
-    /// Most tile entries of a training view as things are, before the first step or between calls of [`Geometry::train`]. Parameters are
+    /// Looks at the training views as things are, before the first step or between calls of [`Geometry::train`]. Parameters are
     /// held meanwhile.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn entries(&mut self) -> Result<u32> {
+    pub fn sight(&mut self) -> Result<Sight> {
         self.status.hold(&self.device)?;
         let views = self.data.views.len().min(VIEWS);
-        let mut most = 0;
+        let mut sight = Sight { gaussians: self.gaussians.count(&self.device)?.into(), ..Sight::default() };
+        let share = 1.0 / views.max(1) as f64;
         for step in (1..).take(views) {
             let values = self.values(step);
             self.exec()?.submit(&values)?;
             self.exec()?.finish()?;
-            most = most.max(self.status.report(step)?.entries);
+            let report = self.status.report(step)?;
+            let [width, height] = self.data.views[self.schedule.view(step)].0.size;
+            sight.most_entries = sight.most_entries.max(report.entries);
+            sight.entries += share * f64::from(report.entries);
+            sight.visible += share * f64::from(report.visible);
+            sight.pixels += share * f64::from(width) * f64::from(height);
         }
         self.status.clear_flags(&self.device)?;
-        Ok(most)
+        Ok(sight)
+    }
+
+    /// What a step computes and moves at most: as if no Gaussian hid another, and semantics were asked of every pixel. Passes of which
+    /// nobody knows it are counted beside.
+    ///
+    /// # Errors
+    /// If there is no step, because memory ran out.
+    pub fn step_cost(&mut self, sight: &Sight) -> Result<(Cost, usize)> {
+        let tile = f64::from(self.tuning.tile[0] * self.tuning.tile[1]);
+        let counts = Counts {
+            gaussians: sight.gaussians,
+            visible: sight.visible,
+            entries: sight.entries,
+            pixels: sight.pixels,
+            pairs: tile * sight.entries,
+            width: self.gaussians.model.width().into(),
+            samples: sight.pixels,
+            masked: sight.pixels,
+            wanted: sight.pixels,
+            ..Counts::default()
+        };
+        Ok(of_plan(self.executor()?.plan(), &counts))
     }
 
     /// What training takes at most, if it ends with so many Gaussians, began with `count`, and has so many tile entries now. With all bands of

@@ -28,6 +28,7 @@ use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings, ShDegree};
 pub(crate) use bands::Bands;
 pub use decision::Decision;
+pub use expect::Sight;
 pub(crate) use fit::Growth;
 use fit::{allowance, last_that};
 pub(crate) use given::Given;

@@ -6,7 +6,8 @@ use super::{Intrinsic, IntrinsicNeeds};
 use crate::error::Result;
 use crate::settings::IntrinsicSettings;
 use sgs_engine::graph::exec::PassTime;
-use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicStep};
+use sgs_passes::cost::{Cost, Counts, of_plan};
+use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
 impl Intrinsic {
     /// What training was reckoned to take of the device's memory.
@@ -57,6 +58,26 @@ impl Intrinsic {
     /// The times of all passes of plain steps since they are taken.
     pub fn take_times(&mut self) -> Vec<PassTime> {
         self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
+    }
+
+    /// What a plain step computes and moves, mean over the views that are kept, with all lights that are on. Passes of which
+    /// nobody knows it are counted beside.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn step_cost(&mut self) -> Result<(Cost, usize)> {
+        let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
+        let pixels = |c: &Camera| f64::from(c.size[0]) * f64::from(c.size[1]);
+        let views = &self.data.views;
+        let counts = Counts {
+            gaussians: self.splats.len() as f64,
+            pixels: views.iter().map(|v| pixels(&v.0)).sum::<f64>() / views.len().max(1) as f64,
+            lights: gains.iter().filter(|g| **g != 0.0).count() as f64,
+            weights: self.surface_weights()?,
+            ..Counts::default()
+        };
+        let plan = self.executor()?.executor().plan().clone();
+        Ok(of_plan(&plan, &counts))
     }
 
     /// A plain step, for its plan.

@@ -111,6 +111,7 @@ impl IntrinsicNeeds {
             if o.environment_every > 1 {
                 let plan = EnvironmentRefresh::plan(tuning, e, o)?;
                 needs.environment += KeptEnvironment::bytes_of(e);
+                largest = largest.max(KeptEnvironment::kept_bytes_of(e));
                 needs.environment_arena = plan.arena_bytes;
                 needs.small += uniform_bytes(device, &plan, 1);
             }

@@ -50,6 +50,12 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let moved = spec("REGULARIZED");
             ((28.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
         }
+        // The light of a pair on top; half of the pairs face, and one of so many is taken.
+        "visibility_lights_bwd" => {
+            let (moved, taken) = (spec("REGULARIZED"), 0.5 * pairs / spec("SAMPLE").max(1.0));
+            let light = super::shade::pair(spec("LOBES"));
+            ((72.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD + light) * taken)
+        }
         // Entries are read for the weights, and two sums of two words each changed for the tables.
         "visibility_encode_bwd" => {
             ((16.0 + 128.0 + (32.0 + entry) * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p)

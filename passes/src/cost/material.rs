@@ -22,6 +22,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // The background is encoded too.
         "compose" => ((4.0 + light + 12.0) * p, (2.0 * ENCODE + 12.0) * p),
         "compose_bwd" => ((4.0 + light + 24.0) * p, (2.0 * ENCODE + 18.0) * p),
+        "gray_picture" => (20.0 * p, 3.0 * p),
+        "gray_picture_bwd" => (24.0 * p, 6.0 * p),
         // Sobel filters of seven channels 80, six exponentials 24, signs and sums 30, transposed filters of four 84.
         "edge_aware" => ((12.0 + 4.0 + 24.0 + 3.0 * gray) * p, 218.0 * p),
         "msg_difference" => {

@@ -27,6 +27,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // Twelve texels with three sums of two words each.
         "environment_bwd" => (84.0 * p, (6.0 * LOOKUP + 2.0 * SURFACE + 36.0 * 20.0) * p),
         "environment_collect" => (40.0 * size, 20.0 * size),
+        "environment_gather" => (52.0 * size, 24.0 * size),
+        "environment_clamp" => (8.0 * size, size),
         "environment_mips_bwd" => (24.0 * texels, 18.0 * texels),
         // About ten entries a row.
         "environment_smoothness" => (108.0 * size, 150.0 * size),

@@ -14,8 +14,7 @@ mod shade;
 mod surface;
 mod visibility;
 
-use crate::commands::ceiling::Ceiling;
-use sgs_engine::graph::{Dispatch, Pass, PassKind};
+use sgs_engine::graph::{Dispatch, Pass, PassKind, Plan};
 
 /// Counts that costs depend on; means over the measured steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,13 +59,19 @@ pub struct Cost {
     pub operations: f64,
 }
 
-impl Cost {
-    /// Seconds that a device takes at best, and whether memory is what takes them.
-    pub fn bound(&self, ceiling: &Ceiling) -> (f64, bool) {
-        let memory = self.bytes / ceiling.bytes_per_second;
-        let arithmetic = self.operations / ceiling.operations_per_second;
-        (memory.max(arithmetic), memory >= arithmetic)
+/// What all passes of a plan cost, and how many of them no model knows.
+pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
+    let mut all = (Cost::default(), 0);
+    for pass in &plan.passes {
+        match cost(pass, counts) {
+            Some(c) => {
+                all.0.bytes += c.bytes;
+                all.0.operations += c.operations;
+            }
+            None => all.1 += 1,
+        }
     }
+    all
 }
 
 /// What the plan says about a pass.
@@ -127,9 +132,9 @@ fn elements(pass: &str, c: &Counts) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Tuning;
+    use crate::prim::{Count, radix_sort};
     use sgs_engine::graph::Graph;
-    use sgs_passes::Tuning;
-    use sgs_passes::prim::{Count, radix_sort};
 
     #[test]
     fn a_sort_moves_twenty_bytes_an_element_and_digit() {
@@ -147,12 +152,8 @@ mod tests {
         // Four digits of 20 bytes, 4 less for the values that the first one makes, and 16 for each value of the digit
         // and block: 1 an element and digit.
         assert!((bytes / n as f64 - (4.0 * 21.0 - 4.0)).abs() < 0.5, "{}", bytes / n as f64);
-    }
-
-    #[test]
-    fn the_higher_bound_counts() {
-        let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
-        assert_eq!(Cost { bytes: 1e9, operations: 1e9 }.bound(&ceiling), (1.0, true));
-        assert_eq!(Cost { bytes: 1e9, operations: 3e10 }.bound(&ceiling), (3.0, false));
+        // The copy on top, read and written.
+        let (all, unknown) = of_plan(&plan, &counts);
+        assert!(unknown == 0 && (all.bytes - bytes - 8.0 * n as f64).abs() < 1.0, "{all:?} {bytes}");
     }
 }

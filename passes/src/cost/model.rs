@@ -67,7 +67,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "adam" => (28.0 * elements, ADAM * elements),
         "opacity_reset" => (16.0 * n, 4.0 * n),
         // A single workgroup, as small as it looks.
-        "loss_sum" | "report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
+        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
                 .or_else(|| densify(s, c))

@@ -37,6 +37,11 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     }
 }
 
+/// Operations of a pair that faces each other.
+pub(super) fn pair(lobes: f64) -> f64 {
+    RAY + LOBE * lobes + SURFACE
+}
+
 fn plain(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
     let (lobes, p) = (spec("LOBES"), c.pixels);
