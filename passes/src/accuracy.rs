@@ -38,6 +38,11 @@ pub struct Accuracy {
     /// parts of 65535, each off by no more than one of them, in 12 bytes an entry instead of 16; a row adds up to one within half a
     /// part. A material of a pixel is off by at most n + 1 times 7.6e-6 of the difference between the materials of n Gaussians there.
     pub weight_bits: u32,
+    /// Bits of a semantic feature of a Gaussian where blending reads it, 32 or 16. With 16 a copy is made at the beginning of a step,
+    /// rounded to half precision: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14; a pixel's is off by no more than
+    /// that of the largest. It takes 64 bytes a Gaussian while a step runs. Gradients are those at the rounded features, passed on as
+    /// if nothing had been rounded; features and moments keep 32 bits.
+    pub feature_bits: u32,
 }
 
 impl Accuracy {
@@ -53,6 +58,7 @@ impl Accuracy {
         color_bits: 32,
         table_bits: 32,
         weight_bits: 32,
+        feature_bits: 32,
     };
 }
 
@@ -74,6 +80,7 @@ impl Accuracy {
         color_bits: 16,
         table_bits: 16,
         weight_bits: 16,
+        feature_bits: 32,
     };
 }
 

@@ -23,6 +23,7 @@ IN(uint, entry_splats);
 IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);   // [Gaussians * FEATURES]
+IN(uint, packed_features);
 IN(uint, wanted);          // a bit a pixel
 OUT(float, feature_image); // [pixels * FEATURES], where wanted
 

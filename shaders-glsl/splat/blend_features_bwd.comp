@@ -31,6 +31,7 @@ IN(uint, entry_splats);
 IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);
+IN(uint, packed_features);
 IN(uint, wanted);
 IN(float, feature_image);
 IN(float, grad_features);     // [pixels * FEATURES], where wanted

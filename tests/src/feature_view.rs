@@ -4,13 +4,14 @@ use crate::Gpu;
 use crate::scenes::{self, Rng};
 use glam::DMat3;
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::Accuracy;
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Handles, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, intersect, project,
-    wanted_words,
+    Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, features_pack,
+    intersect, project, wanted_words,
 };
 use sgs_shaders::structs::Work;
 
@@ -33,6 +34,8 @@ pub struct View {
     pub weights: Vec<f64>,
     /// Whether kernels are told that what is wanted lies close together. Nothing but time depends on it.
     pub dense: bool,
+    /// Bits of features where blending reads them.
+    pub feature_bits: u32,
 }
 
 impl View {
@@ -45,7 +48,12 @@ impl View {
         let mut r = Rng::new(seed);
         let pixels = (size[0] * size[1]) as usize;
         let weight = |i: usize| if wants(i / WIDE) { f64::from(r.between(-1.0, 1.0) as f32) } else { 0.0 };
-        View { camera, weights: (0..pixels * WIDE).map(weight).collect(), dense: seed.is_multiple_of(2) }
+        View {
+            camera,
+            weights: (0..pixels * WIDE).map(weight).collect(),
+            dense: seed.is_multiple_of(2),
+            feature_bits: 32,
+        }
     }
 
     /// By the twin, of Gaussians without normals.
@@ -74,7 +82,7 @@ pub struct Declared {
 
 /// Declares a view up to what features leave at its entries. Where nothing is wanted stands what nobody may read.
 pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: Buffer, values: Step) -> Declared {
-    let t = gpu.tuning();
+    let t = gpu.tuning().with(Accuracy { feature_bits: view.feature_bits, ..Accuracy::EXACT });
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: view.camera.size, tile: t.tile };
     let visible = project(g, &t, &screen, handles, Channels::default()).unwrap();
@@ -84,6 +92,7 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let shown = Wanted { pixels: wanted, dense: view.dense };
+    let handles = &features_pack(g, &t, handles).unwrap();
     blend_features(g, &t, &screen, handles, &visible, &entries, shown, image).unwrap();
     let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, shown, image, gradient).unwrap();
     let mut camera = scenes::gpu_camera(&view.camera);

@@ -1,12 +1,16 @@
 //! Wide features: the picture of them and their gradients where splats are hard, and their update fused with Adam.
 
+use half::f16;
 use sgs_engine::graph::Graph;
+use sgs_passes::Accuracy;
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::adam as twin;
 use sgs_passes::reference::blend::{Blended, render};
 use sgs_passes::reference::project::Gaussians;
+use sgs_passes::reference::stored::stored;
 use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES};
-use sgs_passes::splat::{FeatureAdam, features_bwd, features_bwd_adam};
+use sgs_passes::splat::{FeatureAdam, features_bwd, features_bwd_adam, features_pack};
+use sgs_shaders::structs::Work;
 use sgs_tests::feature_view::{View, declare, gaussian_inputs, wants};
 use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -54,9 +58,11 @@ fn largest(found: &[f32], twin: &Blended) -> f64 {
 #[test]
 fn features_of_hard_splats_agree_with_the_twin() {
     let gpu = Gpu::new();
-    for (seed, size) in [(1, [50, 37]), (2, [64, 48]), (3, [9, 50])] {
-        let scene = scenes::with_semantics(scenes::hard(seed), seed + 7);
-        let mut view = View::new(size, 0.0, seed + 3);
+    for (seed, size, bits) in
+        [(1, [50, 37], 32), (2, [64, 48], 32), (3, [9, 50], 32), (1, [50, 37], 16), (2, [64, 48], 16)]
+    {
+        let mut scene = scenes::with_semantics(scenes::hard(seed), seed + 7);
+        let mut view = View { feature_bits: bits, ..View::new(size, 0.0, seed + 3) };
         let truth = render(&scene, &view.camera, 3, false, [0.0; 3]);
         for (p, weights) in view.weights.chunks_exact_mut(WIDE).enumerate() {
             if truth.doubtful[p] {
@@ -64,9 +70,15 @@ fn features_of_hard_splats_agree_with_the_twin() {
             }
         }
         let (image, gradient) = run(&gpu, &scene, &view);
+        let exact = largest(&image, &truth);
+        // The twin's are rounded as they are kept; gradients are what they are for any features.
+        scene.semantics.iter_mut().for_each(|x| *x = stored(*x, bits));
+        let truth = render(&scene, &view.camera, 3, false, [0.0; 3]);
         let off = largest(&image, &truth);
-        println!("seed {seed}: largest {off:.2e}");
-        assert!(off < 2e-3, "seed {seed}: largest difference {off}");
+        println!("seed {seed}: largest {off:.2e}; {exact:.2e} in {bits} bits");
+        assert!(off < if bits == 16 { 2e-5 } else { 2e-3 }, "seed {seed}: largest difference {off}");
+        // What `Accuracy` promises, of features up to one.
+        assert!(bits == 32 || exact > 2.0 * off && exact < 2.0_f64.powi(-11) + 2e-5, "{exact} and {off}");
         for (p, pixel) in image.chunks_exact(WIDE).enumerate() {
             let written = pixel.iter().any(|x| x.to_bits() != u32::MAX);
             assert_eq!(written, wants(p), "pixel {p}");
@@ -88,6 +100,36 @@ fn features_of_hard_splats_agree_with_the_twin() {
         assert!(expected.iter().filter(|x| **x != 0.0).count() > 20 * WIDE);
         assert_close("gradients of features", &expected, &gradient, Tolerance::new(5e-3, 1e-3));
     }
+}
+
+/// Features of every size and none: the copy is what they round to, bit for bit, and nothing lies behind it.
+#[test]
+fn the_copy_in_16_bits_is_rounded_to_nearest() {
+    let gpu = Gpu::new();
+    let (n, room) = (70, 75);
+    let mut r = Rng::new(3);
+    let mut features: Vec<f32> =
+        (0..WIDE * n).map(|_| (r.between(-2.0, 2.0) * 2.0_f64.powf(r.between(-27.0, 17.0))) as f32).collect();
+    features[..8].copy_from_slice(&[f32::NAN, f32::INFINITY, -f32::INFINITY, 65519.9, 65520.0, -0.0, 1e-45, 6.1e-5]);
+    // Halfway between two.
+    (0..64).for_each(|i| features[100 + i] = (2049 + 2 * i) as f32 * 2.0_f32.powi(i as i32 - 40));
+    let mut g = Graph::new("pack");
+    let model = Model { semantics: true, ..Default::default() };
+    let layout = Layout { model, capacity: room as u32, training: false, statistics: false };
+    let handles = layout.declare(&mut g, false);
+    let t = gpu.tuning().with(Accuracy { feature_bits: 16, ..Accuracy::EXACT });
+    let packed = features_pack(&mut g, &t, &handles).unwrap().packed_features.unwrap();
+    let out = g.external("out", 2 * (WIDE * room) as u64);
+    g.copy("copy", packed, out).unwrap();
+    let work = Work { x: 1, y: 1, z: 1, count: n as u32 };
+    let inputs = [(handles.group(Group::Semantics), bytes(&features)), (handles.work, bytes(&[work]))];
+    let found = gpu.run(g, &inputs).get::<[u16; 2]>(out);
+    for (i, (x, kept)) in features.iter().zip(found.as_flattened()).enumerate() {
+        let expected = f16::from_f32(x.clamp(-65504.0, 65504.0));
+        let same = f16::from_bits(*kept).is_nan() && x.is_nan() || *kept == expected.to_bits();
+        assert!(same, "{i}: {x} became {}", f16::from_bits(*kept));
+    }
+    assert!(found[WIDE / 2 * n..].iter().all(|w| *w == [u16::MAX; 2]));
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn classes_are_learned_and_regions_correspond() {
 #[test]
 fn neither_room_nor_interruptions_matter() {
     let gpu = Gpu::new();
-    for (masks, dense) in [(false, false), (true, true)] {
+    for (masks, dense, feature_bits) in [(false, false, 32), (true, true, 32), (true, false, 16)] {
         let room = Room::default();
         let place = place(room, Meaning { masks, ..Meaning::default() });
         let scene = open(&place);
@@ -105,6 +105,7 @@ fn neither_room_nor_interruptions_matter() {
             let mut s = settings(26, 12);
             s.geometry.entry_capacity = capacity;
             s.geometry.dense_adam = dense;
+            s.accuracy.feature_bits = feature_bits;
             let d = &mut s.geometry.densify;
             (d.enabled, d.from, d.interval, d.reset_interval, d.grad_threshold) = (true, 5, 5, 12, 5e-5);
             d.max_gaussians = 3000;

@@ -9,7 +9,7 @@ use sgs_passes::reference::project::{Camera, Gaussians, project_at};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
-    blend_features_bwd, features_bwd, intersect, project, project_bwd, wanted_words,
+    blend_features_bwd, features_bwd, features_pack, intersect, project, project_bwd, wanted_words,
 };
 use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, finite_difference};
@@ -66,16 +66,16 @@ impl Case {
     /// The twin's picture. What rounding of stored numbers has changed at the scene of the case stays that change as parameters move:
     /// gradients pass it by.
     fn twin(&self, g: &Gaussians, camera: &Camera) -> Picture {
-        let exact = Accuracy { color_bits: 32, ..self.accuracy };
+        let exact = Accuracy { color_bits: 32, feature_bits: 32, ..self.accuracy };
         let seen = |g: &Gaussians, camera: &Camera, a: &Accuracy| project_at(g, camera, self.degree(), self.depth, a);
         let mut splats = seen(g, camera, &exact);
         if self.accuracy != exact {
-            let mut rounding = vec![[0.0; 3]; g.len()];
+            let mut rounding = vec![vec![]; g.len()];
             let here = |a: &Accuracy| seen(&self.gaussians, &self.camera, a);
             for (stored, plain) in here(&self.accuracy).iter().zip(&here(&exact)) {
-                rounding[stored.id] = [0, 1, 2].map(|c| stored.features[c] - plain.features[c]);
+                rounding[stored.id] = stored.features.iter().zip(&plain.features).map(|(a, b)| a - b).collect();
             }
-            splats.iter_mut().for_each(|s| (0..3).for_each(|c| s.features[c] += rounding[s.id][c]));
+            splats.iter_mut().for_each(|s| s.features.iter_mut().zip(&rounding[s.id]).for_each(|(f, r)| *f += r));
         }
         let wide = if g.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
         let channels = self.image.len() / self.transmittance.len() + wide;
@@ -144,13 +144,14 @@ impl Case {
         let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
         let mut sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
         let pixels = screen.pixels();
+        let packed = features_pack(&mut g, &t, &handles).unwrap();
         let wide = model.semantics.then(|| {
             let wanted = g.input("wanted", 4 * wanted_words(pixels));
             let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let all = Wanted { pixels: wanted, dense: true };
-            blend_features(&mut g, &t, &screen, &handles, &visible, &entries, all, image).unwrap();
-            let left = blend_features_bwd(&mut g, &t, &screen, &handles, &visible, &entries, all, image, gradient);
+            blend_features(&mut g, &t, &screen, &packed, &visible, &entries, all, image).unwrap();
+            let left = blend_features_bwd(&mut g, &t, &screen, &packed, &visible, &entries, all, image, gradient);
             (wanted, gradient, left.unwrap(), image)
         });
         if self.features_move {
@@ -320,7 +321,7 @@ fn gradients_at_other_accuracies_are_those_of_the_twin() {
         Accuracy { transmittance_min: 0.3, ..exact },
         Accuracy { alpha_min: 1.0 / 16.0, ..exact },
         Accuracy { fast_exp: true, depth_bits: 24, ..exact },
-        Accuracy { color_bits: 16, ..exact },
+        Accuracy { color_bits: 16, feature_bits: 16, ..exact },
         Accuracy::FAST,
     ] {
         let mut case = Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false);

@@ -28,9 +28,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let touched = p.min(4.0 * m);
     // Entries whose tile has wanted pixels are taken to be all; pairs are those of blending, by the share of pixels.
     let pairs = c.pairs * c.wanted / p.max(1.0);
-    let fetched = 8.0 + 24.0 + 4.0 * FEATURES;
+    let fetched = 8.0 + 24.0 + if spec("FEATURE_BITS") == 16.0 { 2.0 } else { 4.0 } * FEATURES;
     let left = 4.0 * (6.0 + FEATURES);
     let (bytes, operations) = match s.kernel {
+        "features_pack" => (6.0 * FEATURES * c.gaussians, 10.0 * FEATURES * c.gaussians),
         "wanted_samples" => (p / 8.0, 20.0 * p),
         // A pair as in blending; 2 operations a feature, backward 4.
         "blend_features" => {

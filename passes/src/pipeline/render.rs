@@ -3,7 +3,9 @@
 use super::{Camera, Step};
 use crate::Tuning;
 use crate::scene::{FEATURES, Gaussians, Handles};
-use crate::splat::{Blended, Channels, Screen, Wanted, blend, blend_features, intersect, project, wanted_words};
+use crate::splat::{
+    Blended, Channels, Screen, Wanted, blend, blend_features, features_pack, intersect, project, wanted_words,
+};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -197,6 +199,7 @@ impl State {
             let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
             g.fill("want_all", everywhere, u32::MAX)?;
             let wanted = Wanted { pixels: everywhere, dense: true };
+            let handles = features_pack(&mut g, t, &handles)?;
             blend_features(&mut g, t, &screen, &handles, &visible, &entries, wanted, into)?;
         }
         g.copy("copy_wanted", entries.wanted, wanted_out)?;

@@ -168,7 +168,7 @@ fn project_one(
     }
     if !g.semantics.is_empty() {
         let width = SEMANTIC_FEATURES as usize;
-        features.extend(&g.semantics[width * i..width * (i + 1)]);
+        features.extend(g.semantics[width * i..width * (i + 1)].iter().map(|x| stored(*x, a.feature_bits)));
     }
     let key = |scale: f64| depth_key(p.z * scale, camera.near, a.depth_bits);
     let projected = Projected {

@@ -80,7 +80,15 @@ impl Layout {
             .then(|| Group::ALL.map(|group| add(&format!("{}_moments", group.name()), 8 * self.scalars(group))));
         let statistics = optimizer.then(|| add("statistics", self.statistics_bytes()));
         let work = add("gaussians", size_of::<Work>() as u64);
-        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
+        Handles {
+            model: self.model,
+            capacity: self.capacity,
+            parameters,
+            moments,
+            statistics,
+            work,
+            packed_features: None,
+        }
     }
 }
 
@@ -332,9 +340,21 @@ pub struct Handles {
     pub statistics: Option<Buffer>,
     /// Count and dispatch size.
     pub work: Buffer,
+    /// Semantic features in 16 bits, two a word, where there are such in the graph ([`crate::splat::features_pack`]).
+    pub packed_features: Option<Buffer>,
 }
 
 impl Handles {
+    /// What blending reads of the semantic features.
+    pub(crate) fn looked_up_features(&self) -> Buffer {
+        self.packed_features.unwrap_or(self.group(Group::Semantics))
+    }
+
+    /// Bits of a number there.
+    pub(crate) fn feature_bits(&self) -> u32 {
+        if self.packed_features.is_some() { 16 } else { 32 }
+    }
+
     /// One group's parameters.
     pub fn group(&self, group: Group) -> Buffer {
         self.parameters[group as usize]

@@ -8,9 +8,9 @@
 //! comes through features is left at the entries as moments of its own, and added where a splat's entries are summed.
 //!
 //! Cost, F features: an entry of a tile with wanted pixels is fetched once for every `2 x subgroup` of them (28 + 4 F
-//! bytes); a pair takes 20 + 2 F operations, backward 45 + 4 F. Pixels write 4 F bytes; backward reads twice that, and
-//! writes 4 (6 + F) bytes at entries that show. `features_bwd_adam` reads these, and 12 F bytes a visible Gaussian, and
-//! writes 12 F.
+//! bytes, 2 F fewer with features in 16 bits); a pair takes 20 + 2 F operations, backward 45 + 4 F. Pixels write 4 F bytes;
+//! backward reads twice that, and writes 4 (6 + F) bytes at entries that show. `features_bwd_adam` reads these, and 12 F
+//! bytes a visible Gaussian, and writes 12 F. `features_pack` reads 4 F bytes a Gaussian and writes 2 F, once a step.
 
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
@@ -18,6 +18,7 @@ use crate::kernel::{groups, splat_specs, stage};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::features_bwd_adam as fused;
+use sgs_shaders::features_pack as pack;
 use sgs_shaders::long_tiles as long;
 use sgs_shaders::{blend_features as forward, blend_features_bwd as backward, features_bwd as kernel};
 
@@ -48,7 +49,8 @@ macro_rules! of_tiles {
             entry_splats: $entries.splats.into(),
             splats: $visible.splats.into(),
             splat_ids: $visible.ids.into(),
-            raw_features: $gaussians.group(Group::Semantics).into(),
+            raw_features: $gaussians.looked_up_features().into(),
+            packed_features: $gaussians.looked_up_features().into(),
             wanted: $wanted.pixels.into(),
             $($more)*
         }
@@ -91,6 +93,28 @@ pub fn wanted_words(pixels: u64) -> u64 {
     pixels.div_ceil(32)
 }
 
+/// The Gaussians with a copy of their features in 16 bits beside them, if the accuracy asks for it: what blending reads of them in
+/// this graph from now on, in every view. The features themselves keep 32 bits, and gradients are those at the rounded ones.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn features_pack(g: &mut Graph, t: &Tuning, gaussians: &Handles) -> Result<Handles, GraphError> {
+    if t.accuracy.feature_bits != 16 || !gaussians.model.has(Group::Semantics) {
+        return Ok(*gaussians);
+    }
+    let words = u64::from(gaussians.capacity) * u64::from(Group::Semantics.width() / 2);
+    let packed_features = g.transient("packed_features", 4 * words);
+    let bindings = pack::Bindings {
+        gaussians: gaussians.work.into(),
+        raw_features: gaussians.group(Group::Semantics).into(),
+        packed_features: packed_features.into(),
+    };
+    let specs = pack::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
+    stage(g, "features_pack", &pack::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(words, t.workgroup))?;
+    Ok(Handles { packed_features: Some(packed_features), ..*gaussians })
+}
+
 /// Blends features into `into` (`[pixels * features]`) at the wanted pixels of the view; elsewhere nothing is written.
 ///
 /// # Errors
@@ -113,6 +137,7 @@ pub fn blend_features(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
+        feature_bits: gaussians.feature_bits(),
         span, });
     stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
@@ -157,6 +182,7 @@ pub fn blend_features_bwd(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
+        feature_bits: gaussians.feature_bits(),
         span,
         short, });
     let tiles = groups(u64::from(screen.tiles()), 1);

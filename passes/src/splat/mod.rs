@@ -17,7 +17,7 @@ pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
     EntryFeatures, FeatureAdam, Wanted, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
-    wanted_words,
+    features_pack, wanted_words,
 };
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};

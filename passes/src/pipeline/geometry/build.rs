@@ -17,7 +17,7 @@ use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step}
 use crate::splat::{
     Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen, Visible,
     Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
-    intersect, project, project_bwd_adam, wanted_words,
+    features_pack, intersect, project, project_bwd_adam, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
@@ -76,6 +76,14 @@ pub(super) fn build(
     o: &GeometryOptions,
 ) -> Built<()> {
     let step = steps.step;
+    let packed;
+    let gaussians = match inputs.semantics {
+        Some(_) => {
+            packed = features_pack(g, t, gaussians)?;
+            &packed
+        }
+        None => gaussians,
+    };
     let view = render(g, t, step, gaussians, status, o.channels, o)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);

@@ -27,6 +27,8 @@ pub struct AccuracySettings {
     pub table_bits: u32,
     /// Bits of the weights of the intrinsic stage's pixels: 32 or 16.
     pub weight_bits: u32,
+    /// Bits of semantic features where blending reads them: 32 or 16.
+    pub feature_bits: u32,
 }
 
 /// The named ones.
@@ -51,6 +53,7 @@ impl From<Accuracy> for AccuracySettings {
             color_bits,
             table_bits,
             weight_bits,
+            feature_bits,
         } = a;
         AccuracySettings {
             depth_bits,
@@ -62,6 +65,7 @@ impl From<Accuracy> for AccuracySettings {
             color_bits,
             table_bits,
             weight_bits,
+            feature_bits,
         }
     }
 }
@@ -78,6 +82,7 @@ impl From<AccuracySettings> for Accuracy {
             color_bits,
             table_bits,
             weight_bits,
+            feature_bits,
         } = s;
         Accuracy {
             depth_bits,
@@ -89,6 +94,7 @@ impl From<AccuracySettings> for Accuracy {
             color_bits,
             table_bits,
             weight_bits,
+            feature_bits,
         }
     }
 }
@@ -126,6 +132,7 @@ impl AccuracySettings {
             ("color_bits", self.color_bits),
             ("table_bits", self.table_bits),
             ("weight_bits", self.weight_bits),
+            ("feature_bits", self.feature_bits),
         ] {
             if ![16, 32].contains(&bits) {
                 return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
@@ -164,6 +171,7 @@ mod tests {
             AccuracySettings { color_bits: 24, ..good },
             AccuracySettings { table_bits: 8, ..good },
             AccuracySettings { weight_bits: 0, ..good },
+            AccuracySettings { feature_bits: 64, ..good },
         ] {
             assert!(bad.check().unwrap_err().to_string().starts_with("accuracy."));
         }
