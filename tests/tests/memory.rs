@@ -119,7 +119,9 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
     let splats = Splats::from_points(&scene.points, 1).unwrap();
     let used = || gpu.device().memory_use().0;
-    for (field, asked) in [(true, false), (true, true), (false, false)] {
+    let mut sizes = Vec::new();
+    for (field, asked, bits) in [(true, false, 16), (true, false, 32), (true, true, 32), (false, false, 32)] {
+        (s.accuracy.weight_bits, s.accuracy.table_bits) = (bits, bits);
         if !field {
             (s.intrinsic.visibility.kind, s.intrinsic.environment.every) = (VisibilityKind::None, 4);
         }
@@ -129,6 +131,7 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
         let needs = *training.needs();
         let (cost, unknown) = training.step_cost().unwrap();
         assert!(unknown == 0 && cost.operations > 1e5, "{unknown} passes are not known: {cost:?}");
+        sizes.push((needs.surfaces, needs.visibility));
         assert_eq!(training.compares(), [true, true]);
         assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
         assert_eq!(needs.relit > 0 && needs.estimates > 0, asked, "{needs:?}");
@@ -155,6 +158,8 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
         gpu.device().set_memory_budget(None);
         s.memory.budget = 0;
     }
+    // Weights in 16 bits take less, a copy of the tables more.
+    assert!(sizes[0].0 < sizes[1].0 && sizes[0].1 > sizes[1].1, "{sizes:?}");
     let plan = |more: &[&str]| {
         let scene = place.text("scene");
         sgs(&[&["plan", &scene, "--set", "intrinsic.visibility.log2_table=12"][..], more].concat())
@@ -166,6 +171,9 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     );
     assert!(found["step_operations"].as_f64().unwrap() > 1e6);
     assert!(found["priors"]["albedo"] == true && found["priors"]["roughness"] == false && found["cross_view"] == true);
+    let short = plan(&["--stage", "intrinsic", "--json", "--set", "accuracy.weight_bits=16"]).ok().json();
+    let surfaces = |plan: &serde_json::Value| plan["needs"]["surfaces"].as_u64().unwrap();
+    assert!(surfaces(&short) < surfaces(&found), "{short}");
     let both = plan(&["--stage", "all"]).ok().stdout;
     for word in
         ["densify", "lights      64 of 12 lobes", "visibility  a field of 16 levels", "relight     every 3 steps"]
