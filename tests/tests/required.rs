@@ -92,7 +92,7 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     sgs(&["eval", &place.text("run"), "-q"]).ok();
 
     // Insisted upon, everything stays; without surroundings a light does.
-    let keep = ["metallic", "lights", "environment", "visibility"].map(|p| format!("intrinsic.automatic.{p}=false"));
+    let keep = ["metallic", "lights", "lobes", "environment", "visibility"].map(|p| format!("intrinsic.automatic.{p}=false"));
     let keep: Vec<&str> = all.into_iter().chain(keep.iter().map(String::as_str)).collect();
     sgs(&arguments(&place, "kept", &keep)).ok();
     assert!(decisions(&place, "kept").iter().all(|d| d.0 == 0));
@@ -101,6 +101,10 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     let lights = json(&place, "dark/lights.json");
     let on = lights["lights"].as_array().unwrap().iter().filter(|l| l["gain"] != 0.0).count();
     assert_eq!(on, 1, "the brightest light stays");
+    // Of its lobes one will do, by then.
+    let merged = decisions(&place, "dark").into_iter().find(|d| d.1 == "lobes").map(|d| (d.0, d.2));
+    assert_eq!(merged, Some((10, true)));
+    assert!(lights["lights"].as_array().unwrap().iter().all(|l| l["lobes"].as_array().unwrap().len() == 1));
 }
 
 #[test]

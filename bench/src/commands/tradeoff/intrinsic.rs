@@ -50,7 +50,7 @@ fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
         all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"]));
     }
     let balanced = ["intrinsic.environment.every=4", "intrinsic.visibility.sample=4"];
-    all.push(own("first two together", &balanced));
+    all.push(own("two together", &balanced));
     let fast = ["intrinsic.environment.every=8", "intrinsic.visibility.sample=16", "intrinsic.cull_error=0.02"];
     all.push(own("three together", &fast));
     all.push(own("all together", &[&fast[..], &["intrinsic.scale=0.5"]].concat()));
@@ -58,6 +58,9 @@ fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
     let mut other = |name, sets: Vec<String>| all.push(Choice { name, sets, same: false });
     if s.lights.grid > 1 {
         other("fewer lights", vec![format!("intrinsic.lights.grid={}", s.lights.grid - 1)]);
+    }
+    if s.lights.lobes > 1 {
+        other("fewer lobes", vec![format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)]);
     }
     if s.environment.resolution > 16 {
         other(

@@ -62,8 +62,8 @@ const IN_FLIGHT: usize = 2;
 /// Steps between looks at what the device has reported; the ring holds more.
 const LOOK: u32 = 16;
 
-/// Lobes of a light.
-const LOBES: u32 = 12;
+/// Lobes of a light that starting amplitudes are for.
+const LOBES: f32 = 12.0;
 
 /// The intrinsic stage of one scene.
 pub struct Intrinsic {
@@ -198,7 +198,7 @@ impl Intrinsic {
         let others = consistency.as_ref().map(|c| c.cameras(settings, &schedule)).unwrap_or_default();
         let builder = Surfaces::measure(device, tuning, &gaussians, packed.views(), packed.largest, &others)?;
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
-        let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: LOBES, axes };
+        let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: s.lights.lobes, axes };
         let seed = settings.seed as u32;
         let environment = match s.environment.enabled {
             true => {
@@ -350,7 +350,7 @@ impl Intrinsic {
                     let positions = light_model.start_positions(bounds[0], bounds[1]);
                     let row = light_model.row() as usize;
                     let mut lobes = light_model.start_lobes();
-                    let scale = light_scale(&bounds) * s.lights.start.max(1e-30);
+                    let scale = light_scale(&bounds) * s.lights.start.max(1e-30) * LOBES / s.lights.lobes as f32;
                     lobes.chunks_mut(row).flat_map(|l| &mut l[row - 3..]).for_each(|w| *w += scale.ln());
                     Some([
                         Trainable::new(device, "light_positions", positions.as_flattened(), true)?,

@@ -30,6 +30,9 @@ const ASKED_AT: &str = "relit_asked_at";
 /// What was decided about the model.
 const DECISIONS: &str = "decisions";
 
+/// How many lobes lights have, where that may be decided.
+const LOBES: &str = "lobes";
+
 /// Tensors of the visibility field.
 const FIELD: [&str; 4] = ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
 
@@ -74,6 +77,7 @@ impl Intrinsic {
         ]);
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         if self.automatic.is_some() {
+            meta.insert(LOBES.to_owned(), self.lobes().to_string());
             meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         }
         let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
@@ -121,7 +125,18 @@ impl Intrinsic {
                 return Err(file(path, "it has parts that have been left out since".into()));
             }
         }
-        // But for parts that are left out, everything is read before anything is changed.
+        if let Some(lobes) = meta.get(LOBES).filter(|_| self.automatic.is_some() && self.options.lights.is_some()) {
+            let lobes: u32 = lobes
+                .parse()
+                .ok()
+                .filter(|n| (1..=32).contains(n))
+                .ok_or_else(|| file(path, format!("damaged: \"{lobes}\" is no number of lobes")))?;
+            if lobes != self.lobes() {
+                let floats = self.light_model.lights * lobes * self.light_model.row();
+                self.set_lobes(lobes, &vec![0.0; floats as usize])?;
+            }
+        }
+        // But for parts that are left out and lobes that are merged, everything is read before anything is changed.
         let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
         for p in self.parameters.all() {

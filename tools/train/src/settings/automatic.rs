@@ -19,6 +19,8 @@ pub struct AutomaticSettings {
     pub metallic: bool,
     /// Lights, one by one; false: all stay.
     pub lights: bool,
+    /// Lobes of lights, merged until those that are left are worth it; false: all stay.
+    pub lobes: bool,
     /// Surroundings; false: as set.
     pub environment: bool,
     /// Shadows; false: as set.
@@ -35,6 +37,7 @@ impl Default for AutomaticSettings {
             sizes: all,
             metallic: all,
             lights: all,
+            lobes: all,
             environment: all,
             visibility: all,
         }

@@ -132,6 +132,8 @@ pub struct LightSettings {
     pub enabled: bool,
     /// Lights along each axis of the scene's box at first.
     pub grid: u32,
+    /// Lobes of a light: 1 to 32.
+    pub lobes: u32,
     /// How lobes are laid out.
     pub layout: LobeLayout,
     /// Lights that come to less than this share of the brightest one's largest amplitude are switched off; 0 keeps all.
@@ -142,7 +144,7 @@ pub struct LightSettings {
 
 impl Default for LightSettings {
     fn default() -> Self {
-        LightSettings { enabled: true, grid: 4, layout: LobeLayout::Free, prune: 0.0, start: 1.0 }
+        LightSettings { enabled: true, grid: 4, lobes: 12, layout: LobeLayout::Free, prune: 0.0, start: 1.0 }
     }
 }
 
@@ -356,6 +358,9 @@ impl IntrinsicSettings {
         }
         if !(1..=8).contains(&l.grid) {
             return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));
+        }
+        if !(1..=32).contains(&l.lobes) {
+            return fail(format!("intrinsic.lights.lobes is {}, but must be 1 to 32.", l.lobes));
         }
         if !(1..=4096).contains(&v.sample) {
             return fail(format!("intrinsic.visibility.sample is {}, but must be 1 to 4096.", v.sample));

@@ -4,6 +4,7 @@
 //! pictures of training views is left out ([`worth`]). Promises: decisions depend on the scene, the splats, the settings and the seed alone;
 //! checkpoints hold them; what has been left out does not come back. What must be measured against ground truth is left to others.
 
+mod lobes;
 mod sizes;
 mod worth;
 
@@ -15,6 +16,7 @@ use crate::error::Result;
 use crate::geometry::Decision;
 use crate::settings::{AutomaticSettings, VisibilityKind};
 use sgs_passes::pipeline::Camera;
+use sgs_passes::scene::Trainable;
 
 /// Shares of the steps after which it is looked at. Lights can be judged at all of them; surroundings and shadows have to be learned first,
 /// and are judged from [`WHOLE`] on.
@@ -145,6 +147,44 @@ impl Intrinsic {
                 self.options.lights = None;
                 self.parameters.lights = None;
             }
+        }
+        Ok(())
+    }
+
+    /// Lobes of each light, at most.
+    pub(super) fn lobes(&self) -> u32 {
+        self.light_model.lobes
+    }
+
+    /// Merges the lobes of each light until so many are left. They begin without momentum, and with the scales that gradients had.
+    fn merge_lobes(&mut self, most: u32) -> Result<()> {
+        self.finish()?;
+        let (Some(mut file), Some([_, before])) = (self.lights()?, &self.parameters.lights) else { return Ok(()) };
+        let (row, old) = (self.light_model.row() as usize, self.light_model.lobes as usize);
+        let moments = before.download_moments(&self.device)?;
+        file.lights.iter_mut().for_each(|l| *l = lobes::merged(l, most as usize));
+        let (_, _, raw, _) = file.raw();
+        self.set_lobes(most, &raw)?;
+        let largest = |i: usize| {
+            let (light, column) = (i / (most as usize * row), i % row);
+            (0..old).map(|k| moments[2 * ((light * old + k) * row + column) + 1]).fold(0.0, f32::max)
+        };
+        let moments: Vec<f32> = (0..raw.len()).flat_map(|i| [0.0, largest(i)]).collect();
+        match &self.parameters.lights {
+            Some([_, lobes]) => Ok(lobes.upload_moments(&self.device, &moments)?),
+            None => Ok(()),
+        }
+    }
+
+    /// Room for so many lobes of each light, with these values.
+    pub(super) fn set_lobes(&mut self, lobes: u32, raw: &[f32]) -> Result<()> {
+        self.finish()?;
+        self.execs = [None, None, None];
+        self.light_model.lobes = lobes;
+        self.required.intrinsic.lights.lobes = lobes;
+        self.options.lights = self.options.lights.map(|(_, normalizer)| (self.light_model, normalizer));
+        if let Some([_, parameters]) = &mut self.parameters.lights {
+            *parameters = Trainable::new(&self.device, "light_lobes", raw, true)?;
         }
         Ok(())
     }

@@ -4,6 +4,7 @@
 //! could make up for it. Materials are not judged so: pictures say little of what they are made of. Light adds up, so that lights need a picture each and no more; they are taken away from the faintest on, for as long
 //! as all that are gone are worth less than asked together.
 
+use super::lobes::merged;
 use super::{Part, Watched};
 use crate::convert::gaussian_data;
 use crate::error::Result;
@@ -13,8 +14,12 @@ use crate::shaded::{RunLight, Shading, Visibility, shaded_scene};
 use rayon::prelude::*;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::shade::lights::Axes;
 use sgs_passes::splat::Channels;
 use sgs_scene::{Splats, linear_to_srgb, srgb_to_linear};
+
+/// Numbers of lobes that are tried.
+const FEWER: [u32; 5] = [1, 2, 3, 4, 6];
 
 /// Linear light of the chosen pixels of all views, one behind the other.
 type Light = Vec<[f32; 3]>;
@@ -190,6 +195,33 @@ impl Intrinsic {
                 decided("lights", true, reason, worth);
             }
         }
+        let mut fewer = None;
+        let free = self.light_model.axes == Axes::Free;
+        if judged && a.lobes && free && self.has(Part::Lights) && !none_left {
+            let mut only = RunLight { environment: None, ..light.clone() };
+            if let Some(file) = &mut only.lights {
+                file.lights.iter_mut().zip(&gains).for_each(|(l, gain)| l.gain = *gain);
+            }
+            let off = |only: &RunLight| -> Result<f64> {
+                let lit = self.pictures(&mut self.shading(&splats, only)?, views)?.direct;
+                Ok(error(&photos, |i| add(add(all.behind[i], lit[i]), all.ambient[i])))
+            };
+            let (whole, lobes) = (off(&only)?, self.lobes());
+            for few in FEWER.into_iter().filter(|few| *few < lobes) {
+                let mut some = only.clone();
+                if let Some(file) = &mut some.lights {
+                    file.lights.iter_mut().for_each(|l| *l = merged(l, few as usize));
+                }
+                let worth = loss(whole, off(&some)?);
+                if worth <= gain {
+                    let reason =
+                        format!("{few} of {lobes} stay: merging the others costs {worth:.3} dB (asked: {gain})");
+                    decided("lobes", true, reason, worth);
+                    fewer = Some(few);
+                    break;
+                }
+            }
+        }
         let mut out = Vec::new();
         if judged && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
             let worth = loss(with, error(&photos, |i| sum(&all, false, i)));
@@ -211,6 +243,9 @@ impl Intrinsic {
             out.push(Part::Lights);
         } else if self.has(Part::Lights) {
             self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
+        }
+        if let Some(few) = fewer {
+            self.merge_lobes(few)?;
         }
         for part in out {
             self.leave_out(part)?;
