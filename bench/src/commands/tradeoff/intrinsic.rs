@@ -45,6 +45,8 @@ fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
         own("lights culled, 0.002", &["intrinsic.cull_error=0.002"]),
         own("lights culled, 0.02", &["intrinsic.cull_error=0.02"]),
         own("half size", &["intrinsic.scale=0.5"]),
+        own("weights in 16 bits", &["accuracy.weight_bits=16"]),
+        own("tables in 16 bits", &["accuracy.table_bits=16"]),
     ];
     if Matrices::for_device(device.info()).is_ok() {
         all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"]));
@@ -53,7 +55,8 @@ fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
     all.push(own("two together", &balanced));
     let fast = ["intrinsic.environment.every=8", "intrinsic.visibility.sample=16", "intrinsic.cull_error=0.02"];
     all.push(own("three together", &fast));
-    all.push(own("all together", &[&fast[..], &["intrinsic.scale=0.5"]].concat()));
+    let bits = ["accuracy.weight_bits=16", "accuracy.table_bits=16"];
+    all.push(own("all together", &[&fast[..], &["intrinsic.scale=0.5"], &bits].concat()));
     let s = &base.intrinsic;
     let mut other = |name, sets: Vec<String>| all.push(Choice { name, sets, same: false });
     if s.lights.grid > 1 {
