@@ -25,7 +25,9 @@ Visible visible_splat(uint v) {
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] = 0.0;
     s.weight = 0.0;
     uint first = entry_starts[v], last = first + tile_counts[v];
-    for (uint e = first; e < last; ++e) {
+    // Where entries' gradients have been added up already, each splat has one.
+    uint from = REDUCED ? v : first, to = REDUCED ? v + 1u : last;
+    for (uint e = from; e < to; ++e) {
         uint at = e * (6u + CHANNELS + WEIGHTS);
         [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_gradients[at + j];
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] += entry_gradients[at + 6u + c];

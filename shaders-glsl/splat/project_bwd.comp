@@ -17,6 +17,7 @@ layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 7) const bool POSE = false;
 layout(constant_id = 8) const uint FEATURES = 0; // if their gradients reach opacities and footprints
+layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
 

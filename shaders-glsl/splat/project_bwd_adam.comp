@@ -21,6 +21,7 @@ layout(constant_id = 7) const bool STATISTICS = false;
 layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
 layout(constant_id = 9) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(constant_id = 10) const bool EXTRA = false; // whether other views left gradients
+layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
 

@@ -301,10 +301,16 @@ fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
     }
 }
 
+/// All that the device can run.
+fn kernels(gpu: &Gpu) -> Vec<BackwardKernel> {
+    let all = [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Atomic];
+    all.into_iter().filter(|k| k.runs_on(gpu.device().info())).collect()
+}
+
 #[test]
-fn gradients_of_both_kernels_are_those_of_the_twin() {
+fn gradients_of_all_kernels_are_those_of_the_twin() {
     let gpu = Gpu::new();
-    for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+    for which in kernels(&gpu) {
         check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
         check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
         check(&gpu, &Case::new(scenes::ordinary(6, 0, false, 8), [1, 1], false), which);
@@ -326,7 +332,7 @@ fn gradients_at_other_accuracies_are_those_of_the_twin() {
     ] {
         let mut case = Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false);
         case.accuracy = accuracy;
-        for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+        for which in kernels(&gpu) {
             check(&gpu, &case, which);
         }
         let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
@@ -361,18 +367,28 @@ fn features_that_do_not_move_geometry_leave_its_gradients_alone() {
 }
 
 #[test]
-fn the_two_kernels_agree_on_a_crowd_and_repeat_bit_for_bit() {
+fn the_kernels_agree_on_a_crowd_and_repeat_bit_for_bit() {
     let gpu = Gpu::new();
     let case = Case::new(scenes::ordinary(800, 0, false, 9), [48, 40], false);
     let (pixel, _) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);
     let (again, _) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);
-    let (splat, _) = case.gpu_gradients(&gpu, BackwardKernel::Splat);
+    // Atomics do not repeat, but agree.
+    for which in kernels(&gpu).into_iter().skip(1) {
+        let (other, _) = case.gpu_gradients(&gpu, which);
+        agree(&pixel, &other, which);
+    }
     for group in Group::ALL {
-        let (a, b, c) = (&pixel[group as usize], &again[group as usize], &splat[group as usize]);
+        let (a, b) = (&pixel[group as usize], &again[group as usize]);
         assert!(a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits()), "{} is not repeated", group.name());
+    }
+}
+
+fn agree(pixel: &[Vec<f32>], other: &[Vec<f32>], which: BackwardKernel) {
+    for group in Group::ALL {
+        let (a, c) = (&pixel[group as usize], &other[group as usize]);
         let scale = a.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
         for (i, (x, y)) in a.iter().zip(c).enumerate() {
-            assert!((x - y).abs() <= 1e-3 * x.abs() + 1e-4 * scale, "{}[{i}]: {x} and {y}", group.name());
+            assert!((x - y).abs() <= 1e-3 * x.abs() + 1e-4 * scale, "{which:?} {}[{i}]: {x} and {y}", group.name());
         }
     }
 }
@@ -380,7 +396,7 @@ fn the_two_kernels_agree_on_a_crowd_and_repeat_bit_for_bit() {
 #[test]
 fn hard_splats_have_finite_gradients() {
     let gpu = Gpu::new();
-    for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+    for which in kernels(&gpu) {
         let case = Case::new(scenes::hard(2), [80, 60], false);
         let (groups, pose) = case.gpu_gradients(&gpu, which);
         assert!(groups.iter().flatten().chain(&pose).all(|v| v.is_finite()));

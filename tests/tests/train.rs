@@ -262,6 +262,41 @@ fn choosing_the_backward_kernel_changes_no_parameter() {
     assert_ne!(training.splats().unwrap(), before);
 }
 
+/// Gradients that are added by atomics train as those that are added in order, in less memory; a device that has none is refused.
+#[test]
+fn atomics_train_as_well_in_less_memory() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let (gpu, scene) = (device(), Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap());
+    let with = |backward: sgs_train::Backward| {
+        let mut s = settings(20);
+        (s.geometry.backward, s.geometry.densify.enabled) = (backward, false);
+        let mut training = Geometry::new(&gpu, &scene, &s, None)?;
+        let mut losses = Vec::new();
+        let heard = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                losses.push(r.losses.l1);
+            }
+        };
+        training.train(20, heard, || true)?;
+        Ok::<_, sgs_train::TrainError>((losses, training.needs().arena))
+    };
+    let ordered = with(sgs_train::Backward::Pixel).unwrap();
+    let run = sgs(&place.arguments("run", 10, &["--validate", "--set", "geometry.backward=atomic"]));
+    if !gpu.info().optional.float_atomics {
+        let error = with(sgs_train::Backward::Atomic).err().unwrap().to_string();
+        assert!(error.contains("shaderBufferFloat32AtomicAdd"), "{error}");
+        run.refused(&["shaderBufferFloat32AtomicAdd"]);
+        return;
+    }
+    run.ok();
+    let atomic = with(sgs_train::Backward::Atomic).unwrap();
+    assert!(atomic.1 < ordered.1, "{} and {} bytes of transients", atomic.1, ordered.1);
+    assert_eq!(atomic.0.len(), 20);
+    for (step, (a, b)) in atomic.0.iter().zip(&ordered.0).enumerate() {
+        assert!((a - b).abs() <= 0.02 * b.abs(), "step {}: {a} and {b}", step + 1);
+    }
+}
+
 /// The relative path of a scene is that of the training, not of whoever measures.
 #[test]
 fn a_run_remembers_where_its_scene_is() {

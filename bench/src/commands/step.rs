@@ -90,6 +90,8 @@ pub enum Backward {
     Pixel,
     /// Lanes are splats.
     Splat,
+    /// Lanes are pixels, sums by atomics.
+    Atomic,
 }
 
 impl From<Backward> for BackwardKernel {
@@ -97,6 +99,7 @@ impl From<Backward> for BackwardKernel {
         match b {
             Backward::Pixel => BackwardKernel::Pixel,
             Backward::Splat => BackwardKernel::Splat,
+            Backward::Atomic => BackwardKernel::Atomic,
         }
     }
 }

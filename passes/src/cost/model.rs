@@ -51,6 +51,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "blend_bwd" | "blend_bwd_splat" => {
             ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
         }
+        // Each sum is read and written where it is added.
+        "blend_bwd_atomic" => {
+            ((fetched + 2.0 * gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
+        }
         // The separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels.
         // Pixels are interleaved: whoever reads three channels fetches all.
         "photometric" => ((4.0 * channels + 4.0 + 36.0) * p, 3.0 * (4.0 * 11.0 * 4.0 + 60.0) * p),
@@ -62,7 +66,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             // Every scalar of a visible Gaussian and both its moments, read and written.
             let gaussian = 24.0 * c.width + 12.0 + 4.0 * words + 24.0 * spec("STATISTICS");
             let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
-            (gradients * e + gaussian * v, (6.0 + channels) * e + arithmetic * v)
+            let summed = if spec("REDUCED") > 0.0 { v } else { e };
+            (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
         "adam" => (28.0 * elements, ADAM * elements),
         "opacity_reset" => (16.0 * n, 4.0 * n),

@@ -9,6 +9,7 @@ use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
+use sgs_engine::DeviceInfo;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{blend as kernel, blend_debt as blend_debt_kernel};
 
@@ -21,13 +22,23 @@ pub struct Blended {
     pub transmittance: Buffer,
 }
 
-/// Which of the two backward kernels runs; they agree up to rounding.
+/// Which of the backward kernels runs; they agree up to rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BackwardKernel {
     /// Lanes are pixels; sums are reduced across lanes once a splat and tile.
     Pixel,
     /// Lanes are splats; transmittance runs across lanes by prefix operations.
     Splat,
+    /// Lanes are pixels; sums of tiles are added to splats by atomics of 32-bit floats, which takes less memory and no second sum, but does not
+    /// leave the same bits each time. Not every device has them ([`BackwardKernel::runs_on`]).
+    Atomic,
+}
+
+impl BackwardKernel {
+    /// Whether a device has what it takes.
+    pub fn runs_on(self, info: &DeviceInfo) -> bool {
+        self != BackwardKernel::Atomic || info.optional.float_atomics
+    }
 }
 
 /// Blends into `into`, which the caller declares (transient, or external where the picture is wanted).
@@ -117,9 +128,15 @@ pub fn blend_bwd(
 ) -> Result<EntryGradients, GraphError> {
     let channels = visible.channels.count();
     let floats = u64::from(6 + channels + u32::from(weights));
-    let gradients = g.transient("entry_gradients", 4 * floats * u64::from(entries.capacity));
+    let reduced = which == BackwardKernel::Atomic;
+    let (name, rows) =
+        if reduced { ("splat_gradients", visible.capacity) } else { ("entry_gradients", entries.capacity) };
+    let gradients = g.transient(name, 4 * floats * u64::from(rows));
+    if reduced {
+        g.fill("clear_splat_gradients", gradients, 0)?;
+    }
     macro_rules! add {
-        ($kernel:ident) => {{
+        ($kernel:ident, $gradients:ident) => {{
             let bindings = $kernel::Bindings {
                 params: screen.step.into(),
                 tile_ranges: entries.tile_ranges.into(),
@@ -129,7 +146,7 @@ pub fn blend_bwd(
                 features: visible.features.into(),
                 grad_image: gradient.image.into(),
                 debt: gradient.debt.into(),
-                entry_gradients: gradients.into(),
+                $gradients: gradients.into(),
             };
             let specs = splat_specs!($kernel, t, { subgroup: t.subgroup_size,
                 per_lane: per_lane(t, screen),
@@ -144,12 +161,13 @@ pub fn blend_bwd(
         }};
     }
     // The names of pass and kernel are one.
-    use sgs_shaders::{blend_bwd, blend_bwd_splat};
+    use sgs_shaders::{blend_bwd, blend_bwd_atomic, blend_bwd_splat};
     match which {
-        BackwardKernel::Pixel => add!(blend_bwd),
-        BackwardKernel::Splat => add!(blend_bwd_splat),
+        BackwardKernel::Pixel => add!(blend_bwd, entry_gradients),
+        BackwardKernel::Splat => add!(blend_bwd_splat, entry_gradients),
+        BackwardKernel::Atomic => add!(blend_bwd_atomic, splat_gradients),
     }
-    Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights })
+    Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights, reduced })
 }
 
 pub(crate) fn per_lane(t: &Tuning, screen: &Screen) -> u32 {

@@ -131,12 +131,14 @@ pub fn project(
 pub struct EntryGradients {
     /// First entry of each visible splat.
     pub starts: Buffer,
-    /// `[entries * (6 + channels + weights)]`
+    /// `[entries * (6 + channels + weights)]`; of visible splats in place of entries where these have been added up.
     pub gradients: Buffer,
     /// What came through features, if that moves opacities and footprints.
     pub features: Option<EntryFeatures>,
     /// Whether the sum of weights is among them.
     pub weights: bool,
+    /// Whether the entries of each splat have been added up.
+    pub reduced: bool,
 }
 
 /// Every gradient of a step, by Gaussian: written for visible ones alone, so the caller clears them first.
@@ -203,6 +205,7 @@ pub fn project_bwd(
         has_normals: visible.channels.normals,
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
+        reduced: entries.reduced,
         pose: into.pose.is_some(),
         features: feature_width(entries),
         color_bits: visible.color_bits, });
@@ -296,6 +299,7 @@ pub fn project_bwd_adam(
         has_normals: visible.channels.normals,
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
+        reduced: entries.reduced,
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),
         features: feature_width(entries),

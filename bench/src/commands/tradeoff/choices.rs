@@ -64,6 +64,13 @@ pub fn choices(own: Tuning) -> Vec<Choice> {
         dense_adam: false,
     });
     all.push(Choice {
+        name: "backward by atomics".to_owned(),
+        setting: "`geometry.backward=atomic`".to_owned(),
+        tuning: own,
+        backward: BackwardKernel::Atomic,
+        dense_adam: false,
+    });
+    all.push(Choice {
         name: "Adam of all".to_owned(),
         setting: "`geometry.dense_adam=true`".to_owned(),
         tuning: own,

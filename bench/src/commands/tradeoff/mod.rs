@@ -184,6 +184,7 @@ struct Subject<'w> {
 fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
     let all = choices(Tuning::for_device(device.info()));
     let wanted = |c: &Choice| c.name == "exact" || a.filter.as_ref().is_none_or(|f| c.name.contains(f.as_str()));
+    let wanted = |c: &Choice| wanted(c) && c.backward.runs_on(device.info());
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
     gaussians.upload(device, &workload.start)?;
     let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);

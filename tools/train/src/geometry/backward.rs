@@ -1,9 +1,27 @@
 //! Which backward kernel a device is faster with.
 
 use super::Geometry;
-use crate::error::Result;
+use crate::error::{Result, TrainError};
 use crate::settings::Backward;
+use sgs_engine::Device;
 use sgs_passes::splat::BackwardKernel;
+
+/// The kernel that a setting begins with.
+pub(super) fn kernel_of(asked: Backward, device: &Device) -> Result<BackwardKernel> {
+    let kernel = match asked {
+        Backward::Auto | Backward::Pixel => BackwardKernel::Pixel,
+        Backward::Splat => BackwardKernel::Splat,
+        Backward::Atomic => BackwardKernel::Atomic,
+    };
+    if !kernel.runs_on(device.info()) {
+        return Err(TrainError::Setting(
+            "geometry.backward is \"atomic\", but the device has no atomics of 32-bit floats \
+             (shaderBufferFloat32AtomicAdd); use \"auto\"."
+                .into(),
+        ));
+    }
+    Ok(kernel)
+}
 
 impl Geometry {
     /// Times both backward kernels on the step as it is, with parameters held, and takes the faster one. The splat

@@ -26,6 +26,7 @@ use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
 use crate::settings::{Backward, Settings, ShDegree};
+use backward::kernel_of;
 pub(crate) use bands::Bands;
 pub use decision::Decision;
 pub use expect::Sight;
@@ -41,7 +42,7 @@ use sgs_passes::pipeline::{
     Status, Step, StepReport,
 };
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
-use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_passes::splat::Channels;
 use sgs_scene::{Scene, Splats};
 
 /// Replays in flight.
@@ -175,7 +176,7 @@ impl Geometry {
             channels: Channels { colors: true, normals: model.normals, depth },
             statistics: g.densify.enabled,
             dense_adam: g.dense_adam,
-            backward: if g.backward == Backward::Splat { BackwardKernel::Splat } else { BackwardKernel::Pixel },
+            backward: kernel_of(g.backward, device)?,
             semantic_geometry: g.semantic_geometry,
             pseudo: None,
             timestamps: false,

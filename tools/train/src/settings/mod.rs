@@ -157,7 +157,7 @@ impl Default for GeometrySettings {
     }
 }
 
-/// The backward kernel of blending; both give the same gradients up to rounding.
+/// The backward kernel of blending; all give the same gradients up to rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backward {
@@ -167,6 +167,8 @@ pub enum Backward {
     Pixel,
     /// Lanes are splats.
     Splat,
+    /// Lanes are pixels, and tiles' sums are added by atomics: less memory, and not the same bits from run to run.
+    Atomic,
 }
 
 /// Learning rates of Adam by group (Kerbl et al. 2023).
