@@ -3,8 +3,11 @@
 //! `engine-bench tradeoff` measures what each is worth (docs/TRADEOFF.md). Measures of quality are taken with
 //! [`Accuracy::EXACT`] whatever a scene was trained with.
 
-/// Choices that buy speed with accuracy.
-#[derive(Clone, Copy, Debug, PartialEq)]
+use serde::{Deserialize, Serialize};
+
+/// Choices that buy speed with accuracy: `[accuracy]` of a run's settings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Accuracy {
     /// Bits of the keys that splats are sorted by along the view: 31, 24 or 16. Each eight bits less save one pass of the
     /// sort. Shorter keys leave splats in the order of their numbers whose depths differ by less than one part in 2^19 (24

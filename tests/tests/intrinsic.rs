@@ -47,7 +47,7 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
     let train_at = |accuracy: Accuracy, bytes: u64, resumed_at: Option<u32>| {
         let mut s = settings(24);
         s.intrinsic.surface_bytes = bytes;
-        s.accuracy = accuracy.into();
+        s.accuracy = accuracy;
         let mut losses = Vec::new();
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         let mut heard = |r: &sgs_passes::pipeline::IntrinsicReport| {

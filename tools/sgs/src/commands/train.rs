@@ -8,7 +8,7 @@ use crate::watch::{Port, Watch};
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{AccuracySettings, Backward, Preset, RunDirectory, Settings, overlay};
+use sgs_train::{Backward, Preset, RunDirectory, Settings, accuracy_named, overlay};
 use std::path::{Path, PathBuf};
 
 /// Options that shape training; `sgs plan` takes them too.
@@ -101,7 +101,7 @@ fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
 /// What `--accuracy` says.
 fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
     let Some(name) = &o.accuracy else { return Ok(toml::Table::new()) };
-    let settings = Settings { accuracy: AccuracySettings::named(name)?, ..Settings::default() };
+    let settings = Settings { accuracy: accuracy_named(name)?, ..Settings::default() };
     let mut table = settings.to_table()?;
     table.retain(|key, _| key == "accuracy");
     Ok(table)

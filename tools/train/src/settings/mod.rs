@@ -11,7 +11,7 @@ mod presets;
 mod provider;
 mod train;
 
-pub use accuracy::AccuracySettings;
+pub use accuracy::accuracy_named;
 pub use automatic::AutomaticSettings;
 pub use degree::{MOST_BANDS, ShDegree};
 pub use intrinsic::{
@@ -28,6 +28,7 @@ pub use train::{OnDivergence, TrainSettings};
 use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;
 use serde::{Deserialize, Serialize};
+use sgs_passes::Accuracy;
 use std::path::PathBuf;
 
 /// All settings of a run.
@@ -51,7 +52,7 @@ pub struct Settings {
     /// Memory of the device.
     pub memory: MemorySettings,
     /// What is traded for speed.
-    pub accuracy: AccuracySettings,
+    pub accuracy: Accuracy,
     /// Noise on what training begins with.
     pub noise: NoiseSettings,
     /// A network that is asked while training.
@@ -75,7 +76,7 @@ impl Default for Settings {
             masks: true,
             random_points: 20_000,
             memory: MemorySettings::default(),
-            accuracy: AccuracySettings::default(),
+            accuracy: Accuracy::default(),
             noise: NoiseSettings::default(),
             provider: ProviderSettings::default(),
             train: TrainSettings::default(),
@@ -373,7 +374,7 @@ impl Settings {
         if i64::try_from(self.memory.budget).is_err() {
             return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
         }
-        self.accuracy.check()?;
+        accuracy::check(&self.accuracy)?;
         for (name, value) in
             [("start_seconds", self.provider.start_seconds), ("answer_seconds", self.provider.answer_seconds)]
         {
