@@ -5,13 +5,11 @@ use super::step::Args;
 use crate::common::Common;
 use crate::harness::{add_passes, spans};
 use crate::process::cpu_seconds;
+use crate::report::Report;
 use crate::stats::Summary;
-use anyhow::{Context, bail};
+use crate::workload::{LitScene, lit_settings};
 use sgs_engine::graph::dump::{Track, html, trace};
-use sgs_passes::cost::Counts;
-use sgs_scene::{Scene, Splats};
-use sgs_train::{Intrinsic, Settings};
-use std::path::Path;
+use sgs_train::Intrinsic;
 use std::time::Instant;
 
 /// Runs the command.
@@ -25,52 +23,23 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.repeats = steps;
     let ceiling = Ceiling::measure(&common.open_device()?)?;
     report.ceiling = Some(ceiling);
-    let mut settings = settings(a)?;
-    // Steps that compare with pseudo-views are other graphs: the plain one is measured.
-    (settings.intrinsic.losses.cross_view, settings.intrinsic.losses.relight) = (0.0, 0.0);
-    let folder = tempfile::tempdir()?;
-    let path = match (&a.scene, &a.run) {
-        (Some(path), _) => path.clone(),
-        (None, Some(_)) => settings.scene.clone(),
-        (None, None) => {
-            let path = folder.path().join("room");
-            let (_, [width, height]) = Args::sizes(&device, a.gaussians, a.size);
-            let options = sgs_synth::SynthOptions {
-                views: 4,
-                width: width as usize,
-                height: height as usize,
-                ..Default::default()
-            };
-            sgs_synth::generate(&path, &options, &|_, _| {})?;
-            path
-        }
-    };
-    settings.scene.clone_from(&path);
-    let scene = Scene::open(&path, &settings.scene_options())?;
-    let splats = match (&a.geometry, &a.run) {
-        (Some(file), _) => Splats::read_ply(file)?,
-        (None, Some(run)) => Splats::read_ply(&run.join("scene.ply"))?,
-        (None, None) => opaque(Splats::from_points(&scene.points, 0)?),
-    };
-    let mut training = Intrinsic::new(&device, &scene, &settings, &splats)?;
+    let of_run = |file: &str| a.run.as_ref().map(|run| run.join(file));
+    let mut settings = lit_settings(a.config.clone().or(of_run("config.toml")).as_deref())?;
+    let path = a.scene.clone().or_else(|| a.run.as_ref().map(|_| settings.scene.clone()));
+    let geometry = a.geometry.clone().or(of_run("scene.ply"));
+    let (_, size) = Args::sizes(&device, a.gaussians, a.size);
+    let lit = LitScene::open(path.as_deref(), geometry.as_deref(), size, &mut settings)?;
+    let (scene, splats) = (&lit.scene, &lit.splats);
+    let mut training = Intrinsic::new(&device, scene, &settings, splats)?;
     if let Some(run) = &a.run {
         training.restore(&run.join("checkpoint").join("intrinsic.safetensors"))?;
         report.setting("run", run.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()));
     }
-    let camera = &scene.views[scene.split.train[0]].camera;
-    let pixels = f64::from(camera.width) * f64::from(camera.height);
     report.setting("stage", "intrinsic");
-    report.setting("scene", path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()));
+    report.setting("scene", lit.name());
     report.setting("gaussians", splats.len());
-    report.setting("size", format!("{}x{}", camera.width, camera.height));
-    report.setting("lights", settings.intrinsic.lights.grid.pow(3));
-    report.setting("environment", settings.intrinsic.environment.resolution);
-    report.setting("visibility", format!("{:?}", settings.intrinsic.visibility.kind).to_lowercase());
-
-    report.setting("cull error", settings.intrinsic.cull_error);
-    if let Some(lights) = training.lights()? {
-        report.setting("lights that are on", lights.lights.iter().filter(|l| l.gain != 0.0).count());
-    }
+    report.setting("size", format!("{}x{}", lit.camera().width, lit.camera().height));
+    modeled(&mut report, &training)?;
 
     let mut done = training.step();
     let mut losses = Vec::new();
@@ -100,13 +69,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     training.take_times();
     train(&mut training, steps, false)?;
     let times = training.take_times();
-    let counts = Counts {
-        gaussians: splats.len() as f64,
-        pixels,
-        lights: f64::from(settings.intrinsic.lights.grid.pow(3)),
-        weights: training.surface_weights()?,
-        ..Default::default()
-    };
+    let counts = training.counts()?;
     let plan = training.executor()?.executor().plan().clone();
     add_passes(&mut report, &plan, &times, &counts, &ceiling);
     report.value("step on the device, timestamps on", "ms", Summary::of(&spans(&times)).scaled(1e-6));
@@ -126,24 +89,28 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Settings of the run, or from `--config`, if one is given.
-fn settings(a: &Args) -> anyhow::Result<Settings> {
-    let of_run = a.run.as_ref().map(|run| run.join("config.toml"));
-    let Some(path) = a.config.as_ref().or(of_run.as_ref()) else { return Ok(Settings::default()) };
-    read(path).with_context(|| format!("\"{}\"", path.display()))
-}
-
-fn read(path: &Path) -> anyhow::Result<Settings> {
-    let table = std::fs::read_to_string(path)?.parse()?;
-    let settings = Settings::from_table(table)?;
-    if !settings.intrinsic.lights.enabled && !settings.intrinsic.environment.enabled {
-        bail!("there is nothing that gives light");
+/// What is modeled by now: settings say what there may be at most.
+fn modeled(report: &mut Report, training: &Intrinsic) -> anyhow::Result<()> {
+    let (options, required) = (training.options(), training.required());
+    match &options.lights {
+        Some((model, _)) => {
+            report.setting("lights", model.lights);
+            report.setting("lights that are on", training.counts()?.lights);
+            report.setting("lobes", model.lobes);
+        }
+        None => report.setting("lights", "none"),
     }
-    Ok(settings)
-}
-
-/// Points as surfaces that hide what is behind them.
-fn opaque(mut splats: Splats) -> Splats {
-    splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
-    splats
+    match training.environment_size() {
+        Some(size) => {
+            report.setting("environment", size);
+            report.setting("environment moves every", options.environment_every);
+        }
+        None => report.setting("environment", "none"),
+    }
+    report.setting("visibility", format!("{:?}", required.visibility.kind).to_lowercase());
+    if let Some(field) = &options.visibility {
+        report.setting("levels of the field", field.levels);
+    }
+    report.setting("cull error", required.cull_error);
+    Ok(())
 }

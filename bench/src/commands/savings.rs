@@ -11,6 +11,7 @@ use crate::harness::{Rig, bytes};
 use crate::micro::lights::{Bound, Lit, bind};
 use crate::report::Report;
 use crate::stats::Summary;
+use crate::workload::{LitScene, lit_settings};
 use anyhow::ensure;
 use sgs_engine::Device;
 use sgs_engine::graph::{Buffer, Graph};
@@ -18,7 +19,6 @@ use sgs_passes::Tuning;
 use sgs_passes::kernel::{groups, stage};
 use sgs_passes::shade::lights::{LightModel, Lights, Shape, lights_prepare, lights_prepare_culled, lights_train};
 use sgs_passes::shade::visibility::{FieldConfig, View, VisibilityField, visibility};
-use sgs_scene::{Scene, Splats};
 use sgs_shaders::lights_savings as kernel;
 use sgs_shaders::structs::FieldStep;
 use sgs_train::{Intrinsic, Settings};
@@ -249,23 +249,14 @@ impl Bench<'_> {
 }
 
 /// Steps of training with views' weights kept and worked out anew, and with one pair of 16 teaching the field.
-fn steps(common: &Common, a: &Args, [width, height]: [u32; 2], report: &mut Report) -> anyhow::Result<()> {
-    let folder = tempfile::tempdir()?;
-    let path = folder.path().join("room");
-    let [width, height] = [width, height].map(|n| n as usize);
-    let options = sgs_synth::SynthOptions { views: 4, width, height, ..Default::default() };
-    sgs_synth::generate(&path, &options, &|_, _| {})?;
-    let mut base = Settings::default();
-    base.scene.clone_from(&path);
-    (base.intrinsic.losses.cross_view, base.intrinsic.losses.relight) = (0.0, 0.0);
-    let scene = Scene::open(&path, &base.scene_options())?;
-    let mut splats = Splats::from_points(&scene.points, 0)?;
-    splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
+fn steps(common: &Common, a: &Args, size: [u32; 2], report: &mut Report) -> anyhow::Result<()> {
+    let mut base = lit_settings(None)?;
+    let lit = LitScene::open(None, None, size, &mut base)?;
     let form = |change: &dyn Fn(&mut Settings)| -> anyhow::Result<Form> {
         let mut settings = base.clone();
         change(&mut settings);
         let device = common.open_device()?;
-        let mut training = Intrinsic::new(&device, &scene, &settings, &splats)?;
+        let mut training = Intrinsic::new(&device, &lit.scene, &settings, &lit.splats)?;
         let (mut done, mut losses, mut wall) = (common.warmup.max(1), Vec::new(), Vec::new());
         training.train(done, |_| {}, || true)?;
         for _ in 0..a.steps {

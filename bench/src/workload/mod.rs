@@ -1,8 +1,10 @@
 //! What is trained while it is measured: views on the device, and Gaussians to begin with.
 
+mod lit;
 mod room;
 mod synthetic;
 
+pub use lit::{LitScene, lit_settings};
 pub use synthetic::{Synthetic, synthetic};
 
 use sgs_engine::{Device, DeviceBuffer};

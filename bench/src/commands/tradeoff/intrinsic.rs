@@ -10,6 +10,7 @@ use super::plot::{Mark, svg};
 use super::{Args, front, lit};
 use crate::common::Common;
 use crate::stats::Summary;
+use crate::workload::{LitScene, lit_settings};
 use anyhow::{Context, ensure};
 use sgs_engine::Device;
 use sgs_passes::Matrices;
@@ -103,20 +104,22 @@ struct Row {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
-    let base = base(a)?;
-    let folder = tempfile::tempdir()?;
-    let (scene, splats) = scene(&device, a, &base, folder.path())?;
+    let mut base = lit_settings(a.config.as_deref())?;
+    base.intrinsic.automatic.enabled = false;
+    base.intrinsic.visibility.sample = 1;
+    let (_, size) = super::StepArgs::sizes(&device, a.gaussians, a.size);
+    let lit = LitScene::open(a.scene.as_deref(), a.geometry.as_deref(), size, &mut base)?;
+    let (scene, splats) = (&lit.scene, &lit.splats);
     let steps = common.repeats.div_ceil(RHYTHM) * RHYTHM;
     report.setting("stage", "intrinsic");
-    report.setting("scene", scene.root.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()));
+    report.setting("scene", lit.name());
     report.setting("gaussians", splats.len());
-    let camera = &scene.views[scene.split.train[0]].camera;
-    report.setting("size", format!("{}x{}", camera.width, camera.height));
+    report.setting("size", format!("{}x{}", lit.camera().width, lit.camera().height));
     report.setting("lights", base.intrinsic.lights.grid.pow(3));
     report.setting("environment", base.intrinsic.environment.resolution);
     report.setting("trained", a.train);
     report.setting("rounds", a.rounds);
-    let rows = measure(a, &device, &scene, &splats, &base, folder.path(), steps)?;
+    let rows = measure(a, &device, scene, splats, &base, steps)?;
     for r in &rows {
         let name = r.choice.name;
         report.time(&format!("step, {name}"), "ms", r.step);
@@ -156,48 +159,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Settings that choices differ from. Steps that compare with other views are other graphs: plain ones are measured.
-fn base(a: &Args) -> anyhow::Result<Settings> {
-    let mut settings = match &a.config {
-        Some(path) => Settings::from_table(
-            std::fs::read_to_string(path).with_context(|| format!("\"{}\"", path.display()))?.parse()?,
-        )?,
-        None => Settings::default(),
-    };
-    (settings.intrinsic.losses.cross_view, settings.intrinsic.losses.relight) = (0.0, 0.0);
-    settings.intrinsic.automatic.enabled = false;
-    settings.intrinsic.visibility.sample = 1;
-    Ok(settings)
-}
-
-fn scene(device: &Device, a: &Args, base: &Settings, folder: &Path) -> anyhow::Result<(Scene, Splats)> {
-    let path = match &a.scene {
-        Some(path) => path.clone(),
-        None => {
-            let path = folder.join("room");
-            let (_, [width, height]) = super::StepArgs::sizes(device, a.gaussians, a.size);
-            let options = sgs_synth::SynthOptions {
-                views: 4,
-                width: width as usize,
-                height: height as usize,
-                ..Default::default()
-            };
-            sgs_synth::generate(&path, &options, &|_, _| {})?;
-            path
-        }
-    };
-    let scene = Scene::open(&path, &base.scene_options())?;
-    let splats = match &a.geometry {
-        Some(file) => Splats::read_ply(file)?,
-        None => {
-            let mut splats = Splats::from_points(&scene.points, 0)?;
-            splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
-            splats
-        }
-    };
-    Ok((scene, splats))
-}
-
 /// A choice as settings.
 fn settings(base: &Settings, choice: &Choice) -> anyhow::Result<Settings> {
     let mut table: toml::Table = toml::Table::try_from(base)?;
@@ -214,12 +175,12 @@ fn measure(
     scene: &Scene,
     splats: &Splats,
     base: &Settings,
-    folder: &Path,
     steps: u32,
 ) -> anyhow::Result<Vec<Row>> {
-    let wanted = |c: &Choice| c.name == "exact" || a.filter.as_ref().is_none_or(|f| c.name.contains(f.as_str()));
+    let wanted = |c: &Choice| a.wants(c.name);
+    let folder = tempfile::tempdir()?;
     let mut subjects: Vec<(Row, Intrinsic, Vec<f64>)> = Vec::new();
-    let start = folder.join("start");
+    let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
     for choice in choices(base, device).into_iter().filter(wanted) {
         let settings = settings(base, &choice)?;

@@ -24,7 +24,7 @@ use plot::Mark;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
-use sgs_passes::reference::blend::{Blended, render};
+use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::Splats;
@@ -71,6 +71,13 @@ pub struct Args {
     /// Write the table in Markdown.
     #[arg(long, value_name = "FILE.md")]
     pub table: Option<PathBuf>,
+}
+
+impl Args {
+    /// Whether a choice is measured; `exact` always is.
+    fn wants(&self, choice: &str) -> bool {
+        choice == "exact" || self.filter.as_ref().is_none_or(|f| choice.contains(f.as_str()))
+    }
 }
 
 /// What is known of one choice.
@@ -183,8 +190,7 @@ struct Subject<'w> {
 
 fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
     let all = choices(Tuning::for_device(device.info()));
-    let wanted = |c: &Choice| c.name == "exact" || a.filter.as_ref().is_none_or(|f| c.name.contains(f.as_str()));
-    let wanted = |c: &Choice| wanted(c) && c.backward.runs_on(device.info());
+    let wanted = |c: &Choice| a.wants(&c.name) && c.backward.runs_on(device.info());
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
     gaussians.upload(device, &workload.start)?;
     let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
@@ -210,7 +216,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let bytes = device.memory_use().0 - before;
         let mut renderer = Renderer::new(device, choice.tuning, &gaussians, workload.largest, Channels::default())?;
         let picture = renderer.render(&gaussians, &camera, degree, background)?;
-        let (largest, mean, psnr) = errors(&picture.image, &truth);
+        let (largest, mean, psnr) = differences(&picture.image, &truth.image);
         if choice.name == "exact" {
             anyhow::ensure!(psnr > 55.0, "The exact picture is {psnr:.1} dB off double precision.");
         }
@@ -259,10 +265,6 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
 }
 
 /// Largest and mean difference, and decibels, of all pixels.
-fn errors(image: &[f32], truth: &Blended) -> (f64, f64, f64) {
-    differences(image, &truth.image)
-}
-
 fn differences(image: &[f32], truth: &[f64]) -> (f64, f64, f64) {
     let differences = image.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs());
     let (mut largest, mut sum, mut square) = (0.0_f64, 0.0, 0.0);

@@ -25,6 +25,11 @@ impl Intrinsic {
         &self.options
     }
 
+    /// Texels along an edge of the surroundings, if there are any.
+    pub fn environment_size(&self) -> Option<u32> {
+        self.environment.as_ref().map(|(e, _)| e.size())
+    }
+
     /// Which priors of materials there are: albedo, roughness, metallic.
     pub fn priors(&self) -> [bool; 3] {
         let p = &self.priors;
@@ -60,22 +65,35 @@ impl Intrinsic {
         self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
     }
 
-    /// What a plain step computes and moves, mean over the views that are kept, with all lights that are on. Passes of which
-    /// nobody knows it are counted beside.
+    /// What the cost of a plain step depends on: means over the views that are kept, and how many lights are on.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn counts(&self) -> Result<Counts> {
+        let on = match &self.options.lights {
+            Some((model, _)) => {
+                let gains: Vec<f32> = self.device.download_as(&self.gains, model.lights as usize)?;
+                gains.iter().filter(|g| **g != 0.0).count()
+            }
+            None => 0,
+        };
+        let pixels = |c: &Camera| f64::from(c.size[0]) * f64::from(c.size[1]);
+        let views = &self.data.views;
+        Ok(Counts {
+            gaussians: self.splats.len() as f64,
+            pixels: views.iter().map(|v| pixels(&v.0)).sum::<f64>() / views.len().max(1) as f64,
+            lights: on as f64,
+            weights: self.surface_weights()?,
+            ..Counts::default()
+        })
+    }
+
+    /// What a plain step computes and moves. Passes of which nobody knows it are counted beside.
     ///
     /// # Errors
     /// If memory runs out.
     pub fn step_cost(&mut self) -> Result<(Cost, usize)> {
-        let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
-        let pixels = |c: &Camera| f64::from(c.size[0]) * f64::from(c.size[1]);
-        let views = &self.data.views;
-        let counts = Counts {
-            gaussians: self.splats.len() as f64,
-            pixels: views.iter().map(|v| pixels(&v.0)).sum::<f64>() / views.len().max(1) as f64,
-            lights: gains.iter().filter(|g| **g != 0.0).count() as f64,
-            weights: self.surface_weights()?,
-            ..Counts::default()
-        };
+        let counts = self.counts()?;
         let plan = self.executor()?.executor().plan().clone();
         Ok(of_plan(&plan, &counts))
     }
