@@ -317,3 +317,59 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
 }
+
+/// How seldom surroundings may move is found half-way, kept in checkpoints, and can be insisted upon.
+#[test]
+fn surroundings_move_as_seldom_as_pictures_allow() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let mut s = settings(20);
+    let a = &mut s.intrinsic.automatic;
+    (a.enabled, a.gain, a.ready) = (true, 100.0, 100.0);
+    (a.sizes, a.lights, a.lobes, a.environment, a.visibility) = (false, false, false, false, false);
+    let file = place.path("state");
+    let train = |s: &Settings, stops: &[u32]| {
+        let new = || Intrinsic::new(gpu.device(), &scene, s, &splats).unwrap();
+        let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap().data;
+        let mut training = new();
+        let mut seen = vec![texels(&training)];
+        for last in 1..=20 {
+            training.train(last, |_| {}, || true).unwrap();
+            seen.push(texels(&training));
+            if stops.contains(&last) {
+                training.save(&file).unwrap();
+                training = new();
+                training.restore(&file).unwrap();
+            }
+        }
+        let moved: Vec<u32> = (1..=20).filter(|i| seen[*i as usize] != seen[*i as usize - 1]).collect();
+        let decided: Vec<String> = training.decisions().iter().map(ToString::to_string).collect();
+        (moved, decided, seen, training.splats().unwrap())
+    };
+    let straight = train(&s, &[]);
+    // A hundred decibels are more than anything costs.
+    assert_eq!(straight.0, (1..=10).chain([16]).collect::<Vec<_>>());
+    let said = straight.1.iter().find(|d| d.contains("pace")).expect("nothing was decided");
+    assert!(said.contains("surroundings move once in 16 steps: as old as that they cost"), "{said}");
+    assert!(straight == train(&s, &[9, 10, 12, 17]), "being stopped has changed something");
+    // Less is asked, and surroundings move more often; nothing is, or they are insisted upon, and they move with every step.
+    s.intrinsic.automatic.gain = 0.0;
+    let strict = train(&s, &[]).0;
+    assert!(strict.len() > 11, "{strict:?}");
+    (s.intrinsic.automatic.gain, s.intrinsic.automatic.pace) = (100.0, false);
+    assert_eq!(train(&s, &[]).0.len(), 20);
+
+    // A file that says something else is refused.
+    let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+    for wrong in ["0 9 9", "16 99 9", "16 10 11", "16 10 x", "16"] {
+        let right = std::fs::read(&file).unwrap();
+        let at = right.windows(8).position(|w| w == b"16 10 10").expect("the file does not say it");
+        let text = format!("{wrong:8}");
+        let broken = [&right[..at], text.as_bytes(), &right[at + 8..]].concat();
+        let path = place.path("wrong");
+        std::fs::write(&path, broken).unwrap();
+        assert!(training.restore(&path).is_err(), "{wrong} was believed");
+    }
+}

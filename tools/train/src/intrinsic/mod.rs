@@ -91,6 +91,8 @@ pub struct Intrinsic {
     environment: Option<(Environment, EnvironmentMemory)>,
     /// Where its texels do not move with every step.
     seldom: Option<Seldom>,
+    /// After how many steps it was last decided how often surroundings move, and how often they had moved by then.
+    paced: [u32; 2],
     /// What rays to lights go through.
     traced: Option<TracedMemory>,
     status: IntrinsicStatus,
@@ -397,6 +399,7 @@ impl Intrinsic {
             gains,
             environment,
             seldom: None,
+            paced: [0, 0],
             traced,
             status,
             options,

@@ -34,6 +34,23 @@ impl Intrinsic {
         Ok(EnvironmentRefresh::filter(&self.device, &self.tuning, &self.inputs(super::StepKind::Plain))?)
     }
 
+    /// How often texels have moved by the end of a step.
+    pub(super) fn moves(&self, step: u32) -> u32 {
+        let (every, [since, before]) = (self.options.environment_every.max(1), self.paced);
+        before + step / every - since / every
+    }
+
+    /// Moves texels once in so many steps from now on, after `step` steps with so many moves.
+    pub(super) fn set_pace(&mut self, every: u32, step: u32, moves: u32) -> Result<()> {
+        self.finish()?;
+        self.execs = [None, None, None];
+        self.options.environment_every = every;
+        self.required.intrinsic.environment.every = every;
+        self.paced = [step, moves];
+        self.forget_refresh();
+        self.keep_environment()
+    }
+
     /// Moves the texels after a step, if it is due.
     pub(super) fn move_environment(&mut self, step: u32) -> Result<()> {
         let every = self.options.environment_every.max(1);
@@ -48,7 +65,7 @@ impl Intrinsic {
                 s.refresh = made;
             }
         }
-        let moves = f64::from(step / every);
+        let moves = f64::from(self.moves(step));
         let values = Step {
             step,
             correction1: (1.0 / (1.0 - 0.9f64.powf(moves))) as f32,

@@ -30,6 +30,9 @@ const ASKED_AT: &str = "relit_asked_at";
 /// What was decided about the model.
 const DECISIONS: &str = "decisions";
 
+/// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
+const PACE: &str = "pace";
+
 /// How many lobes lights have, where that may be decided.
 const LOBES: &str = "lobes";
 
@@ -78,6 +81,8 @@ impl Intrinsic {
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         if self.automatic.is_some() {
             meta.insert(LOBES.to_owned(), self.lobes().to_string());
+            let [step, moves] = self.paced;
+            meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
             meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         }
         let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
@@ -136,7 +141,17 @@ impl Intrinsic {
                 self.set_lobes(lobes, &vec![0.0; floats as usize])?;
             }
         }
-        // But for parts that are left out and lobes that are merged, everything is read before anything is changed.
+        if let Some(text) = meta.get(PACE).filter(|_| self.automatic.is_some()) {
+            let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();
+            let Some(&[every @ 1..=64, since, moves]) = numbers.as_deref() else {
+                return Err(file(path, format!("damaged: \"{text}\" does not say how often surroundings move")));
+            };
+            if since > step || moves > since {
+                return Err(file(path, format!("damaged: surroundings cannot move as in \"{text}\"")));
+            }
+            self.set_pace(every, since, moves)?;
+        }
+        // But for parts that are left out, lobes that are merged and how often surroundings move, everything is read before anything is changed.
         let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
         for p in self.parameters.all() {

@@ -25,6 +25,8 @@ pub struct AutomaticSettings {
     pub environment: bool,
     /// Shadows; false: as set.
     pub visibility: bool,
+    /// How often surroundings move, once they are learned; false: as intrinsic.environment.every says.
+    pub pace: bool,
 }
 
 impl Default for AutomaticSettings {
@@ -40,6 +42,7 @@ impl Default for AutomaticSettings {
             lobes: all,
             environment: all,
             visibility: all,
+            pace: all,
         }
     }
 }

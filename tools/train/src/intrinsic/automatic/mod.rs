@@ -5,6 +5,7 @@
 //! checkpoints hold them; what has been left out does not come back. What must be measured against ground truth is left to others.
 
 mod lobes;
+mod pace;
 mod sizes;
 mod worth;
 

@@ -239,6 +239,19 @@ impl Intrinsic {
                 out.push(Part::Visibility);
             }
         }
+        let mut pace = None;
+        if judged && a.pace && self.has(Part::Environment) && !out.contains(&Part::Environment) {
+            pace = self.pace(gain, |old| {
+                let ambient = self.pictures(&mut self.shading(&splats, old)?, views)?.ambient;
+                Ok(loss(with, error(&photos, |i| add(sum(&all, false, i), ambient[i]))))
+            })?;
+        }
+        if let Some((every, worth)) = pace {
+            let reason = format!(
+                "surroundings move once in {every} steps: as old as that they cost {worth:.3} dB (asked: {gain})"
+            );
+            decided("pace", true, reason, worth);
+        }
         if none_left {
             out.push(Part::Lights);
         } else if self.has(Part::Lights) {
@@ -249,6 +262,9 @@ impl Intrinsic {
         }
         for part in out {
             self.leave_out(part)?;
+        }
+        if let Some((every, _)) = pace {
+            self.set_pace(every, step, self.moves(step))?;
         }
         Ok(decisions)
     }
