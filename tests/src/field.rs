@@ -40,7 +40,7 @@ pub struct Case {
 }
 
 /// Sixteen small levels, most of them hashed.
-pub const SMALL: FieldConfig = FieldConfig { levels: 16, log2_table: 11, coarsest: 4, finest: 300 };
+pub const SMALL: FieldConfig = FieldConfig::new(16, 11, 4, 300);
 
 impl Case {
     /// Points within the box and around it, every eleventh pixel not shaded.

@@ -76,7 +76,7 @@ pub fn fabricate(root: &Path, parts: Parts) {
         write_environment(&run.path("environment.exr"), &image).expect("surroundings");
     }
     if parts.visibility == VisibilityKind::Field {
-        let config = FieldConfig { levels: 4, log2_table: 10, coarsest: 4, finest: 40 };
+        let config = FieldConfig::new(4, 10, 4, 40);
         let case = field::Case::random(config, 1, 1, 3);
         let (low, high) = ([-6.0, -6.0, -1.0], [6.0, 6.0, 8.0]);
         let field = VisibilityFile { config, low, high, tables: case.tables, mlp: case.mlp };

@@ -1,13 +1,14 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
 use sgs_passes::Accuracy;
+use sgs_passes::shade::visibility::FieldConfig;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{
-    Geometry, Intrinsic, RunDirectory, Settings, Shading, VisibilityFile, VisibilityKind, displayed, light_of,
-    read_lights, shaded_scene,
+    Geometry, Intrinsic, RunDirectory, Settings, Shading, Visibility, VisibilityFile, VisibilityKind, displayed,
+    light_of, read_lights, shaded_scene,
 };
 
 fn settings(steps: u32) -> Settings {
@@ -195,7 +196,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         shape,
         metallic: false,
         lights: Some((LightModel::default(), 1.0 / 64.0)),
-        visibility: Some(FieldConfig { levels: 16, log2_table: 19, coarsest: 32, finest: 4096 }),
+        visibility: Some(FieldConfig::new(16, 19, 32, 4096)),
         traced: None,
         visibility_jitter: true,
         visibility_sample: 1,
@@ -318,6 +319,69 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
 }
 
+/// Levels of the visibility field that are worth nothing go, with their moments; the others go on, also after being stopped.
+#[test]
+fn the_finest_levels_of_the_field_go() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let mut s = settings(20);
+    let a = &mut s.intrinsic.automatic;
+    (a.enabled, a.gain, a.ready) = (true, 100.0, 100.0);
+    (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.pace) = (false, false, false, false, false, false);
+    s.intrinsic.visibility.levels = 5;
+    let file = place.path("state");
+    let field = |t: &Intrinsic| match t.light().unwrap().visibility {
+        Visibility::Learned(field) => *field,
+        other => panic!("no field: {other:?}"),
+    };
+    let train = |s: &Settings, stops: &[u32]| {
+        let new = || Intrinsic::new(gpu.device(), &scene, s, &splats).unwrap();
+        let mut training = new();
+        let (mut fields, mut used) = (Vec::new(), Vec::new());
+        for last in 1..=20 {
+            training.train(last, |_| {}, || true).unwrap();
+            fields.push(field(&training));
+            used.push(gpu.device().memory_use().0);
+            if stops.contains(&last) {
+                training.save(&file).unwrap();
+                training = new();
+                training.restore(&file).unwrap();
+                assert!(field(&training) == fields[last as usize - 1], "step {last}");
+            }
+        }
+        let decided: Vec<String> = training.decisions().iter().map(ToString::to_string).collect();
+        (fields, decided, training.splats().unwrap(), used)
+    };
+    let (fields, decided, materials, used) = train(&s, &[]);
+    let whole = FieldConfig::new(5, 10, 4, 32);
+    let levels: Vec<FieldConfig> = fields.iter().map(|f| f.config).collect();
+    assert!(levels[..9].iter().all(|c| *c == whole) && levels[9..].iter().all(|c| *c == whole.first_levels(1)));
+    let said = decided.iter().find(|d| d.contains("levels")).expect("nothing was decided");
+    assert!(
+        said.contains("1 of 5 stay: without the others pictures lose") && said.contains("gradients have reached"),
+        "{said}"
+    );
+    assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
+    // What stays is trained further.
+    assert!(fields[9].tables != fields[19].tables && fields[9].mlp != fields[19].mlp);
+    let stopped = train(&s, &[9, 10, 14]);
+    assert!(
+        stopped.0 == fields && (stopped.1, stopped.2) == (decided, materials),
+        "being stopped has changed something"
+    );
+
+    // Of the run's file the first level is the one that the whole had.
+    let path = place.path("field");
+    fields[19].save(&path).unwrap();
+    assert!(VisibilityFile::load(&path).unwrap() == fields[19]);
+    // Back to where all levels were there.
+    s.intrinsic.automatic.levels = false;
+    let kept = train(&s, &[12]).0;
+    assert!(kept[..10].iter().zip(&fields).take(9).all(|(a, b)| a == b) && kept[19].config == whole);
+}
+
 /// How seldom surroundings may move is found half-way, kept in checkpoints, and can be insisted upon.
 #[test]
 fn surroundings_move_as_seldom_as_pictures_allow() {
@@ -328,7 +392,7 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     let mut s = settings(20);
     let a = &mut s.intrinsic.automatic;
     (a.enabled, a.gain, a.ready) = (true, 100.0, 100.0);
-    (a.sizes, a.lights, a.lobes, a.environment, a.visibility) = (false, false, false, false, false);
+    (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.levels) = (false, false, false, false, false, false);
     let file = place.path("state");
     let train = |s: &Settings, stops: &[u32]| {
         let new = || Intrinsic::new(gpu.device(), &scene, s, &splats).unwrap();

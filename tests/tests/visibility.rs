@@ -21,8 +21,8 @@ fn values_are_the_references() {
     for (config, pixels, lights) in [
         (SMALL, 1, 1),
         (SMALL, 300, 5),
-        (FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 }, 67, 3),
-        (FieldConfig { levels: 5, log2_table: 12, coarsest: 16, finest: 4096 }, 67, 3),
+        (FieldConfig::new(1, 8, 5, 5), 67, 3),
+        (FieldConfig::new(5, 12, 16, 4096), 67, 3),
     ] {
         let case = Case::random(config, pixels, lights, 3);
         let expected = case.expected(None);

@@ -11,7 +11,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 #[test]
 fn gradients_are_the_references() {
     let gpu = Gpu::new();
-    let one = FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 };
+    let one = FieldConfig::new(1, 8, 5, 5);
     for (config, pixels, lights, regularizer) in [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1)] {
         let mut case = Case::random(config, pixels, lights, 8);
         case.step.regularizer = regularizer;
@@ -99,7 +99,7 @@ fn gradients_at_the_edges() {
 #[test]
 fn sampled_pairs_are_unbiased() {
     let gpu = Gpu::new();
-    let mut case = Case::random(FieldConfig { levels: 1, log2_table: 8, coarsest: 5, finest: 5 }, 160, 6, 18);
+    let mut case = Case::random(FieldConfig::new(1, 8, 5, 5), 160, 6, 18);
     let mut asked = Asked::random(&case, 1.0, 19);
     asked.options.regularized = false;
     let all = case.backward(&gpu, &asked).mlp;

@@ -235,7 +235,7 @@ mod tests {
 
     #[test]
     fn gradients_are_differences() {
-        let config = FieldConfig { levels: 3, log2_table: 8, coarsest: 4, finest: 40 };
+        let config = FieldConfig::new(3, 8, 4, 40);
         let mut rng = Pcg::new(1);
         let tables: Vec<f32> = (0..2 * config.entries()).map(|_| rng.normal() as f32).collect();
         let mut field = Field::new(&config, &tables, &config.initial_weights(7), [-1.0, -2.0, 0.0], [2.0, 2.0, 3.0]);

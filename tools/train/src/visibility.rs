@@ -29,6 +29,12 @@ pub struct VisibilityFile {
 }
 
 impl VisibilityFile {
+    /// The same field without its finest levels, of which so many stay.
+    pub fn first_levels(&self, levels: u32) -> VisibilityFile {
+        let [tables, mlp] = self.config.numbers_of_first_levels(levels, 1, [&self.tables, &self.mlp]);
+        VisibilityFile { config: self.config.first_levels(levels), tables, mlp, ..*self }
+    }
+
     /// Writes the field beside `path`, and then there.
     ///
     /// # Errors
@@ -40,6 +46,9 @@ impl VisibilityFile {
         let sizes = [c.levels, c.log2_table, c.coarsest, c.finest];
         let mut meta: HashMap<String, String> =
             SIZES.iter().zip(sizes).map(|(name, n)| ((*name).to_owned(), n.to_string())).collect();
+        if c.of != c.levels {
+            meta.insert(OF.to_owned(), c.of.to_string());
+        }
         meta.insert("format".to_owned(), FORMAT.to_owned());
         let corners = [self.low, self.high];
         let mut tensors = vec![("box".to_owned(), Floats(corners.as_flattened(), vec![2, 3]))];
@@ -82,12 +91,9 @@ impl VisibilityFile {
             said.ok_or_else(|| fail(format!("the metadata does not say \"{name}\"")))
         };
         let [levels, log2_table, coarsest, finest] = SIZES;
-        let config = FieldConfig {
-            levels: size(levels)?,
-            log2_table: size(log2_table)?,
-            coarsest: size(coarsest)?,
-            finest: size(finest)?,
-        };
+        let config = FieldConfig::new(size(levels)?, size(log2_table)?, size(coarsest)?, size(finest)?);
+        let of = if meta.contains_key(OF) { size(OF)? } else { config.levels };
+        let config = FieldConfig { of, ..config };
         config.check().map_err(|e| fail(e.to_string()))?;
         let floats = |name: &str, shape: [usize; 2]| -> Result<Vec<f32>> {
             let tensor = tensors.tensor(name).map_err(|_| fail(format!("there is no \"{name}\" in it")))?;
@@ -131,6 +137,9 @@ impl VisibilityFile {
     }
 }
 
+/// Of how many levels there are the first, where that are not all.
+const OF: &str = "of_levels";
+
 /// Names of the sizes in the metadata.
 const SIZES: [&str; 4] = ["levels", "log2_table", "coarsest", "finest"];
 
@@ -153,7 +162,7 @@ mod tests {
     use super::*;
 
     fn field() -> VisibilityFile {
-        let config = FieldConfig { levels: 3, log2_table: 8, coarsest: 4, finest: 20 };
+        let config = FieldConfig::new(3, 8, 4, 20);
         let (low, high) = ([-1.0, 0.0, 0.5], [1.0, 0.1, 3.0]);
         VisibilityFile { config, low, high, tables: config.initial_tables(1), mlp: config.initial_weights(1) }
     }
@@ -170,6 +179,26 @@ mod tests {
         let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         assert!(same(&back.tables, &saved.tables) && same(&back.mlp, &saved.mlp));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "something was left beside it");
+    }
+
+    #[test]
+    fn a_field_without_its_finest_levels_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("visibility.safetensors");
+        let few = field().first_levels(2);
+        assert_eq!((few.config.levels, few.config.of), (2, 3));
+        few.save(&path).unwrap();
+        assert_eq!(VisibilityFile::load(&path).unwrap(), few);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let at = bytes.windows(14).position(|w| w == b"of_levels\":\"3\"").unwrap();
+        bytes[at + 12] = b'1';
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(
+            VisibilityFile::load(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("with 2 levels cannot be the first ones of 1")
+        );
     }
 
     #[test]

@@ -21,6 +21,9 @@ pub enum FieldError {
     /// Levels.
     #[error("A visibility field has 1 to 16 levels, not {0}.")]
     Levels(u32),
+    /// Of fewer levels than there are, or of too many.
+    #[error("A visibility field with {0} levels cannot be the first ones of {1}: that is {0} to 16.")]
+    Of(u32, u32),
     /// Size of the tables.
     #[error("A level's table has 2^8 to 2^22 entries, not 2^{0}.")]
     Table(u32),
@@ -34,8 +37,10 @@ pub enum FieldError {
 /// The shape of a visibility field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FieldConfig {
-    /// Levels of the grid.
+    /// Levels of the grid, coarsest first.
     pub levels: u32,
+    /// Of so many from the coarsest to the finest: more than there are where the finest have been left out.
+    pub of: u32,
     /// A level has at most 2 to this many entries.
     pub log2_table: u32,
     /// Grid points along an axis, coarsest level.
@@ -47,11 +52,34 @@ pub struct FieldConfig {
 impl Default for FieldConfig {
     /// As in SGS-Intrinsic: 16 levels of at most 2^19 entries, 32 to 4096 points an axis.
     fn default() -> Self {
-        FieldConfig { levels: 16, log2_table: 19, coarsest: 32, finest: 4096 }
+        FieldConfig::new(16, 19, 32, 4096)
     }
 }
 
 impl FieldConfig {
+    /// Levels from `coarsest` to `finest` grid points along an axis, each with at most 2 to the `log2_table` entries.
+    pub const fn new(levels: u32, log2_table: u32, coarsest: u32, finest: u32) -> FieldConfig {
+        FieldConfig { levels, of: levels, log2_table, coarsest, finest }
+    }
+
+    /// The same without its finest levels, of which so many stay, at least one.
+    pub fn first_levels(&self, levels: u32) -> FieldConfig {
+        FieldConfig { levels: levels.clamp(1, self.levels), ..*self }
+    }
+
+    /// What is left of tables and layers for [`FieldConfig::first_levels`], where there are `each` numbers for an entry's feature and
+    /// for a weight. As if the features of levels that are gone were zero.
+    pub fn numbers_of_first_levels(&self, levels: u32, each: usize, [tables, layers]: [&[f32]; 2]) -> [Vec<f32>; 2] {
+        let left = self.first_levels(levels);
+        let kept = left.entries() as usize * FIELD_FEATURES * each;
+        let features = FIELD_FEATURES * left.levels as usize * each;
+        let (row, first) = (self.inputs() * each, self.inputs() * FIELD_WIDTH * each);
+        // Behind its features a row has what it takes of direction and distance.
+        let rows = layers[..first].chunks(row).flat_map(|r| r[..features].iter().chain(&r[row - 4 * each..]));
+        let layers = rows.chain(&layers[first..]).copied().collect();
+        [tables[..kept].to_vec(), layers]
+    }
+
     /// The first reason why there can be no such field.
     ///
     /// # Errors
@@ -59,6 +87,9 @@ impl FieldConfig {
     pub fn check(&self) -> Result<(), FieldError> {
         if !(1..=FIELD_LEVELS).contains(&self.levels) {
             return Err(FieldError::Levels(self.levels));
+        }
+        if !(self.levels..=FIELD_LEVELS).contains(&self.of) {
+            return Err(FieldError::Of(self.levels, self.of));
         }
         if !(8..=22).contains(&self.log2_table) {
             return Err(FieldError::Table(self.log2_table));
@@ -72,7 +103,7 @@ impl FieldConfig {
     /// The levels, coarsest first, as kernels read them. Resolutions grow by a constant factor; a level that has no more
     /// grid points than a table may have entries is stored as it is, rounded up to 8 entries.
     pub fn table_levels(&self) -> Vec<FieldLevel> {
-        let steps = f64::from((self.levels - 1).max(1));
+        let steps = f64::from((self.of - 1).max(1));
         let growth = (f64::from(self.finest) / f64::from(self.coarsest)).ln() / steps;
         let largest = 1_u64 << self.log2_table;
         let mut offset = 0;
@@ -139,6 +170,8 @@ impl FieldConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reference::rng::Pcg;
+    use crate::reference::visibility::Field;
 
     #[test]
     fn the_default_is_the_published_size() {
@@ -156,7 +189,7 @@ mod tests {
 
     #[test]
     fn one_level_is_the_coarsest() {
-        let config = FieldConfig { levels: 1, log2_table: 12, coarsest: 8, finest: 8 };
+        let config = FieldConfig::new(1, 12, 8, 8);
         config.check().unwrap();
         assert_eq!((config.entries(), config.table_levels()[0].resolution), (512, 8));
     }
@@ -166,6 +199,8 @@ mod tests {
         let c = FieldConfig::default();
         assert_eq!(FieldConfig { levels: 17, ..c }.check(), Err(FieldError::Levels(17)));
         assert_eq!(FieldConfig { levels: 0, ..c }.check(), Err(FieldError::Levels(0)));
+        assert_eq!(FieldConfig { of: 17, ..c }.check(), Err(FieldError::Of(16, 17)));
+        assert_eq!(FieldConfig { of: 15, ..c }.check(), Err(FieldError::Of(16, 15)));
         assert_eq!(FieldConfig { log2_table: 23, ..c }.check(), Err(FieldError::Table(23)));
         assert_eq!(FieldConfig { coarsest: 1, ..c }.check(), Err(FieldError::Resolutions(1, 4096)));
         assert_eq!(FieldConfig { finest: 16, ..c }.check(), Err(FieldError::Resolutions(32, 16)));
@@ -173,7 +208,7 @@ mod tests {
 
     #[test]
     fn the_start_is_within_its_bounds_and_its_seed() {
-        let config = FieldConfig { levels: 4, log2_table: 10, coarsest: 4, finest: 64 };
+        let config = FieldConfig::new(4, 10, 4, 64);
         let (tables, weights) = (config.initial_tables(3), config.initial_weights(3));
         assert_eq!((tables.len(), weights.len()), (2 * config.entries() as usize, config.weights()));
         assert!(tables.iter().all(|t| t.abs() <= 1e-4) && tables.iter().any(|t| *t > 9e-5));
@@ -183,5 +218,36 @@ mod tests {
         );
         assert_ne!(config.initial_tables(4), tables);
         assert_eq!(config.initial_weights(3), weights);
+    }
+
+    #[test]
+    fn first_levels_are_those_of_the_whole() {
+        let whole = FieldConfig::new(5, 9, 4, 60);
+        let mut rng = Pcg::new(4);
+        let tables: Vec<f32> = (0..2 * whole.entries()).map(|_| rng.normal() as f32).collect();
+        let layers = whole.initial_weights(2);
+        let (low, high) = ([-1.0, -2.0, 0.0], [2.0, 2.0, 3.0]);
+        for levels in 1..=5 {
+            let few = whole.first_levels(levels);
+            few.check().unwrap();
+            assert!(few.level_entries() == whole.level_entries()[..levels as usize] && few.levels == levels);
+            let [some, rows] = whole.numbers_of_first_levels(levels, 1, [&tables, &layers]);
+            assert_eq!((some.len(), rows.len()), (2 * few.entries() as usize, few.weights()));
+            // Nothing else happens than with features of zero.
+            let mut dark = tables.clone();
+            dark[some.len()..].fill(0.0);
+            let (a, b) = (Field::new(&few, &some, &rows, low, high), Field::new(&whole, &dark, &layers, low, high));
+            for _ in 0..20 {
+                let [p, q] = [(); 2]
+                    .map(|()| [0, 1, 2].map(|k| f64::from(low[k]) + f64::from(high[k] - low[k]) * rng.uniform()));
+                let (x, y) = (a.visibility(p, q), b.visibility(p, q));
+                assert!((x - y).abs() < 1e-12, "{levels} levels: {x}, {y}");
+            }
+            // Pairs stay together.
+            let twice = |v: &[f32]| v.iter().flat_map(|x| [*x, -*x]).collect::<Vec<f32>>();
+            let pairs = whole.numbers_of_first_levels(levels, 2, [&twice(&tables), &twice(&layers)]);
+            assert_eq!(pairs, [twice(&some), twice(&rows)]);
+        }
+        assert_eq!((whole.first_levels(0).levels, whole.first_levels(9)), (1, whole));
     }
 }

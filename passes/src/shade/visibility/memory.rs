@@ -118,6 +118,28 @@ impl VisibilityField {
         Ok(field)
     }
 
+    /// The same field without its finest levels, where the coarsest `levels` stay with their moments
+    /// ([`FieldConfig::numbers_of_first_levels`]). Nothing may be in flight. What it had in memory is given back first.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn into_first_levels(self, device: &Device, levels: u32) -> Result<VisibilityField> {
+        let config = self.config;
+        let few = |each: usize, [tables, layers]: &[Vec<f32>; 2]| {
+            config.numbers_of_first_levels(levels, each, [tables, layers])
+        };
+        let [tables, layers] = few(1, &self.download(device)?);
+        let moments = if self.training.is_some() { Some(few(2, &self.download_moments(device)?)) } else { None };
+        let table_bits = if self.packed.is_some() { 16 } else { 32 };
+        drop(self);
+        let left = VisibilityField::new(device, config.first_levels(levels), 0, moments.is_some(), table_bits)?;
+        left.upload(device, &tables, &layers)?;
+        if let Some([tables, layers]) = &moments {
+            left.upload_moments(device, [tables, layers])?;
+        }
+        Ok(left)
+    }
+
     /// Its shape.
     pub fn config(&self) -> &FieldConfig {
         &self.config

@@ -175,7 +175,7 @@ fn tensors() -> Files {
     let head = folder.path("head");
     SemanticHead { decoder, text, temperature: 0.1 }.save(&head).expect("a head is written");
     let field = folder.path("field");
-    let config = sgs_passes::shade::visibility::FieldConfig { levels: 2, log2_table: 8, coarsest: 2, finest: 8 };
+    let config = sgs_passes::shade::visibility::FieldConfig::new(2, 8, 2, 8);
     let (tables, mlp) = (config.initial_tables(1), config.initial_weights(1));
     let made = VisibilityFile { config, low: [-1.0; 3], high: [1.0; 3], tables, mlp };
     made.save(&field).expect("a field is written");

@@ -30,6 +30,9 @@ const ASKED_AT: &str = "relit_asked_at";
 /// What was decided about the model.
 const DECISIONS: &str = "decisions";
 
+/// How many levels the visibility field has, where that may be decided.
+const LEVELS: &str = "levels";
+
 /// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
 const PACE: &str = "pace";
 
@@ -81,6 +84,9 @@ impl Intrinsic {
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         if self.automatic.is_some() {
             meta.insert(LOBES.to_owned(), self.lobes().to_string());
+            if let Some(levels) = self.levels() {
+                meta.insert(LEVELS.to_owned(), levels.to_string());
+            }
             let [step, moves] = self.paced;
             meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
             meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
@@ -141,6 +147,17 @@ impl Intrinsic {
                 self.set_lobes(lobes, &vec![0.0; floats as usize])?;
             }
         }
+        let most = self.parameters.visibility.as_ref().map(|f| f.config().of);
+        if let (Some(text), Some(most), true) = (meta.get(LEVELS), most, self.automatic.is_some()) {
+            let levels: u32 = text
+                .parse()
+                .ok()
+                .filter(|n| (1..=most).contains(n))
+                .ok_or_else(|| file(path, format!("damaged: \"{text}\" is no number of levels")))?;
+            if Some(levels) != self.levels() {
+                self.set_levels(levels)?;
+            }
+        }
         if let Some(text) = meta.get(PACE).filter(|_| self.automatic.is_some()) {
             let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();
             let Some(&[every @ 1..=64, since, moves]) = numbers.as_deref() else {
@@ -151,7 +168,7 @@ impl Intrinsic {
             }
             self.set_pace(every, since, moves)?;
         }
-        // But for parts that are left out, lobes that are merged and how often surroundings move, everything is read before anything is changed.
+        // But for what has been decided, everything is read before anything is changed.
         let course = Course::read(path, &meta)?;
         let mut read = Vec::new();
         for p in self.parameters.all() {

@@ -25,6 +25,8 @@ pub struct AutomaticSettings {
     pub environment: bool,
     /// Shadows; false: as set.
     pub visibility: bool,
+    /// Levels of the visibility field, the finest of which go; false: all stay that its size has.
+    pub levels: bool,
     /// How often surroundings move, once they are learned; false: as intrinsic.environment.every says.
     pub pace: bool,
 }
@@ -42,6 +44,7 @@ impl Default for AutomaticSettings {
             lobes: all,
             environment: all,
             visibility: all,
+            levels: all,
             pace: all,
         }
     }

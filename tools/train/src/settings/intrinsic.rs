@@ -225,7 +225,7 @@ impl VisibilitySettings {
     /// The field, if it is learned.
     pub fn config(&self) -> Option<FieldConfig> {
         let &VisibilitySettings { kind, levels, log2_table, coarsest, finest, .. } = self;
-        (kind == VisibilityKind::Field).then_some(FieldConfig { levels, log2_table, coarsest, finest })
+        (kind == VisibilityKind::Field).then_some(FieldConfig::new(levels, log2_table, coarsest, finest))
     }
 }
 

@@ -1,9 +1,10 @@
 //! The intrinsic stage without what a scene does not require.
 //!
 //! Before the first step sizes follow from what cameras can tell apart ([`sizes`]); while training, at a few steps, what adds nothing to
-//! pictures of training views is left out ([`worth`]). Promises: decisions depend on the scene, the splats, the settings and the seed alone;
+//! pictures of training views is left out ([`judge`], [`worth`]). Promises: decisions depend on the scene, the splats, the settings and the seed alone;
 //! checkpoints hold them; what has been left out does not come back. What must be measured against ground truth is left to others.
 
+mod judge;
 mod lobes;
 mod pace;
 mod sizes;
@@ -18,6 +19,7 @@ use crate::geometry::Decision;
 use crate::settings::{AutomaticSettings, VisibilityKind};
 use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::Trainable;
+use sgs_passes::shade::visibility::{FieldConfig, VisibilityField};
 
 /// Shares of the steps after which it is looked at. Lights can be judged at all of them; surroundings and shadows have to be learned first,
 /// and are judged from [`WHOLE`] on.
@@ -175,6 +177,30 @@ impl Intrinsic {
             Some([_, lobes]) => Ok(lobes.upload_moments(&self.device, &moments)?),
             None => Ok(()),
         }
+    }
+
+    /// Levels of the visibility field, if there is one.
+    pub(super) fn levels(&self) -> Option<u32> {
+        self.parameters.visibility.as_ref().map(|f| f.config().levels)
+    }
+
+    /// Makes it a field of so many levels. What is there of these stays, with its moments; levels that are not start anew.
+    pub(super) fn set_levels(&mut self, levels: u32) -> Result<()> {
+        self.finish()?;
+        self.execs = [None, None, None];
+        let Some(field) = self.parameters.visibility.take() else { return Ok(()) };
+        let config = *field.config();
+        let made = if levels < config.levels {
+            field.into_first_levels(&self.device, levels)?
+        } else {
+            drop(field);
+            let (seed, bits) = (self.required.seed as u32, self.tuning.accuracy.table_bits);
+            VisibilityField::new(&self.device, FieldConfig { levels, ..config }, seed, true, bits)?
+        };
+        self.options.visibility = Some(*made.config());
+        self.required.intrinsic.visibility.levels = made.config().levels;
+        self.parameters.visibility = Some(made);
+        Ok(())
     }
 
     /// Room for so many lobes of each light, with these values.

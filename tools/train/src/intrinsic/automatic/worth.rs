@@ -1,41 +1,32 @@
-//! What parts of the model are worth at training views, and leaving out what is worth too little.
+//! What parts of the model are worth at training views.
 //!
-//! A part is worth the decibels that the shaded picture loses without it, everything else being as it is: an upper bound, since what stays
-//! could make up for it. Materials are not judged so: pictures say little of what they are made of. Light adds up, so that lights need a picture each and no more; they are taken away from the faintest on, for as long
-//! as all that are gone are worth less than asked together.
+//! A part is worth the decibels that the shaded picture loses without it, everything else being as it is: an upper bound, since
+//! what stays could make up for it. Materials are not judged so: pictures say little of what they are made of. Light adds up, so
+//! that lights need a picture each and no more; they are taken away from the faintest on, for as long as all that are gone are
+//! worth less than asked together.
 
-use super::lobes::merged;
-use super::{Part, Watched};
-use crate::convert::gaussian_data;
+use super::Watched;
 use crate::error::Result;
-use crate::geometry::Decision;
 use crate::intrinsic::Intrinsic;
-use crate::shaded::{RunLight, Shading, Visibility, shaded_scene};
+use crate::shaded::{RunLight, Shading, shaded_scene};
 use rayon::prelude::*;
-use sgs_passes::pipeline::Renderer;
-use sgs_passes::scene::{Gaussians, Model};
-use sgs_passes::shade::lights::Axes;
-use sgs_passes::splat::Channels;
 use sgs_scene::{Splats, linear_to_srgb, srgb_to_linear};
 
-/// Numbers of lobes that are tried.
-const FEWER: [u32; 5] = [1, 2, 3, 4, 6];
-
 /// Linear light of the chosen pixels of all views, one behind the other.
-type Light = Vec<[f32; 3]>;
+pub(super) type Light = Vec<[f32; 3]>;
 
 /// What pictures are made of.
-struct Pictures {
+pub(super) struct Pictures {
     /// What lies behind surfaces.
-    behind: Light,
+    pub behind: Light,
     /// Of lamps together.
-    direct: Light,
+    pub direct: Light,
     /// Of surroundings.
-    ambient: Light,
+    pub ambient: Light,
 }
 
 /// The sum of squared errors of light against what photographs show.
-fn error(photos: &[[f32; 3]], light: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
+pub(super) fn error(photos: &[[f32; 3]], light: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
     let one = |(p, photo): (usize, &[f32; 3])| -> f64 {
         let light = light(p);
         (0..3).map(|c| f64::from(linear_to_srgb(light[c].clamp(0.0, 1.0)) - photo[c]).powi(2)).sum()
@@ -50,11 +41,11 @@ fn error(photos: &[[f32; 3]], light: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
 }
 
 /// Decibels that a picture loses when its error grows.
-fn loss(with: f64, without: f64) -> f64 {
+pub(super) fn loss(with: f64, without: f64) -> f64 {
     10.0 * (without.max(1e-12) / with.max(1e-12)).log10()
 }
 
-fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+pub(super) fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [0, 1, 2].map(|c| a[c] + b[c])
 }
 
@@ -62,7 +53,7 @@ fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 /// worth together with those before it.
 ///
 /// `parts`: light of each, empty where it is off; `rest`: everything else.
-fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> Vec<(usize, f64)> {
+pub(super) fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> Vec<(usize, f64)> {
     let energy = |part: &Light| part.iter().flatten().map(|v| f64::from(v.max(0.0))).sum::<f64>();
     let mut order: Vec<(usize, f64)> =
         parts.iter().enumerate().filter(|(_, part)| !part.is_empty()).map(|(i, part)| (i, energy(part))).collect();
@@ -87,196 +78,14 @@ fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> Ve
 }
 
 impl Intrinsic {
-    /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
-    pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
-        let decided = match self.worthless(step) {
-            Err(e) if e.is_out_of_memory() => {
-                tracing::info!("after step {step} there is no memory to see what could be left out");
-                return Ok(());
-            }
-            other => other?,
-        };
-        for decision in decided {
-            tracing::info!("{decision}");
-            if let Some(a) = &mut self.automatic {
-                a.decisions.push(decision);
-            }
-        }
-        Ok(())
-    }
-
-    fn worthless(&mut self, step: u32) -> Result<Vec<Decision>> {
-        let (asked, watched) = (*self.automatic_settings(), self.automatic.take());
-        let Some(mut watched) = watched else { return Ok(Vec::new()) };
-        let found = match watched.own {
-            Some(own) => Ok(own),
-            None => self.own(&watched.views),
-        };
-        let found = found.and_then(|own| {
-            watched.own = Some(own);
-            self.found(step, &asked, &watched.views, own)
-        });
-        self.automatic = Some(watched);
-        found
-    }
-
-    /// The sum of squared errors of the pictures that the splats' own colors make: about as good as shaded ones can get.
-    fn own(&self, views: &[Watched]) -> Result<f64> {
-        let model = Model { sh_degree: self.splats.sh_degree() as u32, normals: false, semantics: false };
-        let gaussians = Gaussians::with(&self.device, model, self.splats.len() as u32, false, false)?;
-        gaussians.upload(&self.device, &gaussian_data(&self.splats, model))?;
-        let mut renderer =
-            Renderer::new(&self.device, self.tuning, &gaussians, self.data.largest, Channels::default())?;
-        let mut sum = 0.0;
-        for view in views {
-            let background = self.required.geometry.background;
-            let picture = renderer.render(&gaussians, &view.camera, model.sh_degree, background)?;
-            for (p, photo) in &view.pixels {
-                let off = |c: usize| f64::from(picture.image[3 * p + c].clamp(0.0, 1.0) - photo[c]).powi(2);
-                sum += (0..3).map(off).sum::<f64>();
-            }
-        }
-        Ok(sum)
-    }
-
-    fn found(&mut self, step: u32, a: &super::AutomaticSettings, views: &[Watched], own: f64) -> Result<Vec<Decision>> {
-        // As it is written, not as it is nearest to in binary.
-        let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
-        let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
-        let (splats, mut light) = (self.splats()?, self.light()?);
-        let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
-        let sum = |p: &Pictures, ambient: bool, i: usize| {
-            let light = add(p.behind[i], p.direct[i]);
-            if ambient { add(light, p.ambient[i]) } else { light }
-        };
-        let with = error(&photos, |i| sum(&all, true, i));
-        let short = loss(own, with);
-        if short > f64::from(a.ready) {
-            let (ready, setting) = (a.ready, "intrinsic.automatic.ready".to_owned());
-            let reason = format!(
-                "shaded pictures are {short:.1} dB short of the splats' own colors (asked: {ready}): nothing is judged yet"
-            );
-            let (what, asked) = ("all parts".to_owned(), Some(f64::from(ready)));
-            return Ok(vec![Decision { step, what, on: true, reason, measured: Some(short), asked, setting }]);
-        }
-        tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
-        let mut decisions = Vec::new();
-        let mut decided = |what: &str, on: bool, reason: String, worth: f64| {
-            let (what, setting) = (what.to_owned(), format!("intrinsic.automatic.{what}"));
-            decisions.push(Decision { step, what, on, reason, measured: Some(worth), asked: Some(gain), setting });
-        };
-        // A network is shown views under other lights by graphs of its own, which have all parts.
-        let whole = self.relit.is_none();
-        let judged = whole && super::looks_at_parts(step, self.required.intrinsic.steps);
-
-        let mut gains: Vec<f32> = light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
-        let mut none_left = false;
-        if a.lights && self.has(Part::Lights) {
-            // Surroundings would be filtered anew for each.
-            let environment = light.environment.take();
-            let parts = self.each(&mut self.shading(&splats, &light)?, views, &gains)?;
-            light.environment = environment;
-            let rest: Light = all.behind.iter().zip(&all.ambient).map(|(b, a)| add(*b, *a)).collect();
-            let on = gains.iter().filter(|g| **g != 0.0).count();
-            let mut gone = needless(&photos, &rest, &parts, gain);
-            if gone.len() == on && !(whole && self.has(Part::Environment)) {
-                // Something has to shine.
-                gone.pop();
-            }
-            none_left = gone.len() == on && on > 0;
-            gone.iter().for_each(|(i, _)| gains[*i] = 0.0);
-            let worth = gone.last().map_or(0.0, |g| g.1);
-            if none_left {
-                decided("lights", false, format!("together they are worth {worth:.3} dB (asked: {gain})"), worth);
-            } else if !gone.is_empty() {
-                let left = on - gone.len();
-                let reason =
-                    format!("{left} of {on} stay: all others together are worth {worth:.3} dB (asked: {gain})");
-                decided("lights", true, reason, worth);
-            }
-        }
-        let mut fewer = None;
-        let free = self.light_model.axes == Axes::Free;
-        if judged && a.lobes && free && self.has(Part::Lights) && !none_left {
-            let mut only = RunLight { environment: None, ..light.clone() };
-            if let Some(file) = &mut only.lights {
-                file.lights.iter_mut().zip(&gains).for_each(|(l, gain)| l.gain = *gain);
-            }
-            let off = |only: &RunLight| -> Result<f64> {
-                let lit = self.pictures(&mut self.shading(&splats, only)?, views)?.direct;
-                Ok(error(&photos, |i| add(add(all.behind[i], lit[i]), all.ambient[i])))
-            };
-            let (whole, lobes) = (off(&only)?, self.lobes());
-            for few in FEWER.into_iter().filter(|few| *few < lobes) {
-                let mut some = only.clone();
-                if let Some(file) = &mut some.lights {
-                    file.lights.iter_mut().for_each(|l| *l = merged(l, few as usize));
-                }
-                let worth = loss(whole, off(&some)?);
-                if worth <= gain {
-                    let reason =
-                        format!("{few} of {lobes} stay: merging the others costs {worth:.3} dB (asked: {gain})");
-                    decided("lobes", true, reason, worth);
-                    fewer = Some(few);
-                    break;
-                }
-            }
-        }
-        let mut out = Vec::new();
-        if judged && a.environment && self.has(Part::Environment) && self.has(Part::Lights) && !none_left {
-            let worth = loss(with, error(&photos, |i| sum(&all, false, i)));
-            if worth <= gain {
-                decided("environment", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
-                out.push(Part::Environment);
-            }
-        }
-        if judged && a.visibility && self.has(Part::Visibility) && !none_left {
-            let light = RunLight { visibility: Visibility::None, ..light };
-            let without = self.pictures(&mut self.shading(&splats, &light)?, views)?;
-            let worth = loss(with, error(&photos, |i| sum(&without, true, i)));
-            if worth <= gain {
-                decided("visibility", false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
-                out.push(Part::Visibility);
-            }
-        }
-        let mut pace = None;
-        if judged && a.pace && self.has(Part::Environment) && !out.contains(&Part::Environment) {
-            pace = self.pace(gain, |old| {
-                let ambient = self.pictures(&mut self.shading(&splats, old)?, views)?.ambient;
-                Ok(loss(with, error(&photos, |i| add(sum(&all, false, i), ambient[i]))))
-            })?;
-        }
-        if let Some((every, worth)) = pace {
-            let reason = format!(
-                "surroundings move once in {every} steps: as old as that they cost {worth:.3} dB (asked: {gain})"
-            );
-            decided("pace", true, reason, worth);
-        }
-        if none_left {
-            out.push(Part::Lights);
-        } else if self.has(Part::Lights) {
-            self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
-        }
-        if let Some(few) = fewer {
-            self.merge_lobes(few)?;
-        }
-        for part in out {
-            self.leave_out(part)?;
-        }
-        if let Some((every, _)) = pace {
-            self.set_pace(every, step, self.moves(step))?;
-        }
-        Ok(decisions)
-    }
-
-    fn shading(&self, splats: &Splats, light: &RunLight) -> Result<Shading> {
+    pub(super) fn shading(&self, splats: &Splats, light: &RunLight) -> Result<Shading> {
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
         let scene = shaded_scene(&self.device, splats, lights, environment, &light.visibility)?;
         Shading::new(&self.device, scene)
     }
 
     /// Light of the chosen pixels.
-    fn pictures(&self, shading: &mut Shading, views: &[Watched]) -> Result<Pictures> {
+    pub(super) fn pictures(&self, shading: &mut Shading, views: &[Watched]) -> Result<Pictures> {
         let behind = self.required.geometry.background.map(srgb_to_linear);
         let mut all = Pictures { behind: Vec::new(), direct: Vec::new(), ambient: Vec::new() };
         for view in views {
@@ -294,7 +103,7 @@ impl Intrinsic {
     }
 
     /// The same of each light alone; nothing where it is off.
-    fn each(&self, shading: &mut Shading, views: &[Watched], gains: &[f32]) -> Result<Vec<Light>> {
+    pub(super) fn each(&self, shading: &mut Shading, views: &[Watched], gains: &[f32]) -> Result<Vec<Light>> {
         let one = |i: usize| -> Result<Light> {
             if gains[i] == 0.0 {
                 return Ok(Vec::new());
