@@ -153,25 +153,28 @@ fn the_trade_of_materials_and_lights_is_measured() {
     let small = "[intrinsic.lights]\ngrid = 1\n[intrinsic.environment]\nresolution = 16\n[intrinsic.visibility]\n\
                  levels = 4\nlog2_table = 8\ncoarsest = 4\nfinest = 32\n";
     std::fs::write(&config, small).unwrap();
-    let what = ["tradeoff", "--stage", "intrinsic", "--config", &config, "--filter", "all", "--quality", "2"];
+    let what = ["tradeoff", "--stage", "intrinsic", "--config", &config, "--filter", "fast, culled", "--quality", "2"];
     let how =
         ["--rounds", "1", "--train", "2", "--size", "24x18", "--repeats", "1", "--svg", &drawing, "--table", &table];
     let report = succeeds(&[&what[..], &how].concat());
     let read = |path: &str| std::fs::read_to_string(path).unwrap();
     assert!(read(&drawing).contains("error of gradients"));
     let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
-    assert!(rows.len() == 2 && rows[0].starts_with("| exact") && rows[1].starts_with("| all together"), "{rows:?}");
+    assert!(
+        rows.len() == 2 && rows[0].starts_with("| exact") && rows[1].starts_with("| fast, culled, half size"),
+        "{rows:?}"
+    );
     let value = |name: &str| {
         let row = report["values"].as_array().unwrap().iter().find(|v| v["name"] == name);
         row.unwrap_or_else(|| panic!("no \"{name}\""))["value"]["median"].as_f64().unwrap()
     };
     assert!(value("mean error, exact") < 1e-5 && value("gradient error, exact") == 0.0);
     // A quarter of the pixels finds other gradients; taking every so many pairs, other ones of the field.
-    assert!(value("gradient error, all together") > 1e-3);
-    assert!(value("gradient error of the field, all together") > 1e-2);
+    assert!(value("gradient error, fast, culled, half size") > 1e-3);
+    assert!(value("gradient error of the field, fast, culled, half size") > 1e-2);
     let facts = report["facts"].as_array().unwrap();
     let fact = |name: &str| facts.iter().find(|f| f["name"] == name).unwrap()["value"].as_f64().unwrap();
-    assert!(fact("albedo after training, all together, dB") > 3.0);
+    assert!(fact("albedo after training, fast, culled, half size, dB") > 3.0);
 }
 
 #[test]

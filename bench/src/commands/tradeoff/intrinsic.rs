@@ -16,7 +16,7 @@ use sgs_engine::Device;
 use sgs_passes::Matrices;
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
-use sgs_train::{Intrinsic, Probe, Settings, Shading, displayed, overlay, shaded_scene};
+use sgs_train::{Intrinsic, Probe, Settings, Shading, accuracy_named, displayed, overlay, shaded_scene};
 use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
@@ -28,49 +28,68 @@ const RHYTHM: u32 = 8;
 #[derive(Clone, Debug)]
 struct Choice {
     name: &'static str,
-    sets: Vec<String>,
+    /// As a user would ask for it.
+    setting: String,
+    /// What differs from the settings that all have.
+    over: toml::Table,
     /// Whether what is learned has the same shape as that of `exact`.
     same: bool,
 }
 
-/// `exact` first, then every choice alone, then some together.
-fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
-    let own = |name, sets: &[&str]| Choice { name, sets: sets.iter().map(|s| (*s).to_owned()).collect(), same: true };
+impl Choice {
+    fn new(name: &'static str, sets: &[impl AsRef<str>], same: bool) -> anyhow::Result<Choice> {
+        let mut over = toml::Table::new();
+        for set in sets {
+            overlay(&mut over, set.as_ref().parse().with_context(|| set.as_ref().to_owned())?);
+        }
+        let setting: Vec<String> = sets.iter().map(|s| format!("`{}`", s.as_ref())).collect();
+        Ok(Choice { name, setting: setting.join(", "), over, same })
+    }
+
+    fn level(name: &'static str) -> anyhow::Result<Choice> {
+        Ok(Choice { name, setting: format!("`--accuracy {name}`"), over: accuracy_named(name)?, same: true })
+    }
+}
+
+/// `exact` first, then every choice alone, then levels of accuracy, then all together.
+fn choices(base: &Settings, device: &Device) -> anyhow::Result<Vec<Choice>> {
+    let own = |name, sets: &[&str]| Choice::new(name, sets, true);
     let mut all = vec![
-        own("exact", &[]),
-        own("weights anew", &["intrinsic.surface_bytes=1"]),
-        own("surroundings every 4", &["intrinsic.environment.every=4"]),
-        own("surroundings every 8", &["intrinsic.environment.every=8"]),
-        own("one pair of 4", &["intrinsic.visibility.sample=4"]),
-        own("one pair of 16", &["intrinsic.visibility.sample=16"]),
-        own("lights culled, 0.002", &["intrinsic.cull_error=0.002"]),
-        own("lights culled, 0.02", &["intrinsic.cull_error=0.02"]),
-        own("half size", &["intrinsic.scale=0.5"]),
-        own("weights in 16 bits", &["accuracy.weight_bits=16"]),
-        own("tables in 16 bits", &["accuracy.table_bits=16"]),
+        Choice::level("exact")?,
+        own("weights anew", &["intrinsic.surface_bytes=1"])?,
+        own("surroundings every 4", &["intrinsic.environment.every=4"])?,
+        own("surroundings every 8", &["intrinsic.environment.every=8"])?,
+        own("one pair of 4", &["intrinsic.visibility.sample=4"])?,
+        own("one pair of 16", &["intrinsic.visibility.sample=16"])?,
+        own("lights culled, 0.002", &["intrinsic.cull_error=0.002"])?,
+        own("lights culled, 0.02", &["intrinsic.cull_error=0.02"])?,
+        own("half size", &["intrinsic.scale=0.5"])?,
+        own("weights in 16 bits", &["accuracy.weight_bits=16"])?,
+        own("tables in 16 bits", &["accuracy.table_bits=16"])?,
     ];
     if Matrices::for_device(device.info()).is_ok() {
-        all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"]));
+        all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"])?);
     }
-    let balanced = ["intrinsic.environment.every=4", "intrinsic.visibility.sample=4"];
-    all.push(own("two together", &balanced));
-    let fast = ["intrinsic.environment.every=8", "intrinsic.visibility.sample=16", "intrinsic.cull_error=0.02"];
-    all.push(own("three together", &fast));
-    let bits = ["accuracy.weight_bits=16", "accuracy.table_bits=16"];
-    all.push(own("all together", &[&fast[..], &["intrinsic.scale=0.5"], &bits].concat()));
+    all.extend([Choice::level("balanced")?, Choice::level("fast")?]);
+    let mut draft = Choice::level("fast")?;
+    overlay(&mut draft.over, "intrinsic.cull_error=0.02\nintrinsic.scale=0.5".parse()?);
+    draft.name = "fast, culled, half size";
+    draft.setting += ", `intrinsic.cull_error=0.02`, `intrinsic.scale=0.5`";
+    all.push(draft);
     let s = &base.intrinsic;
-    let mut other = |name, sets: Vec<String>| all.push(Choice { name, sets, same: false });
+    let mut other = |name, sets: &[String]| -> anyhow::Result<()> {
+        all.push(Choice::new(name, sets, false)?);
+        Ok(())
+    };
     if s.lights.grid > 1 {
-        other("fewer lights", vec![format!("intrinsic.lights.grid={}", s.lights.grid - 1)]);
+        other("fewer lights", &[format!("intrinsic.lights.grid={}", s.lights.grid - 1)])?;
     }
     if s.lights.lobes > 1 {
-        other("fewer lobes", vec![format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)]);
+        other("fewer lobes", &[format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)])?;
     }
     if s.environment.resolution > 16 {
-        other(
-            "coarser surroundings",
-            vec![format!("intrinsic.environment.resolution={}", s.environment.resolution / 2)],
-        );
+        let half = s.environment.resolution / 2;
+        other("coarser surroundings", &[format!("intrinsic.environment.resolution={half}")])?;
     }
     if s.visibility.levels > 4 {
         let levels = s.visibility.levels / 2;
@@ -78,9 +97,9 @@ fn choices(base: &Settings, device: &Device) -> Vec<Choice> {
         let finest =
             f64::from(s.visibility.coarsest) * ratio.powf(f64::from(levels - 1) / f64::from(s.visibility.levels - 1));
         let sets = [("levels", f64::from(levels)), ("finest", finest.round())];
-        other("half of the field", sets.iter().map(|(k, v)| format!("intrinsic.visibility.{k}={v}")).collect());
+        other("half of the field", &sets.map(|(k, v)| format!("intrinsic.visibility.{k}={v}")))?;
     }
-    all
+    Ok(all)
 }
 
 /// What is known of one choice.
@@ -104,9 +123,8 @@ struct Row {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
-    let mut base = lit_settings(a.config.as_deref())?;
+    let mut base = settings(&lit_settings(a.config.as_deref())?, &Choice::level("exact")?)?;
     base.intrinsic.automatic.enabled = false;
-    base.intrinsic.visibility.sample = 1;
     let (_, size) = super::StepArgs::sizes(&device, a.gaussians, a.size);
     let lit = LitScene::open(a.scene.as_deref(), a.geometry.as_deref(), size, &mut base)?;
     let (scene, splats) = (&lit.scene, &lit.splats);
@@ -162,10 +180,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 /// A choice as settings.
 fn settings(base: &Settings, choice: &Choice) -> anyhow::Result<Settings> {
     let mut table: toml::Table = toml::Table::try_from(base)?;
-    for set in &choice.sets {
-        let over: toml::Table = set.parse().with_context(|| set.clone())?;
-        overlay(&mut table, over);
-    }
+    overlay(&mut table, choice.over.clone());
     Ok(Settings::from_table(table)?)
 }
 
@@ -182,7 +197,7 @@ fn measure(
     let mut subjects: Vec<(Row, Intrinsic, Vec<f64>)> = Vec::new();
     let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
-    for choice in choices(base, device).into_iter().filter(wanted) {
+    for choice in choices(base, device)?.into_iter().filter(wanted) {
         let settings = settings(base, &choice)?;
         let before = device.memory_use().0;
         let mut training = Intrinsic::new(device, scene, &settings, splats)?;
@@ -306,12 +321,11 @@ fn table(rows: &[Row]) -> String {
     let small = |v: f64| format!("{v:.1e}");
     let db = |v: f64| format!("{v:.2}");
     for r in rows {
-        let sets: Vec<String> = r.choice.sets.iter().map(|s| format!("`{s}`")).collect();
         let _ = writeln!(
             out,
             "| {} | {} | {:.3} | {:.3} | {} | {} | {} | {} | {} | {} | {} | {} |",
             r.choice.name,
-            sets.join(", "),
+            r.choice.setting,
             r.step.least / exact.step.least,
             r.bytes as f64 / exact.bytes as f64,
             cell(r.picture.map(|p| p[0]), &small),

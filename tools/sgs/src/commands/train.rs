@@ -100,11 +100,10 @@ fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
 
 /// What `--accuracy` says.
 fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
-    let Some(name) = &o.accuracy else { return Ok(toml::Table::new()) };
-    let settings = Settings { accuracy: accuracy_named(name)?, ..Settings::default() };
-    let mut table = settings.to_table()?;
-    table.retain(|key, _| key == "accuracy");
-    Ok(table)
+    match &o.accuracy {
+        None => Ok(toml::Table::new()),
+        Some(name) => Ok(accuracy_named(name)?),
+    }
 }
 
 /// What `--config` says.

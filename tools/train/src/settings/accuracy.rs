@@ -4,19 +4,38 @@ use super::distance;
 use crate::error::TrainError;
 use sgs_passes::Accuracy;
 
-/// The named ones.
-const LEVELS: [(&str, Accuracy); 3] =
-    [("exact", Accuracy::EXACT), ("balanced", Accuracy::BALANCED), ("fast", Accuracy::FAST)];
+/// A named choice of everything that is traded for speed without changing what is learned.
+struct Level {
+    name: &'static str,
+    accuracy: Accuracy,
+    /// `intrinsic.environment.every`.
+    every: u32,
+    /// `intrinsic.visibility.sample`.
+    sample: u32,
+}
 
-/// `exact`, `balanced` or `fast`.
+/// All of them.
+const LEVELS: [Level; 3] = [
+    Level { name: "exact", accuracy: Accuracy::EXACT, every: 1, sample: 1 },
+    Level { name: "balanced", accuracy: Accuracy::BALANCED, every: 4, sample: 4 },
+    Level { name: "fast", accuracy: Accuracy::FAST, every: 8, sample: 16 },
+];
+
+/// `exact`, `balanced` or `fast`, as settings: `[accuracy]`, and how often surroundings move and visibility is taught.
 ///
 /// # Errors
 /// If it is none of these.
-pub fn accuracy_named(name: &str) -> crate::Result<Accuracy> {
-    if let Some((_, a)) = LEVELS.iter().find(|(n, _)| *n == name) {
-        return Ok(*a);
+pub fn accuracy_named(name: &str) -> crate::Result<toml::Table> {
+    if let Some(level) = LEVELS.iter().find(|level| level.name == name) {
+        let &Level { accuracy, every, sample, .. } = level;
+        let written = |e: String| TrainError::Setting(format!("The accuracy \"{name}\" cannot be written: {e}."));
+        let text = format!("[intrinsic]\nenvironment = {{ every = {every} }}\nvisibility = {{ sample = {sample} }}\n");
+        let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| written(e.to_string()))?;
+        let accuracy = toml::Value::try_from(accuracy).map_err(|e| written(e.to_string()))?;
+        table.insert("accuracy".to_owned(), accuracy);
+        return Ok(table);
     }
-    let near = LEVELS.iter().map(|(n, _)| *n).find(|n| distance(n, name) <= 2);
+    let near = LEVELS.iter().map(|level| level.name).find(|n| distance(n, name) <= 2);
     let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
     Err(TrainError::Setting(format!("\"{name}\" is no accuracy; {hint}there are exact, balanced, fast.")))
 }
@@ -50,11 +69,28 @@ pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::settings::Settings;
 
     #[test]
     fn names_are_known_or_hinted_at() {
-        assert_eq!(accuracy_named("exact").unwrap(), Accuracy::default());
-        assert_eq!(accuracy_named("fast").unwrap(), Accuracy::FAST);
+        let of = |name: &str| Settings::from_table(accuracy_named(name).unwrap()).unwrap();
+        assert_eq!(of("exact"), Settings::default());
+        let (balanced, fast) = (of("balanced"), of("fast"));
+        assert_eq!((balanced.accuracy, fast.accuracy), (Accuracy::BALANCED, Accuracy::FAST));
+        assert_eq!((fast.intrinsic.environment.every, fast.intrinsic.visibility.sample), (8, 16));
+        // What is learned is of the same sizes.
+        let same = |mut s: Settings| {
+            (s.accuracy, s.intrinsic.environment.every, s.intrinsic.visibility.sample) = (Accuracy::EXACT, 1, 1);
+            s == Settings::default()
+        };
+        assert!(same(balanced) && same(fast));
+        // All levels say the same settings, so that one goes over another whole.
+        let keys = |name: &str| {
+            let t = accuracy_named(name).unwrap();
+            let inner = |k: &str| t["accuracy"].get(k).is_some();
+            (t["accuracy"].as_table().unwrap().len(), inner("feature_bits"), t["intrinsic"].as_table().unwrap().len())
+        };
+        assert!(keys("exact") == keys("balanced") && keys("exact") == keys("fast") && keys("exact") == (10, true, 2));
         let message = |n: &str| accuracy_named(n).unwrap_err().to_string();
         assert_eq!(
             message("exat"),
