@@ -416,8 +416,8 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     // A hundred decibels are more than anything costs.
     assert_eq!(straight.0, (1..=10).chain([16]).collect::<Vec<_>>());
     let said = straight.1.iter().find(|d| d.contains("pace")).expect("nothing was decided");
-    assert!(said.contains("surroundings move once in 16 steps: as old as that they cost"), "{said}");
-    assert!(straight == train(&s, &[9, 10, 12, 17]), "being stopped has changed something");
+    assert!(said.contains("surroundings move once in 8 steps: as old as that they cost"), "{said}");
+    assert!(straight == train(&s, &[3, 9, 10, 12, 17]), "being stopped has changed something");
     // Less is asked, and surroundings move more often; nothing is, or they are insisted upon, and they move with every step.
     s.intrinsic.automatic.gain = 0.0;
     let strict = train(&s, &[]).0;
@@ -427,11 +427,11 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
 
     // A file that says something else is refused.
     let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-    for wrong in ["0 9 9", "16 99 9", "16 10 11", "16 10 x", "16"] {
+    for wrong in ["0 9 9", "8 99 9", "8 10 11", "8 10 x", "8"] {
         let right = std::fs::read(&file).unwrap();
-        let at = right.windows(8).position(|w| w == b"16 10 10").expect("the file does not say it");
-        let text = format!("{wrong:8}");
-        let broken = [&right[..at], text.as_bytes(), &right[at + 8..]].concat();
+        let at = right.windows(7).position(|w| w == b"8 10 10").expect("the file does not say it");
+        let text = format!("{wrong:7}");
+        let broken = [&right[..at], text.as_bytes(), &right[at + 7..]].concat();
         let path = place.path("wrong");
         std::fs::write(&path, broken).unwrap();
         assert!(training.restore(&path).is_err(), "{wrong} was believed");

@@ -104,7 +104,7 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     assert_eq!(on, 1, "the brightest light stays");
     // Of its lobes one will do, by then.
     let merged = decisions(&place, "dark").into_iter().find(|d| d.1 == "lobes").map(|d| (d.0, d.2));
-    assert_eq!(merged, Some((10, true)));
+    assert_eq!(merged, Some((15, true)));
     assert!(lights["lights"].as_array().unwrap().iter().all(|l| l["lobes"].as_array().unwrap().len() == 1));
 }
 

@@ -472,6 +472,10 @@ impl Intrinsic {
             self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
             self.submitted = step;
             self.move_environment(step)?;
+            if self.remembers(step) {
+                self.finish()?;
+                self.remember(step)?;
+            }
             // Each graph has replays of its own in flight: only what all have waited for is surely done.
             let decides = self.decides_after(step);
             if step.is_multiple_of(LOOK) || decides {

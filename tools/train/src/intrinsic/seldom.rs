@@ -40,12 +40,17 @@ impl Intrinsic {
         before + step / every - since / every
     }
 
-    /// Moves texels once in so many steps from now on, after `step` steps with so many moves.
+    /// Moves texels once in so many steps from now on, after `step` steps with so many moves. Unlike where they move seldom from
+    /// the start they are about where they belong by now, and what steps ask is mostly noise: the mean of k steps has a root of k less of
+    /// it, so that moves longer by that go as far, and wander no farther, than one with every step.
     pub(super) fn set_pace(&mut self, every: u32, step: u32, moves: u32) -> Result<()> {
         self.finish()?;
         self.execs = [None, None, None];
         self.options.environment_every = every;
         self.required.intrinsic.environment.every = every;
+        let asked = &self.settings.intrinsic;
+        let shorter = (f64::from(asked.environment.every) / f64::from(every)).sqrt() as f32;
+        self.options.rates.environment = asked.rates.environment * self.schedule.rates() as f32 * shorter;
         self.paced = [step, moves];
         self.forget_refresh();
         self.keep_environment()

@@ -33,6 +33,9 @@ const DECISIONS: &str = "decisions";
 /// How many levels the visibility field has, where that may be decided.
 const LEVELS: &str = "levels";
 
+/// Surroundings as they were after some step, which follows.
+const BEFORE: &str = "environment_after_";
+
 /// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
 const PACE: &str = "pace";
 
@@ -64,6 +67,9 @@ impl Intrinsic {
         }
         if let Some(s) = &self.seldom {
             values.push((GATHERED.to_owned(), s.kept().download(&self.device)?));
+        }
+        for (step, texels) in self.remembered() {
+            values.push((format!("{BEFORE}{step}"), texels.clone()));
         }
         // What has been said of views, and when: asking again would be about other parameters.
         let mut words = Vec::new();
@@ -182,6 +188,14 @@ impl Intrinsic {
             Some(s) => Some(vec![0.0; s.kept().floats()]),
             None => None,
         };
+        let mut before = Vec::new();
+        if let (Some(texels), true) = (&self.parameters.environment, self.automatic.is_some()) {
+            for name in tensors.names() {
+                if let Some(taken) = name.strip_prefix(BEFORE).and_then(|n| n.parse().ok()) {
+                    before.push((taken, floats(name, texels.floats() as usize)?));
+                }
+            }
+        }
         // Of a run without a provider there is nothing, and everything is asked anew.
         let mut estimates = None;
         if let (Some(relit), true) = (&self.relit, tensors.tensor(ASKED_AT).is_ok()) {
@@ -223,6 +237,10 @@ impl Intrinsic {
         }
         if let (Some(s), Some(gathered)) = (&self.seldom, &gathered) {
             s.kept().upload(&self.device, gathered)?;
+        }
+        if let Some(a) = &mut self.automatic {
+            before.sort_by_key(|b| b.0);
+            a.before = before;
         }
         self.submitted = step;
         self.done = step;

@@ -4,7 +4,7 @@
 
 use super::lobes::merged;
 use super::worth::{Light, Pictures, add, error, loss, needless};
-use super::{Part, Watched};
+use super::{Automatic, PARTED, Part, Remembered, WHOLE, Watched};
 use crate::convert::gaussian_data;
 use crate::error::Result;
 use crate::geometry::Decision;
@@ -26,6 +26,7 @@ struct Seen<'v> {
     /// What a part must be worth, decibels.
     gain: f64,
     views: &'v [Watched],
+    before: &'v [Remembered],
     photos: Vec<[f32; 3]>,
     splats: Splats,
     light: RunLight,
@@ -94,7 +95,7 @@ impl Intrinsic {
         };
         let found = found.and_then(|own| {
             watched.own = Some(own);
-            self.found(step, &asked, &watched.views, own)
+            self.found(step, &asked, &watched, own)
         });
         self.automatic = Some(watched);
         found
@@ -119,13 +120,14 @@ impl Intrinsic {
         Ok(sum)
     }
 
-    fn found(&mut self, step: u32, a: &AutomaticSettings, views: &[Watched], own: f64) -> Result<Vec<Decision>> {
+    fn found(&mut self, step: u32, a: &AutomaticSettings, watched: &Automatic, own: f64) -> Result<Vec<Decision>> {
+        let (views, before) = (&watched.views[..], &watched.before[..]);
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
         let (splats, light) = (self.splats()?, self.light()?);
         let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
-        let mut seen = Seen { step, gain, views, photos, splats, light, all, with: 0.0, decisions: Vec::new() };
+        let mut seen = Seen { step, gain, views, before, photos, splats, light, all, with: 0.0, decisions: Vec::new() };
         seen.with = seen.error(&seen.all.direct, &seen.all.ambient);
         let short = loss(own, seen.with);
         if short > f64::from(a.ready) {
@@ -146,7 +148,8 @@ impl Intrinsic {
     fn judged(&self, a: &AutomaticSettings, seen: &mut Seen<'_>) -> Result<Changes> {
         // A network is shown views under other lights by graphs of its own, which have all parts.
         let whole = self.relit.is_none();
-        let parts = whole && super::looks_at_parts(seen.step, self.required.intrinsic.steps);
+        let judges = |from: f64| whole && super::judges(from, seen.step, self.required.intrinsic.steps);
+        let (parts, lobes) = (judges(WHOLE), judges(PARTED));
         let mut changes = Changes::default();
         if a.lights && self.has(Part::Lights) {
             let (gains, none) = self.judge_lights(seen, whole && self.has(Part::Environment))?;
@@ -156,7 +159,7 @@ impl Intrinsic {
             }
         }
         let lit = self.has(Part::Lights) && !changes.out.contains(&Part::Lights);
-        if parts && a.lobes && lit && self.light_model.axes == Axes::Free {
+        if lobes && a.lobes && lit && self.light_model.axes == Axes::Free {
             changes.lobes = self.judge_lobes(seen, changes.gains.as_deref())?;
         }
         let mut goes = |seen: &mut Seen<'_>, part: Part, worth: f64| {
@@ -281,7 +284,7 @@ impl Intrinsic {
     /// How seldom surroundings may move.
     fn judge_pace(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let gain = seen.gain;
-        let found = self.pace(gain, |old| {
+        let found = self.pace(seen.before, gain, |old| {
             let ambient = self.pictures(&mut self.shading(&seen.splats, old)?, seen.views)?.ambient;
             Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
         })?;

@@ -1,43 +1,62 @@
 //! How often surroundings move: as seldom as pictures allow.
 //!
-//! Filtering them costs the same whatever a view has of pixels. Once they are learned they hardly change from step to step, and may
-//! be filtered once in several (`intrinsic.environment.every`). What their age costs is measured: by the moments of their moves it is known
-//! where they were some steps ago, and pictures lose so many decibels with these.
+//! Filtering them costs the same however few pixels a view has. Once they are learned they hardly change from step to step, and may be
+//! filtered once in several (`intrinsic.environment.every`). What their age costs is measured: a few steps before everything is looked at they
+//! are remembered, and pictures lose so many decibels with what they were then.
 
+use super::{LOOKS, WHOLE, due};
 use crate::error::Result;
 use crate::intrinsic::Intrinsic;
 use crate::memory::allowed;
 use crate::shaded::{RunLight, Texels, Visibility};
 use sgs_passes::pipeline::{EnvironmentRefresh, IntrinsicOptions, KeptEnvironment};
 
-/// Numbers of steps that are tried.
-const SELDOMER: [u32; 4] = [16, 8, 4, 2];
+/// Ages in steps that are tried.
+const AGES: [u32; 3] = [8, 4, 2];
 
-/// Texels as they were that many of the last moves ago: each was as far as the next one would be. `moments` has two numbers a
-/// texel, `moves` have been made.
-fn earlier(texels: &[f32], moments: &[f32], moves: u32, distance: f32) -> Vec<f32> {
-    let correction = |decay: f64| 1.0 - decay.powi(moves.max(1) as i32);
-    let (first, second) = (correction(0.9), correction(0.999));
-    let back = |(texel, m): (&f32, &[f32; 2])| {
-        let size = (f64::from(m[1]) / second).sqrt();
-        let moved = if size > 0.0 { f64::from(m[0]) / first / size } else { 0.0 };
-        // No texel is darker than black.
-        (texel + distance * moved as f32).max(0.0)
-    };
-    texels.iter().zip(moments.as_chunks::<2>().0).map(back).collect()
+/// Texels as they were after a step.
+pub(in super::super) type Remembered = (u32, Vec<f32>);
+
+/// Whether texels as they are after `taken` steps are asked for later than `now`.
+fn wanted(taken: u32, now: u32, steps: u32) -> bool {
+    let looks = LOOKS.into_iter().filter(|share| *share >= WHOLE).map(|share| due(share, steps));
+    looks.filter(|look| *look > now && *look < steps).any(|look| AGES.iter().any(|age| taken + age == look))
 }
 
 impl Intrinsic {
-    /// The most steps that surroundings may be old, and what that costs; none where they move as seldom already, or memory does
-    /// not suffice. `loss`: decibels that pictures lose under such surroundings.
-    pub(super) fn pace(&self, gain: f64, mut loss: impl FnMut(&RunLight) -> Result<f64>) -> Result<Option<(u32, f64)>> {
-        let (Some((e, _)), Some(texels)) = (&self.environment, &self.parameters.environment) else { return Ok(None) };
-        let now = self.options.environment_every;
-        let (data, moments) = (texels.download(&self.device)?, texels.download_moments(&self.device)?);
-        for every in SELDOMER.into_iter().filter(|every| *every > now) {
-            let distance = every as f32 * self.options.rates.environment;
-            let old = earlier(&data, &moments, self.moves(self.done), distance);
-            let environment = Some(Texels { size: e.size(), data: old });
+    /// Whether it has to be remembered what surroundings are after this step.
+    pub(in super::super) fn remembers(&self, step: u32) -> bool {
+        let pace = self.automatic.is_some() && self.automatic_settings().pace;
+        pace && self.environment.is_some() && wanted(step, step, self.required.intrinsic.steps)
+    }
+
+    /// Remembers them. All work is done.
+    pub(in super::super) fn remember(&mut self, step: u32) -> Result<()> {
+        let steps = self.required.intrinsic.steps;
+        if let (Some(texels), Some(a)) = (&self.parameters.environment, &mut self.automatic) {
+            a.before.retain(|(taken, _)| wanted(*taken, step, steps));
+            a.before.push((step, texels.download(&self.device)?));
+        }
+        Ok(())
+    }
+
+    /// What is remembered.
+    pub(in super::super) fn remembered(&self) -> &[Remembered] {
+        self.automatic.as_ref().map_or(&[], |a| &a.before)
+    }
+
+    /// The most steps that surroundings may be old by now, and what that costs; none where they move as seldom already, or memory
+    /// does not suffice. `loss`: decibels that pictures lose under such surroundings.
+    pub(super) fn pace(
+        &self,
+        before: &[Remembered],
+        gain: f64,
+        mut loss: impl FnMut(&RunLight) -> Result<f64>,
+    ) -> Result<Option<(u32, f64)>> {
+        let Some((e, _)) = &self.environment else { return Ok(None) };
+        for every in AGES.into_iter().filter(|every| *every > self.options.environment_every) {
+            let Some((_, data)) = before.iter().find(|(taken, _)| taken + every == self.done) else { continue };
+            let environment = Some(Texels { size: e.size(), data: data.clone() });
             let worth = loss(&RunLight { lights: None, environment, visibility: Visibility::None })?;
             if worth <= gain {
                 return Ok(self.fits(every)?.then_some((every, worth)));
@@ -67,29 +86,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texels_go_back_the_way_they_came() {
-        // Adam, with a gradient that stays: every move is as far as the rate.
-        let (mut texels, gradient, rate) = (vec![5.0_f64, 1.0, 0.02, 3.0], [2.0, -0.5, -3.0, 0.0], 0.01);
-        let mut moments = [[0.0_f64; 2]; 4];
-        let mut course = vec![texels.clone()];
-        for step in 1..=20 {
-            for ((t, m), g) in texels.iter_mut().zip(&mut moments).zip(gradient) {
-                *m = [0.9 * m[0] + 0.1 * g, 0.999 * m[1] + 0.001 * g * g];
-                let hat = [m[0] / (1.0 - 0.9_f64.powi(step)), m[1] / (1.0 - 0.999_f64.powi(step))];
-                *t -= rate * hat[0] / (hat[1].sqrt() + 1e-8);
-            }
-            course.push(texels.clone());
-        }
-        let narrow = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<f32>>();
-        let flat: Vec<f64> = moments.concat();
-        for steps in [1_u32, 2, 8] {
-            let old = earlier(&narrow(&texels), &narrow(&flat), 20, steps as f32 * rate as f32);
-            for (a, b) in old.iter().zip(&course[20 - steps as usize]) {
-                assert!((f64::from(*a) - b).abs() < 1e-4, "{steps} steps ago: {old:?} {course:?}");
-            }
-        }
-        // Further back than black there is nothing, and what never moved stays.
-        let old = earlier(&[0.1, 0.1], &[-1.0, 1.0, 0.0, 0.0], 1000, 3.0);
-        assert_eq!(old, [0.0, 0.1]);
+    fn surroundings_are_remembered_before_whole_parts_are_judged() {
+        let all = |steps: u32| (1..=steps).filter(|s| wanted(*s, *s, steps)).collect::<Vec<_>>();
+        assert_eq!(all(300), [142, 146, 148, 217, 221, 223]);
+        assert_eq!(all(20), [2, 6, 7, 8, 11, 13]);
+        assert_eq!(all(1), [0; 0]);
+        // What was there for the first look goes with it.
+        assert!(wanted(7, 10, 20) && !wanted(6, 10, 20) && !wanted(13, 15, 20));
     }
 }
