@@ -1,8 +1,8 @@
-//! `blend_bwd` by both kernels, and which of them is faster here.
+//! `blend_bwd` by all kernels that the device has, and which of them is faster here.
 //!
 //! Checked twice. The picture is linear in the features, so their gradients times themselves, summed over all entries,
-//! are the picture times its gradient, summed over all pixels: an identity that neither kernel's method enters. And the
-//! two kernels, which share no code for it, must agree on every gradient.
+//! are the picture times its gradient, summed over all pixels: an identity that no kernel's method enters. And the kernels, which
+//! share no code for it, must agree on every gradient: by entry, or by splat with the one that leaves sums.
 
 use super::Context;
 use super::blend::{counts, subject};
@@ -10,6 +10,7 @@ use super::view::Subject;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use crate::stats::Summary;
+use anyhow::{Context as _, ensure};
 use sgs_engine::graph::Buffer;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::splat::{BackwardKernel, Blended, blend, blend_bwd, blend_debt};
@@ -20,9 +21,36 @@ const IDENTITY: f64 = 1e-3;
 
 /// What is read back of one kernel.
 struct Outcome {
+    which: BackwardKernel,
+    /// By entry, or by splat where the kernel adds up.
     gradients: Vec<f32>,
+    /// Splat of each entry.
+    owners: Vec<u32>,
     time: Summary,
     identity: f64,
+}
+
+impl Outcome {
+    fn name(&self) -> &'static str {
+        match self.which {
+            BackwardKernel::Pixel => "blend_bwd",
+            BackwardKernel::Splat => "blend_bwd_splat",
+            BackwardKernel::Atomic => "blend_bwd_atomic",
+        }
+    }
+
+    /// Sums by splat, in double precision; `row` numbers each.
+    fn by_splat(&self, splats: usize, row: usize) -> Vec<f32> {
+        if self.which == BackwardKernel::Atomic {
+            return self.gradients.clone();
+        }
+        let mut sums = vec![0.0_f64; splats * row];
+        for (values, owner) in self.gradients.chunks_exact(row).zip(&self.owners) {
+            let sum = &mut sums[*owner as usize * row..][..row];
+            sum.iter_mut().zip(values).for_each(|(s, v)| *s += f64::from(*v));
+        }
+        sums.into_iter().map(|s| s as f32).collect()
+    }
 }
 
 struct Kept {
@@ -33,32 +61,42 @@ struct Kept {
     image: Buffer,
 }
 
-/// Both kernels.
-pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+/// All kernels.
+pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let s = subject(c);
     let counts = counts(&s)?;
-    let mut outcomes = Vec::new();
-    for which in [BackwardKernel::Pixel, BackwardKernel::Splat] {
+    let mut outcomes: Vec<Outcome> = Vec::new();
+    for which in [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Atomic] {
+        if !which.runs_on(c.device.info()) {
+            continue;
+        }
         let (mut rig, kept) = build(c, &s, which)?;
         let (times, _) = rig.measure(c.warmup, c.repeats)?;
         let times: Vec<_> = times.into_iter().filter(|t| t.name.starts_with("blend_bwd")).collect();
         add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
         let time = times.first().map(|t| Summary::of(&t.nanoseconds)).unwrap_or_default();
-        outcomes.push(read(&rig, &kept, s.channels.count() as usize, time)?);
+        outcomes.push(read(&rig, &kept, s.channels.count() as usize, which, time)?);
     }
-    let [pixel, splat] = [&outcomes[0], &outcomes[1]];
-    for (name, o) in [("blend_bwd", pixel), ("blend_bwd_splat", splat)] {
-        anyhow::ensure!(o.identity < IDENTITY, "{name} violates the identity of features by {:.2e}.", o.identity);
+    let row = 6 + s.channels.count() as usize;
+    let (pixel, others) = outcomes.split_first().context("there is no kernel")?;
+    let mut said = Vec::new();
+    for o in &outcomes {
+        ensure!(o.identity < IDENTITY, "{} violates the identity of features by {:.2e}.", o.name(), o.identity);
+        said.push(format!("{:.1e}", o.identity));
     }
-    let apart = disagreement(&pixel.gradients, &splat.gradients, 6 + s.channels.count() as usize);
-    anyhow::ensure!(apart < 1e-2, "The two kernels' gradients differ by {apart:.2e} of the largest.");
-    report.check(format!(
-        "blend_bwd: the identity of features holds to {:.1e} and {:.1e}; the kernels differ by {apart:.1e}",
-        pixel.identity, splat.identity
-    ));
-    let (a, b) = (pixel.time.median, splat.time.median);
-    let faster = if a <= b { "pixel" } else { "splat" };
-    report.fact("faster backward kernel", format!("{faster} ({:.3} ms by pixel, {:.3} ms by splat)", a / 1e6, b / 1e6));
+    for o in others {
+        let apart = match o.which {
+            BackwardKernel::Atomic => disagreement(&pixel.by_splat(o.gradients.len() / row, row), &o.gradients, row),
+            _ => disagreement(&pixel.gradients, &o.gradients, row),
+        };
+        ensure!(apart < 1e-2, "Gradients of {} differ from those by pixels by {apart:.2e} of the largest.", o.name());
+        said.push(format!("{} differs by {apart:.1e}", o.name()));
+    }
+    report.check(format!("blend_bwd: the identity of features holds to {}", said.join(", ")));
+    let fastest =
+        outcomes.iter().min_by(|a, b| a.time.median.total_cmp(&b.time.median)).context("there is no kernel")?;
+    let times: Vec<String> = outcomes.iter().map(|o| format!("{:.3} ms {}", o.time.median / 1e6, o.name())).collect();
+    report.fact("faster backward kernel", format!("{} ({})", fastest.name(), times.join(", ")));
     Ok(())
 }
 
@@ -79,9 +117,10 @@ fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Res
         let sums = blend_bwd(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &owed, which, false)?;
         v.inputs.push((gradient.image, bytes(&image_gradient(channels * pixels))));
         let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));
+        let rows = if which == BackwardKernel::Atomic { n } else { e };
         let (entries, visible) = (v.entries, v.visible);
         Ok(Kept {
-            gradients: v.keep("entry_gradients", sums.gradients, 4 * (6 + channels) * e)?,
+            gradients: v.keep("entry_gradients", sums.gradients, 4 * (6 + channels) * rows)?,
             owners: v.keep("entry_splats", entries.splats, 4 * e)?,
             features: v.keep("features", visible.features, 4 * channels * n)?,
             count: v.keep("entry_count", entries.work.slice, size_of::<Work>() as u64)?,
@@ -96,20 +135,26 @@ fn image_gradient(count: u64) -> Vec<f32> {
     (0..count).map(|_| rng.range(0.25, 1.0) as f32).collect()
 }
 
-fn read(rig: &Rig, kept: &Kept, channels: usize, time: Summary) -> anyhow::Result<Outcome> {
+fn read(rig: &Rig, kept: &Kept, channels: usize, which: BackwardKernel, time: Summary) -> anyhow::Result<Outcome> {
     let count = rig.get::<Work>(kept.count)?[0].count as usize;
     let mut gradients: Vec<f32> = rig.get(kept.gradients)?;
-    gradients.truncate(count * (6 + channels));
-    let (owners, features): (Vec<u32>, Vec<f32>) = (rig.get(kept.owners)?, rig.get(kept.features)?);
+    let (mut owners, features): (Vec<u32>, Vec<f32>) = (rig.get(kept.owners)?, rig.get(kept.features)?);
+    owners.truncate(count);
+    if which != BackwardKernel::Atomic {
+        gradients.truncate(count * (6 + channels));
+    }
     let image: Vec<f32> = rig.get(kept.image)?;
     let picture = dot(&image, &image_gradient(image.len() as u64));
     let mut sum = 0.0;
-    for (entry, values) in gradients.chunks_exact(6 + channels).enumerate() {
-        let owner = owners[entry] as usize;
-        sum += dot(&values[6..], &features[owner * channels..][..channels]);
+    for (i, values) in gradients.chunks_exact(6 + channels).enumerate() {
+        let owner = if which == BackwardKernel::Atomic { i } else { owners[i] as usize };
+        // Behind the last splat that a view has there is nothing, not even features.
+        if values[6..].iter().any(|v| *v != 0.0) {
+            sum += dot(&values[6..], &features[owner * channels..][..channels]);
+        }
     }
-    anyhow::ensure!(picture > 0.0 && sum.is_finite(), "The picture is black, or gradients are not finite.");
-    Ok(Outcome { gradients, time, identity: (sum / picture - 1.0).abs() })
+    ensure!(picture > 0.0 && sum.is_finite(), "The picture is black, or gradients are not finite.");
+    Ok(Outcome { which, gradients, owners, time, identity: (sum / picture - 1.0).abs() })
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
@@ -134,6 +179,21 @@ fn disagreement(a: &[f32], b: &[f32], columns: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn entries_add_up_to_their_splats() {
+        let one = |which, gradients: &[f32]| Outcome {
+            which,
+            gradients: gradients.to_vec(),
+            owners: vec![1, 0, 1],
+            time: Summary::default(),
+            identity: 0.0,
+        };
+        let entries = one(BackwardKernel::Pixel, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        assert_eq!(entries.by_splat(3, 2), [3.0, 4.0, 6.0, 8.0, 0.0, 0.0]);
+        let sums = [3.0, 4.0, 6.0, 8.0, 0.0, 0.0];
+        assert_eq!(one(BackwardKernel::Atomic, &sums).by_splat(3, 2), sums);
+    }
 
     #[test]
     fn planted_disagreements_are_caught() {

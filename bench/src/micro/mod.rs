@@ -51,7 +51,7 @@ pub const STAGES: [(&str, Stage); 15] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
-    ("blend_bwd", blend_bwd::both),
+    ("blend_bwd", blend_bwd::all),
     ("photometric", photometric::both),
     ("semantic", semantic::loss),
     ("correspondence", semantic::correspondence),
