@@ -328,7 +328,7 @@ fn the_finest_levels_of_the_field_go() {
     let splats = Splats::from_points(&scene.points, 1).unwrap();
     let mut s = settings(20);
     let a = &mut s.intrinsic.automatic;
-    (a.enabled, a.gain, a.ready) = (true, 100.0, 100.0);
+    (a.enabled, a.gain, a.ready, a.settled) = (true, 100.0, 100.0, 100.0);
     (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.pace) = (false, false, false, false, false, false);
     s.intrinsic.visibility.levels = 5;
     let file = place.path("state");
@@ -391,7 +391,7 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     let splats = Splats::from_points(&scene.points, 1).unwrap();
     let mut s = settings(20);
     let a = &mut s.intrinsic.automatic;
-    (a.enabled, a.gain, a.ready) = (true, 100.0, 100.0);
+    (a.enabled, a.gain, a.ready, a.settled) = (true, 100.0, 100.0, 100.0);
     (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.levels) = (false, false, false, false, false, false);
     let file = place.path("state");
     let train = |s: &Settings, stops: &[u32]| {
@@ -418,6 +418,10 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     let said = straight.1.iter().find(|d| d.contains("pace")).expect("nothing was decided");
     assert!(said.contains("surroundings move once in 8 steps: as old as that they cost"), "{said}");
     assert!(straight == train(&s, &[3, 9, 10, 12, 17]), "being stopped has changed something");
+    // As long as pictures still gain, nothing becomes slower.
+    s.intrinsic.automatic.settled = 0.0;
+    assert_eq!(train(&s, &[]).0.len(), 20);
+    s.intrinsic.automatic.settled = 100.0;
     // Less is asked, and surroundings move more often; nothing is, or they are insisted upon, and they move with every step.
     s.intrinsic.automatic.gain = 0.0;
     let strict = train(&s, &[]).0;

@@ -5,9 +5,10 @@ use sgs_tests::Place;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 
-const SMALL: [&str; 8] = [
+const SMALL: [&str; 9] = [
     "intrinsic.automatic.enabled=true",
     "intrinsic.automatic.ready=100",
+    "intrinsic.automatic.settled=100",
     "intrinsic.environment.resolution=64",
     "intrinsic.lights.grid=2",
     "intrinsic.visibility.levels=8",

@@ -39,6 +39,9 @@ const BEFORE: &str = "environment_after_";
 /// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
 const PACE: &str = "pace";
 
+/// The error of shaded pictures when they were last looked at.
+const LAST: &str = "last_look";
+
 /// How many lobes lights have, where that may be decided.
 const LOBES: &str = "lobes";
 
@@ -88,7 +91,11 @@ impl Intrinsic {
             ("splats".to_owned(), self.splats.len().to_string()),
         ]);
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
-        if self.automatic.is_some() {
+        if let Some(a) = &self.automatic {
+            if let Some(last) = a.last {
+                // Rust writes as many digits as it takes to read the same number.
+                meta.insert(LAST.to_owned(), last.to_string());
+            }
             meta.insert(LOBES.to_owned(), self.lobes().to_string());
             if let Some(levels) = self.levels() {
                 meta.insert(LEVELS.to_owned(), levels.to_string());
@@ -188,6 +195,7 @@ impl Intrinsic {
             Some(s) => Some(vec![0.0; s.kept().floats()]),
             None => None,
         };
+        let last = meta.get(LAST).and_then(|text| text.parse::<f64>().ok()).filter(|last| *last >= 0.0);
         let mut before = Vec::new();
         if let (Some(texels), true) = (&self.parameters.environment, self.automatic.is_some()) {
             for name in tensors.names() {
@@ -241,6 +249,7 @@ impl Intrinsic {
         if let Some(a) = &mut self.automatic {
             before.sort_by_key(|b| b.0);
             a.before = before;
+            a.last = last;
         }
         self.submitted = step;
         self.done = step;

@@ -13,6 +13,9 @@ pub struct AutomaticSettings {
     /// Nothing is judged by pictures as long as the shaded ones are more than so many decibels worse than those of the splats' own
     /// colors: what has not been learned yet is worth nothing yet.
     pub ready: f32,
+    /// What still learns is not made smaller or slower: lobes, levels of the field and the pace of the surroundings are judged once shaded
+    /// pictures gain no more than so many decibels from look to look.
+    pub settled: f32,
     /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
     pub sizes: bool,
     /// Metallic, by its priors; false: as intrinsic.metallic says.
@@ -38,6 +41,7 @@ impl Default for AutomaticSettings {
             enabled: false,
             gain: 0.02,
             ready: 8.0,
+            settled: 0.3,
             sizes: all,
             metallic: all,
             lights: all,

@@ -95,7 +95,7 @@ impl Intrinsic {
         };
         let found = found.and_then(|own| {
             watched.own = Some(own);
-            self.found(step, &asked, &watched, own)
+            self.found(step, &asked, &mut watched, own)
         });
         self.automatic = Some(watched);
         found
@@ -120,8 +120,8 @@ impl Intrinsic {
         Ok(sum)
     }
 
-    fn found(&mut self, step: u32, a: &AutomaticSettings, watched: &Automatic, own: f64) -> Result<Vec<Decision>> {
-        let (views, before) = (&watched.views[..], &watched.before[..]);
+    fn found(&mut self, step: u32, a: &AutomaticSettings, watched: &mut Automatic, own: f64) -> Result<Vec<Decision>> {
+        let Automatic { views, before, last, .. } = watched;
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
@@ -129,6 +129,7 @@ impl Intrinsic {
         let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
         let mut seen = Seen { step, gain, views, before, photos, splats, light, all, with: 0.0, decisions: Vec::new() };
         seen.with = seen.error(&seen.all.direct, &seen.all.ambient);
+        let gained = last.replace(seen.with).map(|last| loss(seen.with, last));
         let short = loss(own, seen.with);
         if short > f64::from(a.ready) {
             let (ready, setting) = (a.ready, "intrinsic.automatic.ready".to_owned());
@@ -139,17 +140,23 @@ impl Intrinsic {
             return Ok(vec![Decision { step, what, on: true, reason, measured: Some(short), asked, setting }]);
         }
         tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
-        let changes = self.judged(a, &mut seen)?;
+        let settled = gained.is_some_and(|gained| gained <= f64::from(a.settled));
+        if let Some(gained) = gained.filter(|_| !settled) {
+            tracing::info!(
+                "they have gained {gained:.2} dB since the last look: lobes, levels and pace stay as they are"
+            );
+        }
+        let changes = self.judged(a, &mut seen, settled)?;
         self.change(step, changes)?;
         Ok(seen.decisions)
     }
 
     /// What can go. Nothing has changed yet.
-    fn judged(&self, a: &AutomaticSettings, seen: &mut Seen<'_>) -> Result<Changes> {
+    fn judged(&self, a: &AutomaticSettings, seen: &mut Seen<'_>, settled: bool) -> Result<Changes> {
         // A network is shown views under other lights by graphs of its own, which have all parts.
         let whole = self.relit.is_none();
         let judges = |from: f64| whole && super::judges(from, seen.step, self.required.intrinsic.steps);
-        let (parts, lobes) = (judges(WHOLE), judges(PARTED));
+        let (parts, lobes) = (judges(WHOLE), judges(PARTED) && settled);
         let mut changes = Changes::default();
         if a.lights && self.has(Part::Lights) {
             let (gains, none) = self.judge_lights(seen, whole && self.has(Part::Environment))?;
@@ -180,10 +187,10 @@ impl Intrinsic {
             let worth = self.shadowed(seen, Visibility::None)?;
             shadows = !goes(seen, Part::Visibility, worth);
         }
-        if parts && a.levels && shadows {
+        if parts && settled && a.levels && shadows {
             changes.levels = self.judge_levels(seen)?;
         }
-        if parts && a.pace && surrounded {
+        if parts && settled && a.pace && surrounded {
             changes.pace = self.judge_pace(seen)?;
         }
         Ok(changes)

@@ -29,8 +29,7 @@ const LOOKS: [f64; 3] = [0.25, 0.5, 0.75];
 /// The share of the steps from which whole parts are judged.
 const WHOLE: f64 = 0.5;
 
-/// The share from which lobes are judged: those of a light begin alike, and part late. Merged half-way, a room of surroundings alone
-/// ended 0.3 dB worse, although nothing had been lost by it then.
+/// The share from which lobes are judged: those of a light begin alike, and part late.
 const PARTED: f64 = 0.75;
 
 /// Most training views that are looked at.
@@ -46,6 +45,8 @@ pub(super) struct Automatic {
     pub decisions: Vec<Decision>,
     /// The sum of squared errors of the splats' own colors there, once it is known.
     own: Option<f64>,
+    /// The sum of squared errors of shaded pictures when they were last looked at.
+    pub last: Option<f64>,
     /// Surroundings as they were a few steps ago.
     pub before: Vec<Remembered>,
 }
@@ -93,7 +94,7 @@ impl Automatic {
             let pixels = taken.filter(|p| image[*p] >> 24 != 0).map(|p| (p, color(image[p]))).collect();
             Watched { camera: views[i].0, pixels }
         };
-        Automatic { views: (0..chosen).map(watched).collect(), decisions, own: None, before: Vec::new() }
+        Automatic { views: (0..chosen).map(watched).collect(), decisions, own: None, last: None, before: Vec::new() }
     }
 }
 
