@@ -18,7 +18,7 @@ use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
 use sgs_train::{Intrinsic, Probe, Settings, Shading, accuracy_named, displayed, overlay, shaded_scene};
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Steps that are timed at once: as many as the slowest rhythm of a choice has, or a multiple of it.
@@ -194,7 +194,8 @@ fn measure(
 ) -> anyhow::Result<Vec<Row>> {
     let wanted = |c: &Choice| a.wants(c.name);
     let folder = tempfile::tempdir()?;
-    let mut subjects: Vec<(Row, Intrinsic, Vec<f64>)> = Vec::new();
+    // One training at a time is in memory; what each begins with is in a file.
+    let mut subjects: Vec<(Row, PathBuf, Vec<f64>)> = Vec::new();
     let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
     for choice in choices(base, device)?.into_iter().filter(wanted) {
@@ -225,20 +226,24 @@ fn measure(
             let db = picture.map_or(0.0, |p| p[2]);
             ensure!(db > 50.0, "The exact picture is {db:.1} dB off double precision.");
         }
+        let mut own = start.clone();
+        if !choice.same {
+            own = folder.path().join(subjects.len().to_string());
+            training.save(&own)?;
+        }
         training.train(training.step() + RHYTHM, |_| {}, || true)?;
         let bytes = device.memory_use().0 - before;
         let row = Row { choice, step: Summary::default(), bytes, picture, gradients, quality: None, front: false };
-        subjects.push((row, training, Vec::new()));
+        subjects.push((row, own, Vec::new()));
     }
     // Every round begins elsewhere, every other one runs backwards: whoever is first in a round is often slower.
     let count = subjects.len();
     for round in 0..a.rounds as usize {
         for i in 0..count {
             let i = (i + round / 2 * 5) % count;
-            let (row, training, times) = &mut subjects[if round % 2 == 0 { i } else { count - 1 - i }];
-            if row.choice.same {
-                restore(training, &start, &row.choice)?;
-            }
+            let (row, own, times) = &mut subjects[if round % 2 == 0 { i } else { count - 1 - i }];
+            let mut training = Intrinsic::new(device, scene, &settings(base, &row.choice)?, splats)?;
+            restore(&mut training, own, &row.choice)?;
             // From a move of the surroundings to another.
             training.train(training.step().next_multiple_of(RHYTHM) + RHYTHM, |_| {}, || true)?;
             let begin = Instant::now();

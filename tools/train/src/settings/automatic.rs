@@ -14,7 +14,7 @@ pub struct AutomaticSettings {
     /// colors: what has not been learned yet is worth nothing yet.
     pub ready: f32,
     /// What still learns is not made smaller or slower: lobes, levels of the field and the pace of the surroundings are judged once shaded
-    /// pictures gain no more than so many decibels from look to look.
+    /// pictures change by no more than so many decibels from look to look.
     pub settled: f32,
     /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
     pub sizes: bool,

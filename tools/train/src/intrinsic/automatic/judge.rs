@@ -140,10 +140,11 @@ impl Intrinsic {
             return Ok(vec![Decision { step, what, on: true, reason, measured: Some(short), asked, setting }]);
         }
         tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
-        let settled = gained.is_some_and(|gained| gained <= f64::from(a.settled));
+        // Pictures that have become worse are swinging.
+        let settled = gained.is_some_and(|gained| gained.abs() <= f64::from(a.settled));
         if let Some(gained) = gained.filter(|_| !settled) {
             tracing::info!(
-                "they have gained {gained:.2} dB since the last look: lobes, levels and pace stay as they are"
+                "they have become {gained:.2} dB better since the last look: lobes, levels and pace stay as they are"
             );
         }
         let changes = self.judged(a, &mut seen, settled)?;
