@@ -1,37 +1,14 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
 use sgs_passes::Accuracy;
-use sgs_passes::shade::visibility::FieldConfig;
 use sgs_scene::{Scene, SceneOptions, Splats};
+use sgs_tests::Gpu;
 use sgs_tests::cli::sgs;
-use sgs_tests::rooms::Room;
-use sgs_tests::{Gpu, Place};
+use sgs_tests::intrinsic::{place, settings};
 use sgs_train::{
-    Geometry, Intrinsic, RunDirectory, Settings, Shading, Visibility, VisibilityFile, VisibilityKind, displayed,
-    light_of, read_lights, shaded_scene,
+    Geometry, Intrinsic, RunDirectory, Shading, VisibilityFile, VisibilityKind, displayed, light_of, read_lights,
+    shaded_scene,
 };
-
-fn settings(steps: u32) -> Settings {
-    let mut s = Settings::default();
-    s.geometry.steps = 20;
-    s.geometry.densify.enabled = false;
-    s.intrinsic.steps = steps;
-    s.intrinsic.environment.resolution = 16;
-    s.intrinsic.lights.grid = 2;
-    s.intrinsic.relight_from = 4;
-    s.geometry.pseudo.poses = 3;
-    (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
-    (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
-    s
-}
-
-/// A room with priors of albedo and roughness; a corner of each view's albedo says nothing.
-fn place() -> (Place, Room) {
-    let room = Room { priors: true, ..Room::default() };
-    let place = Place::new(Room { priors: true, ..Room::default() });
-    room.write_materials(&place.path("scene"));
-    (place, room)
-}
 
 fn geometry(gpu: &Gpu, scene: &Scene) -> Splats {
     let mut training = Geometry::new(gpu.device(), scene, &settings(1), None).unwrap();
@@ -317,127 +294,4 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     s.intrinsic.environment.every = 0;
     let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
-}
-
-/// Levels of the visibility field that are worth nothing go, with their moments; the others go on, also after being stopped.
-#[test]
-fn the_finest_levels_of_the_field_go() {
-    let (place, _) = place();
-    let gpu = Gpu::new();
-    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
-    let splats = Splats::from_points(&scene.points, 1).unwrap();
-    let mut s = settings(20);
-    let a = &mut s.intrinsic.automatic;
-    (a.enabled, a.gain, a.ready, a.settled) = (true, 100.0, 100.0, 100.0);
-    (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.pace) = (false, false, false, false, false, false);
-    s.intrinsic.visibility.levels = 5;
-    let file = place.path("state");
-    let field = |t: &Intrinsic| match t.light().unwrap().visibility {
-        Visibility::Learned(field) => *field,
-        other => panic!("no field: {other:?}"),
-    };
-    let train = |s: &Settings, stops: &[u32]| {
-        let new = || Intrinsic::new(gpu.device(), &scene, s, &splats).unwrap();
-        let mut training = new();
-        let (mut fields, mut used) = (Vec::new(), Vec::new());
-        for last in 1..=20 {
-            training.train(last, |_| {}, || true).unwrap();
-            fields.push(field(&training));
-            used.push(gpu.device().memory_use().0);
-            if stops.contains(&last) {
-                training.save(&file).unwrap();
-                training = new();
-                training.restore(&file).unwrap();
-                assert!(field(&training) == fields[last as usize - 1], "step {last}");
-            }
-        }
-        let decided: Vec<String> = training.decisions().iter().map(ToString::to_string).collect();
-        (fields, decided, training.splats().unwrap(), used)
-    };
-    let (fields, decided, materials, used) = train(&s, &[]);
-    let whole = FieldConfig::new(5, 10, 4, 32);
-    let levels: Vec<FieldConfig> = fields.iter().map(|f| f.config).collect();
-    assert!(levels[..9].iter().all(|c| *c == whole) && levels[9..].iter().all(|c| *c == whole.first_levels(1)));
-    let said = decided.iter().find(|d| d.contains("levels")).expect("nothing was decided");
-    assert!(
-        said.contains("1 of 5 stay: without the others pictures lose") && said.contains("gradients have reached"),
-        "{said}"
-    );
-    assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
-    // What stays is trained further.
-    assert!(fields[9].tables != fields[19].tables && fields[9].mlp != fields[19].mlp);
-    let stopped = train(&s, &[9, 10, 14]);
-    assert!(
-        stopped.0 == fields && (stopped.1, stopped.2) == (decided, materials),
-        "being stopped has changed something"
-    );
-
-    // Of the run's file the first level is the one that the whole had.
-    let path = place.path("field");
-    fields[19].save(&path).unwrap();
-    assert!(VisibilityFile::load(&path).unwrap() == fields[19]);
-    // Back to where all levels were there.
-    s.intrinsic.automatic.levels = false;
-    let kept = train(&s, &[12]).0;
-    assert!(kept[..10].iter().zip(&fields).take(9).all(|(a, b)| a == b) && kept[19].config == whole);
-}
-
-/// How seldom surroundings may move is found half-way, kept in checkpoints, and can be insisted upon.
-#[test]
-fn surroundings_move_as_seldom_as_pictures_allow() {
-    let (place, _) = place();
-    let gpu = Gpu::new();
-    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
-    let splats = Splats::from_points(&scene.points, 1).unwrap();
-    let mut s = settings(20);
-    let a = &mut s.intrinsic.automatic;
-    (a.enabled, a.gain, a.ready, a.settled) = (true, 100.0, 100.0, 100.0);
-    (a.sizes, a.lights, a.lobes, a.environment, a.visibility, a.levels) = (false, false, false, false, false, false);
-    let file = place.path("state");
-    let train = |s: &Settings, stops: &[u32]| {
-        let new = || Intrinsic::new(gpu.device(), &scene, s, &splats).unwrap();
-        let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap().data;
-        let mut training = new();
-        let mut seen = vec![texels(&training)];
-        for last in 1..=20 {
-            training.train(last, |_| {}, || true).unwrap();
-            seen.push(texels(&training));
-            if stops.contains(&last) {
-                training.save(&file).unwrap();
-                training = new();
-                training.restore(&file).unwrap();
-            }
-        }
-        let moved: Vec<u32> = (1..=20).filter(|i| seen[*i as usize] != seen[*i as usize - 1]).collect();
-        let decided: Vec<String> = training.decisions().iter().map(ToString::to_string).collect();
-        (moved, decided, seen, training.splats().unwrap())
-    };
-    let straight = train(&s, &[]);
-    // A hundred decibels are more than anything costs.
-    assert_eq!(straight.0, (1..=10).chain([16]).collect::<Vec<_>>());
-    let said = straight.1.iter().find(|d| d.contains("pace")).expect("nothing was decided");
-    assert!(said.contains("surroundings move once in 8 steps: as old as that they cost"), "{said}");
-    assert!(straight == train(&s, &[3, 9, 10, 12, 17]), "being stopped has changed something");
-    // As long as pictures still gain, nothing becomes slower.
-    s.intrinsic.automatic.settled = 0.0;
-    assert_eq!(train(&s, &[]).0.len(), 20);
-    s.intrinsic.automatic.settled = 100.0;
-    // Less is asked, and surroundings move more often; nothing is, or they are insisted upon, and they move with every step.
-    s.intrinsic.automatic.gain = 0.0;
-    let strict = train(&s, &[]).0;
-    assert!(strict.len() > 11, "{strict:?}");
-    (s.intrinsic.automatic.gain, s.intrinsic.automatic.pace) = (100.0, false);
-    assert_eq!(train(&s, &[]).0.len(), 20);
-
-    // A file that says something else is refused.
-    let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-    for wrong in ["0 9 9", "8 99 9", "8 10 11", "8 10 x", "8"] {
-        let right = std::fs::read(&file).unwrap();
-        let at = right.windows(7).position(|w| w == b"8 10 10").expect("the file does not say it");
-        let text = format!("{wrong:7}");
-        let broken = [&right[..at], text.as_bytes(), &right[at + 7..]].concat();
-        let path = place.path("wrong");
-        std::fs::write(&path, broken).unwrap();
-        assert!(training.restore(&path).is_err(), "{wrong} was believed");
-    }
 }

@@ -93,7 +93,7 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     sgs(&["eval", &place.text("run"), "-q"]).ok();
 
     // Insisted upon, everything stays; without surroundings a light does.
-    let keep = ["metallic", "lights", "lobes", "environment", "visibility", "levels", "pace"]
+    let keep = ["metallic", "lights", "lobes", "environment", "visibility", "levels", "texels", "pace"]
         .map(|p| format!("intrinsic.automatic.{p}=false"));
     let keep: Vec<&str> = all.into_iter().chain(keep.iter().map(String::as_str)).collect();
     sgs(&arguments(&place, "kept", &keep)).ok();

@@ -34,7 +34,7 @@ use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use crate::shadows::{Rays, traced};
-use automatic::{Automatic, Found, required};
+use automatic::{Automatic, Found, required, tables};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use graphs::gone;
@@ -47,7 +47,7 @@ use sgs_passes::pipeline::{
     IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
-use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
+use sgs_passes::shade::environment::Environment;
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
@@ -202,17 +202,8 @@ impl Intrinsic {
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
         let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: s.lights.lobes, axes };
         let seed = settings.seed as u32;
-        let environment = match s.environment.enabled {
-            true => {
-                let smooth = s.losses.environment_smooth > 0.0;
-                let options = EnvironmentOptions::default();
-                let options = EnvironmentOptions { smoothness: options.smoothness.filter(|_| smooth), ..options };
-                let made = Environment::new(s.environment.resolution, &options)
-                    .map_err(|e| TrainError::Setting(e.to_string()))?;
-                Some(made)
-            }
-            false => None,
-        };
+        let surrounded = s.environment.enabled;
+        let environment = surrounded.then(|| tables(s, s.environment.resolution)).transpose()?;
         let traced = match s.visibility.kind == VisibilityKind::Traced && s.lights.enabled {
             true => Some(traced(device, &splats, Rays::of(&s.visibility))?),
             false => None,

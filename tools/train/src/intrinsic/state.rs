@@ -33,6 +33,9 @@ const DECISIONS: &str = "decisions";
 /// How many levels the visibility field has, where that may be decided.
 const LEVELS: &str = "levels";
 
+/// How many texels surroundings have along an edge, where that may be decided.
+const TEXELS: &str = "texels";
+
 /// Surroundings as they were after some step, which follows.
 const BEFORE: &str = "environment_after_";
 
@@ -99,6 +102,9 @@ impl Intrinsic {
             meta.insert(LOBES.to_owned(), self.lobes().to_string());
             if let Some(levels) = self.levels() {
                 meta.insert(LEVELS.to_owned(), levels.to_string());
+            }
+            if let Some(size) = self.environment_size() {
+                meta.insert(TEXELS.to_owned(), size.to_string());
             }
             let [step, moves] = self.paced;
             meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
@@ -170,6 +176,12 @@ impl Intrinsic {
             if Some(levels) != self.levels() {
                 self.set_levels(levels)?;
             }
+        }
+        if let Some(text) = meta.get(TEXELS).filter(|_| self.automatic.is_some()) {
+            let most = self.settings.intrinsic.environment.resolution;
+            let size = text.parse().ok().filter(|n: &u32| n.is_power_of_two() && (16..=most).contains(n));
+            let damaged = || file(path, format!("damaged: surroundings cannot have \"{text}\" texels along an edge"));
+            self.set_texels(size.ok_or_else(damaged)?)?;
         }
         if let Some(text) = meta.get(PACE).filter(|_| self.automatic.is_some()) {
             let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();

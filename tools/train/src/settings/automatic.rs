@@ -30,6 +30,8 @@ pub struct AutomaticSettings {
     pub visibility: bool,
     /// Levels of the visibility field, the finest of which go; false: all stay that its size has.
     pub levels: bool,
+    /// Texels of the surroundings, fewer where the finest are worth nothing; false: as many as their size has.
+    pub texels: bool,
     /// How often surroundings move, once they are learned; false: as intrinsic.environment.every says.
     pub pace: bool,
 }
@@ -49,6 +51,7 @@ impl Default for AutomaticSettings {
             environment: all,
             visibility: all,
             levels: all,
+            texels: all,
             pace: all,
         }
     }

@@ -63,6 +63,7 @@ struct Changes {
     gains: Option<Vec<f32>>,
     lobes: Option<u32>,
     levels: Option<u32>,
+    texels: Option<u32>,
     pace: Option<u32>,
     out: Vec<Part>,
 }
@@ -148,8 +149,13 @@ impl Intrinsic {
             );
         }
         let changes = self.judged(a, &mut seen, settled)?;
+        let (decisions, resized) = (seen.decisions, changes.texels.is_some());
         self.change(step, changes)?;
-        Ok(seen.decisions)
+        if resized {
+            // Of a cube that is no more.
+            watched.before.clear();
+        }
+        Ok(decisions)
     }
 
     /// What can go. Nothing has changed yet.
@@ -191,6 +197,9 @@ impl Intrinsic {
         if parts && settled && a.levels && shadows {
             changes.levels = self.judge_levels(seen)?;
         }
+        if parts && a.texels && surrounded {
+            changes.texels = self.judge_texels(seen)?;
+        }
         if parts && settled && a.pace && surrounded {
             changes.pace = self.judge_pace(seen)?;
         }
@@ -209,6 +218,9 @@ impl Intrinsic {
         }
         for part in changes.out {
             self.leave_out(part)?;
+        }
+        if let Some(size) = changes.texels {
+            self.set_texels(size)?;
         }
         match changes.pace {
             Some(every) => self.set_pace(every, step, self.moves(step)),
@@ -289,18 +301,34 @@ impl Intrinsic {
         Ok(None)
     }
 
+    /// How few texels of the surroundings will do.
+    fn judge_texels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
+        let gain = seen.gain;
+        let found = self.enough_texels(gain, |few| self.surrounded(seen, few))?;
+        let (Some((size, worth)), Some((e, _))) = (found, &self.environment) else { return Ok(None) };
+        let reason = format!(
+            "{size} along an edge instead of {} stay: pictures lose {worth:.3} dB under means of them (asked: {gain})",
+            e.size()
+        );
+        seen.decided("texels", true, reason, worth);
+        Ok(Some(size))
+    }
+
     /// How seldom surroundings may move.
     fn judge_pace(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let gain = seen.gain;
-        let found = self.pace(seen.before, gain, |old| {
-            let ambient = self.pictures(&mut self.shading(&seen.splats, old)?, seen.views)?.ambient;
-            Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
-        })?;
+        let found = self.pace(seen.before, gain, |old| self.surrounded(seen, old))?;
         let Some((every, worth)) = found else { return Ok(None) };
         let reason =
             format!("surroundings move once in {every} steps: as old as that they cost {worth:.3} dB (asked: {gain})");
         seen.decided("pace", true, reason, worth);
         Ok(Some(every))
+    }
+
+    /// Decibels that pictures lose under other surroundings.
+    fn surrounded(&self, seen: &Seen<'_>, other: &RunLight) -> Result<f64> {
+        let ambient = self.pictures(&mut self.shading(&seen.splats, other)?, seen.views)?.ambient;
+        Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
     }
 
     /// Decibels that pictures lose with other shadows.

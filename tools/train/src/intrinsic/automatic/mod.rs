@@ -8,10 +8,12 @@ mod judge;
 mod lobes;
 mod pace;
 mod sizes;
+mod texels;
 mod worth;
 
 pub(super) use pace::Remembered;
 pub(super) use sizes::{Found, required};
+pub(super) use texels::tables;
 
 use super::Intrinsic;
 use crate::data::Packed;

@@ -1,0 +1,28 @@
+//! What tests of the intrinsic stage begin with.
+
+use crate::Place;
+use crate::rooms::Room;
+use sgs_train::Settings;
+
+/// Settings of a stage that takes a second or two.
+pub fn settings(steps: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = 20;
+    s.geometry.densify.enabled = false;
+    s.intrinsic.steps = steps;
+    s.intrinsic.environment.resolution = 16;
+    s.intrinsic.lights.grid = 2;
+    s.intrinsic.relight_from = 4;
+    s.geometry.pseudo.poses = 3;
+    (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
+    (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
+    s
+}
+
+/// A room with priors of albedo and roughness; a corner of each view's albedo says nothing.
+pub fn place() -> (Place, Room) {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(room);
+    room.write_materials(&place.path("scene"));
+    (place, room)
+}
