@@ -141,6 +141,22 @@ fn the_command_leaves_what_shades_and_measures() {
     for ((a, d), e) in all.data.iter().zip(&parts.0.data).zip(&parts.1.data) {
         assert!((a - d - e).abs() <= 1e-5 * a.abs().max(1.0));
     }
+
+    // Lamps again, without looking at the geometry again: the same, whatever shone and was seen before.
+    let gains: Vec<f32> = lights.unwrap().lights.iter().map(|l| l.gain).collect();
+    let alone: Vec<f32> = gains.iter().enumerate().map(|(i, g)| if i % 3 == 1 { 2.0 * g } else { 0.0 }).collect();
+    let scene = shaded_scene(gpu.device(), &splats, lights, environment, &light.visibility).unwrap();
+    let mut quick = Shading::new(gpu.device(), scene).unwrap().without_visibility();
+    for (view, gains) in [(0, &gains), (0, &alone), (1, &alone), (1, &gains), (0, &alone)] {
+        let camera = &opened.views[view].camera;
+        shading.set_gains(gpu.device(), gains).unwrap();
+        quick.set_gains(gpu.device(), gains).unwrap();
+        let whole = shading.shade(camera).unwrap();
+        let (expected, direct) = (whole.direct(), quick.direct(camera).unwrap());
+        assert!(direct == expected && expected.data.iter().any(|v| *v > 0.0), "view {view}");
+        assert!(shading.direct(camera).unwrap() == expected);
+    }
+    assert!(quick.shade(&opened.views[0].camera).unwrap().visibility().is_none());
 }
 
 /// What a step takes beside the scene, at the sizes that the published way needs some 90 GB for.

@@ -118,6 +118,10 @@ pub struct Shader {
     builder: SurfaceBuilder,
     surface: Option<Surface>,
     state: Option<State>,
+    /// From where the surface is seen.
+    seen: Option<Camera>,
+    /// Whether it is asked how much of the lights pixels see.
+    visibility: bool,
 }
 
 struct State {
@@ -144,6 +148,9 @@ const OUTPUTS: [(&str, u64); 8] = [
     ("shaded_visibility", 1),
 ];
 
+/// Which of them is light of lamps.
+const DIRECT: usize = 2;
+
 impl Shader {
     /// Prepares for views of at most `largest` columns and rows; larger ones make room.
     ///
@@ -151,7 +158,14 @@ impl Shader {
     /// If memory runs out.
     pub fn new(device: &Device, tuning: Tuning, scene: &ShadedScene, largest: [u32; 2]) -> Result<Shader> {
         let builder = SurfaceBuilder::new(device, tuning, &scene.gaussians, largest)?;
-        Ok(Shader { device: device.clone(), tuning, builder, surface: None, state: None })
+        Ok(Shader { device: device.clone(), tuning, builder, surface: None, state: None, seen: None, visibility: true })
+    }
+
+    /// Leaves [`Shaded::visibility`] empty: it is a mean over all lights, those that are off among them, and takes as long as
+    /// shading with all.
+    pub fn without_visibility(mut self) -> Shader {
+        (self.visibility, self.state) = (false, None);
+        self
     }
 
     /// Shades a view.
@@ -159,6 +173,7 @@ impl Shader {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Shaded> {
+        self.seen = None;
         let largest = self.builder.shape().largest;
         let needed = [largest[0].max(camera.size[0]), largest[1].max(camera.size[1])];
         if needed != largest {
@@ -176,12 +191,29 @@ impl Shader {
         self.builder.finish()?;
         let mut state = match self.state.take().filter(|s| s.shape == shape) {
             Some(state) => state,
-            None => State::new(&self.device, &self.tuning, scene, shape)?,
+            None => State::new(&self.device, &self.tuning, scene, shape, self.visibility)?,
         };
         let shaded = state.shade(&self.device, &self.tuning, scene, &surface, camera);
         self.surface = Some(surface);
         self.state = Some(state);
+        self.seen = shaded.is_ok().then_some(*camera);
         shaded
+    }
+
+    /// Light of the lamps as they shine by now, 3 floats a pixel as [`Shaded::direct`], where it was this view that was shaded last: what it sees of
+    /// the geometry is still there. None otherwise.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn again(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Option<Vec<f32>>> {
+        let same = self.seen.is_some_and(|seen| bytemuck::bytes_of(&seen) == bytemuck::bytes_of(camera));
+        match (&mut self.state, &self.surface) {
+            (Some(state), Some(surface)) if same => {
+                state.run(&self.tuning, scene, surface, camera)?;
+                state.read(&self.device, DIRECT, camera).map(Some)
+            }
+            _ => Ok(None),
+        }
     }
 
     /// Shades each Gaussian alone, at its center, as seen from a place: pixel `i` of `surface`
@@ -190,10 +222,11 @@ impl Shader {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade_centers(&mut self, scene: &ShadedScene, surface: &Surface, from: [f32; 3]) -> Result<Shaded> {
+        self.seen = None;
         let shape = surface.shape();
         let mut state = match self.state.take().filter(|s| s.shape == shape) {
             Some(state) => state,
-            None => State::new(&self.device, &self.tuning, scene, shape)?,
+            None => State::new(&self.device, &self.tuning, scene, shape, self.visibility)?,
         };
         // Where a pixel lies in a picture matters to what is behind everything, which nobody asks for.
         let camera = Camera {
@@ -216,7 +249,7 @@ impl Shader {
 }
 
 impl State {
-    fn new(device: &Device, t: &Tuning, scene: &ShadedScene, shape: SurfaceShape) -> Result<State> {
+    fn new(device: &Device, t: &Tuning, scene: &ShadedScene, shape: SurfaceShape, means: bool) -> Result<State> {
         let mut g = Graph::new("shade");
         let step = g.uniform("step", size_of::<Step>() as u64);
         let surface = shape.declare(&mut g, "", false);
@@ -268,7 +301,9 @@ impl State {
                         coverage: seen.coverage,
                         lights: positions,
                     };
-                    visibility(&mut g, *t, &handles.field, &view, None, true, out[7])?;
+                    if means {
+                        visibility(&mut g, *t, &handles.field, &view, None, true, out[7])?;
+                    }
                     field = Some(handles);
                 }
                 None => lights_split(&mut g, &lights, out[2], out[3])?,
@@ -296,7 +331,8 @@ impl State {
         if metallic.is_none() {
             g.fill("no_metallic", out[1], 0)?;
         }
-        let hidden = field.is_some() || tree.is_some();
+        // Rays are traced for light, and counted by the way.
+        let hidden = field.is_some() && means || tree.is_some();
         if !hidden {
             g.fill("no_visibility", out[7], 0)?;
         }
@@ -324,14 +360,8 @@ impl State {
         Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), hidden, outputs })
     }
 
-    fn shade(
-        &mut self,
-        device: &Device,
-        t: &Tuning,
-        scene: &ShadedScene,
-        surface: &Surface,
-        camera: &Camera,
-    ) -> Result<Shaded> {
+    /// Works out everything for a view of a surface.
+    fn run(&mut self, t: &Tuning, scene: &ShadedScene, surface: &Surface, camera: &Camera) -> Result<()> {
         surface.bind(&mut self.exec, &self.surface)?;
         let mut camera = *camera;
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
@@ -349,14 +379,31 @@ impl State {
             uniforms.push((field, bytemuck::bytes_of(&place)));
         }
         self.exec.submit(&uniforms)?;
-        self.exec.finish()?;
+        self.exec.finish()
+    }
+
+    /// An output of the view that was worked out last.
+    fn read(&self, device: &Device, output: usize, camera: &Camera) -> Result<Vec<f32>> {
+        let pixels = camera.size[0] as usize * camera.size[1] as usize;
+        device.download_as(&self.outputs[output], OUTPUTS[output].1 as usize * pixels)
+    }
+
+    fn shade(
+        &mut self,
+        device: &Device,
+        t: &Tuning,
+        scene: &ShadedScene,
+        surface: &Surface,
+        camera: &Camera,
+    ) -> Result<Shaded> {
+        self.run(t, scene, surface, camera)?;
         let pixels = camera.size[0] as usize * camera.size[1] as usize;
         let [points, normals, coverage] = surface.download(device)?;
         let cut = |mut values: Vec<f32>, width: usize| {
             values.truncate(width * pixels);
             values
         };
-        let read = |i: usize| device.download_as::<f32>(&self.outputs[i], OUTPUTS[i].1 as usize * pixels);
+        let read = |i: usize| self.read(device, i, camera);
         Ok(Shaded {
             size: camera.size,
             points: cut(points, 3),
@@ -364,7 +411,7 @@ impl State {
             coverage: cut(coverage, 1),
             materials: read(0)?,
             metallic: if scene.metallic.is_some() { read(1)? } else { Vec::new() },
-            direct: read(2)?,
+            direct: read(DIRECT)?,
             direct_diffuse: read(3)?,
             ambient: read(4)?,
             ambient_diffuse: read(5)?,

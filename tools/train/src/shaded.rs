@@ -165,6 +165,8 @@ pub struct Shading {
     device: Device,
     scene: ShadedScene,
     shader: Shader,
+    /// Opacity of the last view where there was a surface.
+    covered: Vec<f32>,
 }
 
 impl Shading {
@@ -174,7 +176,13 @@ impl Shading {
     /// If memory runs out.
     pub fn new(device: &Device, scene: ShadedScene) -> Result<Shading> {
         let shader = Shader::new(device, Tuning::for_device(device.info()), &scene, [1, 1])?;
-        Ok(Shading { device: device.clone(), scene, shader })
+        Ok(Shading { device: device.clone(), scene, shader, covered: Vec::new() })
+    }
+
+    /// The same without how much of the lights pixels see, which takes as long as shading.
+    pub fn without_visibility(mut self) -> Shading {
+        self.shader = self.shader.without_visibility();
+        self
     }
 
     /// Shades a view.
@@ -190,7 +198,32 @@ impl Shading {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade_from(&mut self, view: &sgs_passes::pipeline::Camera) -> Result<ShadedView> {
-        Ok(ShadedView(self.shader.shade(&self.scene, view)?))
+        let view = ShadedView(self.shader.shade(&self.scene, view)?);
+        self.covered = view.covered();
+        Ok(view)
+    }
+
+    /// Light of the lamps alone, as [`ShadedView::direct`]: over and over from one place with other gains, where it takes little more than
+    /// the lamps that are on.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn direct(&mut self, view: &sgs_scene::Camera) -> Result<Image> {
+        let data = self.direct_from(&camera(view))?;
+        Ok(Image { width: view.width, height: view.height, channels: 3, data })
+    }
+
+    /// The same, 3 floats a pixel, from a camera as kernels take it.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn direct_from(&mut self, view: &sgs_passes::pipeline::Camera) -> Result<Vec<f32>> {
+        let mut direct = match self.shader.again(&self.scene, view)? {
+            Some(direct) => direct,
+            None => self.shade_from(view)?.0.direct,
+        };
+        direct.chunks_exact_mut(3).zip(&self.covered).for_each(|(light, c)| light.iter_mut().for_each(|v| *v *= c));
+        Ok(direct)
     }
 
     /// What each splat, alone and at its center, sends to a place: linear red, green, blue.

@@ -6,8 +6,9 @@
 //! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
 //! at once, since some choices do not do the same in every step.
 
+use super::front::{Standing, noise, standings};
 use super::plot::{Mark, svg};
-use super::{Args, front, lit};
+use super::{Args, lit};
 use crate::common::Common;
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings};
@@ -113,7 +114,7 @@ struct Row {
     gradients: Option<[f64; 2]>,
     /// Decibels of shaded pictures and albedo at test views.
     quality: Option<[f64; 2]>,
-    front: bool,
+    standing: Standing,
 }
 
 /// Runs the command.
@@ -137,7 +138,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("environment", base.intrinsic.environment.resolution);
     report.setting("trained", a.train);
     report.setting("rounds", a.rounds);
-    let rows = measure(a, &device, scene, splats, &base, steps)?;
+    let (rows, noise) = measure(a, &device, scene, splats, &base, steps)?;
     for r in &rows {
         let name = r.choice.name;
         report.time(&format!("step, {name}"), "ms", r.step);
@@ -156,8 +157,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             report.fact(&format!("albedo after training, {name}, dB"), albedo);
         }
     }
-    let best: Vec<&str> = rows.iter().filter(|r| r.front).map(|r| r.choice.name).collect();
+    let best: Vec<&str> = rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name).collect();
     report.fact("on the front", best.join(", "));
+    report.fact("times differ by themselves, %", 100.0 * noise);
     report.check("the exact picture agrees with double precision");
     let table = table(&rows);
     if let Some(path) = &a.table {
@@ -165,8 +167,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     if let Some(path) = &a.svg {
         let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
-        let mark =
-            |r: &Row| Mark { name: r.choice.name.to_owned(), time: r.step.least, error: error(r), front: r.front };
+        let mark = |r: &Row| Mark {
+            name: r.choice.name.to_owned(),
+            time: r.step.least,
+            error: error(r),
+            front: r.standing == Standing::Front,
+        };
         let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.same).map(mark).collect();
         let text = svg(&marks, &title, "error of gradients")?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
@@ -191,7 +197,7 @@ fn measure(
     splats: &Splats,
     base: &Settings,
     steps: u32,
-) -> anyhow::Result<Vec<Row>> {
+) -> anyhow::Result<(Vec<Row>, f64)> {
     let wanted = |c: &Choice| a.wants(c.name);
     let folder = tempfile::tempdir()?;
     // One training at a time is in memory; what each begins with is in a file.
@@ -233,7 +239,15 @@ fn measure(
         }
         training.train(training.step() + RHYTHM, |_| {}, || true)?;
         let bytes = device.memory_use().0 - before;
-        let row = Row { choice, step: Summary::default(), bytes, picture, gradients, quality: None, front: false };
+        let row = Row {
+            choice,
+            step: Summary::default(),
+            bytes,
+            picture,
+            gradients,
+            quality: None,
+            standing: Standing::default(),
+        };
         subjects.push((row, own, Vec::new()));
     }
     // Every round begins elsewhere, every other one runs backwards: whoever is first in a round is often slower.
@@ -251,6 +265,7 @@ fn measure(
             times.push(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps));
         }
     }
+    let noise = noise(subjects.iter().map(|s| s.2.as_slice()));
     let mut rows: Vec<Row> =
         subjects.into_iter().map(|(row, _, times)| Row { step: Summary::of(&times), ..row }).collect();
     if let Some(quality) = a.quality {
@@ -261,9 +276,9 @@ fn measure(
         }
     }
     let same: Vec<(f64, f64)> = rows.iter().filter(|r| r.choice.same).map(|r| (r.step.least, error(r))).collect();
-    let front = front(&same);
-    rows.iter_mut().filter(|r| r.choice.same).zip(front).for_each(|(r, front)| r.front = front);
-    Ok(rows)
+    let standings = standings(&same, noise);
+    rows.iter_mut().filter(|r| r.choice.same).zip(standings).for_each(|(r, standing)| r.standing = standing);
+    Ok((rows, noise))
 }
 
 /// Puts a training where `exact` came to.
@@ -340,7 +355,7 @@ fn table(rows: &[Row]) -> String {
             cell(r.gradients.map(|g| g[1]), &small),
             cell(r.quality.map(|q| q[0]), &db),
             cell(r.quality.map(|q| q[1]), &db),
-            if r.front { "yes" } else { "" }
+            r.standing
         );
     }
     out

@@ -5,10 +5,11 @@
 //! against the double-precision twin (which follows the definition of 3D Gaussian splatting), and error of the gradient of one
 //! step against that of `exact`, which tests hold to finite differences of the twin. Choices are measured in rounds, one
 //! after the other in each and in another order each time, so that what drifts on a shared machine meets all of them. A choice stands on the front if
-//! nothing else is both faster and closer. Table, drawing and front go by the least time of all rounds: what others do on a
+//! nothing else is both faster and closer ([`front`]). Table, drawing and front go by the least time of all rounds: what others do on a
 //! shared machine can only add to it.
 
 mod choices;
+mod front;
 mod intrinsic;
 mod lit;
 mod plot;
@@ -20,6 +21,7 @@ use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
 use choices::{Choice, choices};
+use front::{Standing, noise, standings};
 use plot::Mark;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
@@ -101,13 +103,13 @@ pub struct Point {
     pub psnr: f64,
     /// Length of the difference of gradients over that of the exact one, the worst of all groups.
     pub gradient: f64,
-    /// Whether nothing is both faster and closer.
-    pub front: bool,
+    /// Whether anything is both faster and closer.
+    pub standing: Standing,
 }
 
 impl From<&Point> for Mark {
     fn from(p: &Point) -> Mark {
-        Mark { name: p.name.clone(), time: p.step.least, error: p.mean, front: p.front }
+        Mark { name: p.name.clone(), time: p.step.least, error: p.mean, front: p.standing == Standing::Front }
     }
 }
 
@@ -137,7 +139,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.setting("trained", a.train);
     }
     report.setting("gaussians", workload.start.len());
-    let points = measure(common, a, &device, &workload)?;
+    let (points, noise) = measure(common, a, &device, &workload)?;
     for p in &points {
         report.time(&format!("step, {}", p.name), "ms", p.step);
         report.time(&format!("frame, {}", p.name), "ms", p.frame);
@@ -147,8 +149,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.fact(&format!("picture, {}, dB", p.name), p.psnr);
         report.fact(&format!("device memory of training, {}, MB", p.name), p.bytes as f64 / 1e6);
     }
-    let front: Vec<&str> = points.iter().filter(|p| p.front).map(|p| p.name.as_str()).collect();
+    let front: Vec<&str> = points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.name.as_str()).collect();
     report.fact("on the front", front.join(", "));
+    report.fact("times differ by themselves, %", 100.0 * noise);
     report.check("the exact picture agrees with double precision");
     let table = table(&points);
     if let Some(path) = &a.table {
@@ -188,7 +191,7 @@ struct Subject<'w> {
     frames: Vec<f64>,
 }
 
-fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
+fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<(Vec<Point>, f64)> {
     let all = choices(Tuning::for_device(device.info()));
     let wanted = |c: &Choice| a.wants(&c.name) && c.backward.runs_on(device.info());
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
@@ -232,7 +235,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             mean,
             psnr,
             gradient: gradient_error,
-            front: false,
+            standing: Standing::default(),
         };
         subjects.push(Subject { point, trainer, renderer, steps: Vec::new(), frames: Vec::new() });
     }
@@ -254,14 +257,15 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             s.frames.extend(spans(&s.renderer.executor().take_times()));
         }
     }
+    let noise = noise(subjects.iter().map(|s| s.steps.as_slice()));
     let mut points = Vec::new();
     for s in subjects {
         let (step, frame) = (Summary::of(&s.steps).scaled(1e-6), Summary::of(&s.frames).scaled(1e-6));
         anyhow::ensure!(step.samples > 0, "The device has no timestamps.");
         points.push(Point { step, frame, ..s.point });
     }
-    mark_front(&mut points);
-    Ok(points)
+    mark(&mut points, noise);
+    Ok((points, noise))
 }
 
 /// Largest and mean difference, and decibels, of all pixels.
@@ -290,19 +294,9 @@ fn difference(exact: &GaussianData, other: &GaussianData) -> f64 {
     })
 }
 
-/// A choice is on the front if no other is at least as fast and as close, and better in one of them. Times within one
-/// percent are the same time.
-fn front(all: &[(f64, f64)]) -> Vec<bool> {
-    let beaten = |p: &(f64, f64)| {
-        let beats = |o: &(f64, f64)| o.0 <= p.0 && o.1 <= p.1 && (o.0 < 0.99 * p.0 || o.1 < 0.99 * p.1);
-        all.iter().any(beats)
-    };
-    all.iter().map(|p| !beaten(p)).collect()
-}
-
-fn mark_front(points: &mut [Point]) {
+fn mark(points: &mut [Point], noise: f64) {
     let all: Vec<(f64, f64)> = points.iter().map(|p| (p.step.least, p.mean)).collect();
-    points.iter_mut().zip(front(&all)).for_each(|(p, front)| p.front = front);
+    points.iter_mut().zip(standings(&all, noise)).for_each(|(p, standing)| p.standing = standing);
 }
 
 fn table(points: &[Point]) -> String {
@@ -323,7 +317,7 @@ fn table(points: &[Point]) -> String {
             p.mean,
             p.psnr,
             p.gradient,
-            if p.front { "yes" } else { "" }
+            p.standing
         );
     }
     out
@@ -344,20 +338,8 @@ mod tests {
             mean,
             psnr: 0.0,
             gradient: 0.0,
-            front: false,
+            standing: Standing::default(),
         }
-    }
-
-    #[test]
-    fn the_front_is_what_nothing_beats() {
-        let mut points = [
-            point("exact", 10.0, 1e-7),
-            point("slow", 12.0, 1e-3),
-            point("fast", 5.0, 1e-2),
-            point("worse", 5.5, 2e-2),
-        ];
-        mark_front(&mut points);
-        assert_eq!(points.map(|p| p.front), [true, false, true, false]);
     }
 
     #[test]
@@ -374,7 +356,7 @@ mod tests {
     #[test]
     fn the_picture_of_the_front_is_drawn() {
         let mut points = [point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
-        mark_front(&mut points);
+        mark(&mut points, 0.01);
         let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
         let text = plot::svg(&marks, "a title", "errors").unwrap();
         assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));

@@ -227,7 +227,11 @@ impl Light {
         let RunLight { lights, environment, visibility } = &self.light;
         let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility)?;
         let gains = lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
-        Ok(Lit { parts: self.parts, each: self.each, gains, shading: Shading::new(device, scene)? })
+        let mut shading = Shading::new(device, scene)?;
+        if !self.parts.contains(&Part::Visibility) {
+            shading = shading.without_visibility();
+        }
+        Ok(Lit { parts: self.parts, each: self.each, gains, shading })
     }
 }
 
@@ -263,7 +267,7 @@ impl Lit {
             for i in 0..self.gains.len() {
                 let alone: Vec<f32> = (0..).zip(&self.gains).map(|(k, g)| if k == i { *g } else { 0.0 }).collect();
                 self.shading.set_gains(device, &alone)?;
-                let image = self.shading.shade(camera)?.direct();
+                let image = self.shading.direct(camera)?;
                 written.push(pictures::write(a.format, dir, stem, &format!("light_{i:0digits$}"), &image)?);
             }
             self.shading.set_gains(device, &self.gains)?;

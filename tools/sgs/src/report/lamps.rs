@@ -38,22 +38,21 @@ impl Lamps {
             return Ok(Lamps { file: LightFile::new(1.0, Vec::new()), sums: Vec::new(), total: 0.0 });
         };
         let all = shaded_scene(device, splats, Some(&file), None, &light.visibility)?;
-        let mut shading = Shading::new(device, all)?;
+        let mut shading = Shading::new(device, all)?.without_visibility();
         let every = views.len().div_ceil(VIEWS).max(1);
         let cameras: Vec<Camera> = views.iter().step_by(every).map(|v| small(&scene.views[*v].camera)).collect();
-        let mut sums = Vec::new();
-        for i in 0..file.lights.len() {
-            shading.set_gains(device, &alone(&file, &[i]))?;
-            let (mut sum, mut pixels) = ([0.0; 3], 0);
-            for camera in &cameras {
-                let direct = shading.shade(camera)?.direct();
-                for pixel in direct.data.chunks_exact(3) {
+        let (mut sums, mut pixels) = (vec![[0.0; 3]; file.lights.len()], 0);
+        for camera in &cameras {
+            for (i, sum) in sums.iter_mut().enumerate() {
+                shading.set_gains(device, &alone(&file, &[i]))?;
+                for pixel in shading.direct(camera)?.data.chunks_exact(3) {
                     sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += f64::from(*v));
                 }
-                pixels += direct.pixels();
             }
-            sums.push((i, sum.map(|s| s / f64::from(pixels.max(1) as u32))));
+            pixels += camera.width * camera.height;
         }
+        let mean = |(i, sum): (usize, [f64; 3])| (i, sum.map(|s| s / f64::from(pixels.max(1))));
+        let mut sums: Vec<(usize, [f64; 3])> = sums.into_iter().enumerate().map(mean).collect();
         sums.sort_by(|a, b| luminance(b.1).total_cmp(&luminance(a.1)));
         let total = sums.iter().map(|(_, s)| luminance(*s)).sum();
         Ok(Lamps { file, sums, total })

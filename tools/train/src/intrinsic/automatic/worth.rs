@@ -81,7 +81,7 @@ impl Intrinsic {
     pub(super) fn shading(&self, splats: &Splats, light: &RunLight) -> Result<Shading> {
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
         let scene = shaded_scene(&self.device, splats, lights, environment, &light.visibility)?;
-        Shading::new(&self.device, scene)
+        Ok(Shading::new(&self.device, scene)?.without_visibility())
     }
 
     /// Light of the chosen pixels.
@@ -102,17 +102,19 @@ impl Intrinsic {
         Ok(all)
     }
 
-    /// The same of each light alone; nothing where it is off.
+    /// Light of each lamp alone; nothing where it is off. What a view sees of the geometry is worked out once for all of them.
     pub(super) fn each(&self, shading: &mut Shading, views: &[Watched], gains: &[f32]) -> Result<Vec<Light>> {
-        let one = |i: usize| -> Result<Light> {
-            if gains[i] == 0.0 {
-                return Ok(Vec::new());
+        let mut all = vec![Light::new(); gains.len()];
+        for view in views {
+            for (i, light) in all.iter_mut().enumerate().filter(|(i, _)| gains[*i] != 0.0) {
+                let mut alone = vec![0.0; gains.len()];
+                alone[i] = gains[i];
+                shading.set_gains(&self.device, &alone)?;
+                let direct = shading.direct_from(&view.camera)?;
+                light.extend(view.pixels.iter().map(|(p, _)| [0, 1, 2].map(|k| direct[3 * p + k])));
             }
-            let alone: Vec<f32> = (0..gains.len()).map(|k| if k == i { gains[k] } else { 0.0 }).collect();
-            shading.set_gains(&self.device, &alone)?;
-            Ok(self.pictures(shading, views)?.direct)
-        };
-        (0..gains.len()).map(one).collect()
+        }
+        Ok(all)
     }
 }
 
