@@ -146,6 +146,29 @@ fn the_trade_between_time_and_accuracy_is_measured() {
 }
 
 #[test]
+fn what_a_trade_comes_to_is_measured_at_test_views() {
+    let folder = tempfile::tempdir().unwrap();
+    let room = folder.path().join("room");
+    let options = sgs_synth::SynthOptions { views: 4, width: 32, height: 24, ..Default::default() };
+    sgs_synth::generate(&room, &options, &|_, _| {}).unwrap();
+    let (room, table) = (room.to_string_lossy(), folder.path().join("front.md").to_string_lossy().into_owned());
+    let what = ["tradeoff", "--scene", &room, "--filter", "t", "--quality", "12", "--table", &table];
+    let report = succeeds(&[&what[..], &["--rounds", "1", "--train", "2", "--repeats", "1", "--warmup", "1"]].concat());
+    let facts = report["facts"].as_array().unwrap();
+    let fact = |name: &str| facts.iter().find(|f| f["name"] == name).map(|f| f["value"].as_f64().unwrap());
+    let (exact, fast) = ("pictures after training, exact, dB", "pictures after training, fast, dB");
+    assert!(fact(exact).unwrap() > 5.0 && fact(fast).unwrap() > 5.0 && fact(exact) != fact(fast));
+    assert!((1.0..180.0).contains(&fact("normals after training, exact, degrees").unwrap()));
+    // Tiles are nobody's setting.
+    let text = std::fs::read_to_string(&table).unwrap();
+    let tiles: Vec<&str> = text.lines().filter(|l| l.starts_with("| tiles of")).collect();
+    assert!(!tiles.is_empty() && tiles.iter().all(|l| l.ends_with("|  |  |")), "{text}");
+    let refused = bench(&["tradeoff", "--quality", "2"]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(1) && said.contains("--quality needs --scene"), "{said}");
+}
+
+#[test]
 fn the_trade_of_materials_and_lights_is_measured() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();

@@ -6,6 +6,7 @@ use sgs_tests::cli::{sgs, sgs_after, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 #[test]
 fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
@@ -52,6 +53,23 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     // A finished run has nothing to resume, and stays as it is.
     place.resume("killed").ok();
     place.assert_same("straight", "killed");
+}
+
+/// As with Ctrl-Z and `fg`: clocks go on meanwhile, and no wait may take that for a device that does not answer.
+#[test]
+fn a_stopped_run_goes_on() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("straight", 60, &[])).ok();
+    let mut child = start(&place.arguments("stopped", 60, &["--timeout", "3"]));
+    for step in [1, 20, 40] {
+        let there = until(&mut child, || place.logged("stopped").last() >= Some(&step));
+        assert!(there, "it ended before it was stopped");
+        signal(&child, "STOP");
+        std::thread::sleep(Duration::from_secs(4));
+        signal(&child, "CONT");
+    }
+    wait(child).ok();
+    place.assert_same("straight", "stopped");
 }
 
 /// A small file system that is gone with the value.

@@ -313,6 +313,10 @@ impl Device {
     }
 }
 
+/// A wait is so many shorter ones: clocks go on while a process is stopped (Ctrl-Z), its work does not, and no more than a part of the limit
+/// is used up by that.
+const PARTS: u32 = 16;
+
 impl Shared {
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
@@ -332,9 +336,16 @@ impl Shared {
         let semaphores = [self.timeline];
         let values = [ticket.0];
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        let limit = u64::try_from(limit.as_nanos()).unwrap_or(u64::MAX);
-        // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
-        unsafe { self.raw.wait_semaphores(&info, limit) }
+        let part = u64::try_from(limit.as_nanos().div_ceil(u128::from(PARTS))).unwrap_or(u64::MAX);
+        for _ in 1..PARTS {
+            // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
+            match unsafe { self.raw.wait_semaphores(&info, part) } {
+                Err(vk::Result::TIMEOUT) => {}
+                other => return other,
+            }
+        }
+        // SAFETY: as before.
+        unsafe { self.raw.wait_semaphores(&info, part) }
     }
 
     /// Waits for everything submitted. Goes past the gate: on a lost device, or one that was declared lost on purpose, it

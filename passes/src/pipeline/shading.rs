@@ -131,7 +131,7 @@ struct State {
     surface: SurfaceHandles,
     /// Uniform of the visibility field.
     field: Option<Buffer>,
-    /// Whether anything is in the way of lights.
+    /// Whether anything is in the way of lights, and it is asked how much.
     hidden: bool,
     outputs: Vec<DeviceBuffer>,
 }
@@ -162,7 +162,7 @@ impl Shader {
     }
 
     /// Leaves [`Shaded::visibility`] empty: it is a mean over all lights, those that are off among them, and takes as long as
-    /// shading with all.
+    /// shading with all where it is learned.
     pub fn without_visibility(mut self) -> Shader {
         (self.visibility, self.state) = (false, None);
         self
@@ -332,10 +332,10 @@ impl State {
             g.fill("no_metallic", out[1], 0)?;
         }
         // Rays are traced for light, and counted by the way.
-        let hidden = field.is_some() && means || tree.is_some();
-        if !hidden {
+        if tree.is_none() && (field.is_none() || !means) {
             g.fill("no_visibility", out[7], 0)?;
         }
+        let hidden = means && (field.is_some() || tree.is_some());
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let outputs = OUTPUTS
             .iter()

@@ -1,9 +1,44 @@
 //! Which choices are worth choosing: those that no other beats, as far as times can be told apart.
 
+use crate::stats::Summary;
+use std::f64::consts::FRAC_PI_2;
 use std::fmt;
 
-/// Times closer than this are never told apart.
-const LEAST: f64 = 0.01;
+/// No ratio is surer than this.
+const LEAST: f64 = 0.005;
+
+/// The time of a choice by that of `exact` right before and after it, so that a machine that is slow for a while is so for both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ratio {
+    /// The median of all rounds.
+    pub value: f64,
+    /// Its standard error.
+    pub off: f64,
+}
+
+impl Ratio {
+    /// Of `exact` itself.
+    pub const EXACT: Ratio = Ratio { value: 1.0, off: 0.0 };
+
+    /// Of one ratio a round.
+    pub fn of(rounds: &[f64]) -> Ratio {
+        let s = Summary::of(rounds);
+        // Of a median of normal samples.
+        let off = (FRAC_PI_2 / s.samples.max(1) as f64).sqrt() * s.sigma();
+        Ratio { value: s.median, off: off.max(LEAST) }
+    }
+
+    /// Whether it is less, other than by chance.
+    fn surely_below(&self, other: &Ratio) -> bool {
+        other.value - self.value > 2.0 * self.off.hypot(other.off).max(LEAST)
+    }
+}
+
+impl fmt::Display for Ratio {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.off == 0.0 { write!(f, "{:.2}", self.value) } else { write!(f, "{:.2} ± {:.2}", self.value, self.off) }
+    }
+}
 
 /// How a choice compares with all others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,28 +62,13 @@ impl fmt::Display for Standing {
     }
 }
 
-/// By which share times differ that should be the same: what nine in ten choices' least times of the first and of the second half of
-/// their rounds stay below. `samples`: of each choice, in order.
-pub fn noise<'a>(samples: impl Iterator<Item = &'a [f64]>) -> f64 {
-    let least = |s: &[f64]| s.iter().copied().fold(f64::INFINITY, f64::min);
-    let off = |s: &'a [f64]| {
-        let (first, second) = s.split_at(s.len() / 2);
-        let (a, b) = (least(first), least(second));
-        (a.is_finite() && b.is_finite() && a > 0.0).then(|| (a - b).abs() / a.min(b))
-    };
-    let mut all: Vec<f64> = samples.filter_map(off).collect();
-    all.sort_by(f64::total_cmp);
-    all.get((all.len() * 9).div_ceil(10).saturating_sub(1)).copied().unwrap_or(0.0).max(LEAST)
-}
-
 /// Where each stands: `all` are time and error, errors within one percent of each other are the same.
-pub fn standings(all: &[(f64, f64)], noise: f64) -> Vec<Standing> {
-    let of = |p: &(f64, f64)| {
+pub fn standings(all: &[(Ratio, f64)]) -> Vec<Standing> {
+    let of = |p: &(Ratio, f64)| {
         let close = || all.iter().filter(|o| o.1 <= p.1);
-        let closer = |o: &(f64, f64)| o.1 < 0.99 * p.1;
-        if close().any(|o| o.0 < (1.0 - noise) * p.0) {
+        if close().any(|o| o.0.surely_below(&p.0)) {
             Standing::Beaten
-        } else if close().any(|o| o.0 <= p.0 && closer(o)) {
+        } else if close().any(|o| o.0.value <= p.0.value && o.1 < 0.99 * p.1) {
             Standing::Tie
         } else {
             Standing::Front
@@ -62,28 +82,30 @@ mod tests {
     use super::*;
     use Standing::{Beaten, Front, Tie};
 
+    fn standings_of(all: &[(f64, f64)], off: f64) -> Vec<Standing> {
+        standings(&all.iter().map(|(value, error)| (Ratio { value: *value, off }, *error)).collect::<Vec<_>>())
+    }
+
     #[test]
     fn the_front_is_what_nothing_beats() {
-        let all = [(10.0, 1e-7), (12.0, 1e-3), (5.0, 1e-2), (5.5, 2e-2)];
-        assert_eq!(standings(&all, 0.05), [Front, Beaten, Front, Beaten]);
+        let all = [(1.0, 1e-7), (1.2, 1e-3), (0.5, 1e-2), (0.55, 2e-2)];
+        assert_eq!(standings_of(&all, 0.01), [Front, Beaten, Front, Beaten]);
         // Where the same is measured twice, both stand; what is no faster for its error does not, if that is sure.
-        let all = [(10.0, 1e-7), (9.9, 1e-7), (10.1, 1e-3), (9.8, 1e-3), (10.3, 1e-7)];
-        assert_eq!(standings(&all, 0.05), [Front, Front, Tie, Front, Front]);
-        assert_eq!(standings(&all, 0.01), [Front, Front, Beaten, Front, Beaten]);
+        let all = [(1.0, 1e-7), (0.99, 1e-7), (1.02, 1e-3), (0.98, 1e-3), (1.03, 1e-7)];
+        assert_eq!(standings_of(&all, 0.03), [Front, Front, Tie, Front, Front]);
+        assert_eq!(standings_of(&all, 0.005), [Front, Front, Beaten, Front, Beaten]);
         assert_eq!(Tie.to_string(), "within noise");
     }
 
     #[test]
-    fn noise_is_how_far_halves_differ() {
-        let same: Vec<Vec<f64>> = (0..9).map(|_| vec![3.0, 2.0, 2.1, 5.0]).collect();
-        assert!((noise(same.iter().map(Vec::as_slice)) - 0.05).abs() < 1e-12);
-        // One in ten may be anything; two may not.
-        let wild = |n: usize| -> Vec<Vec<f64>> {
-            (0..10).map(|i| if i < n { vec![1.0, 2.0] } else { vec![1.0, 1.02] }).collect()
-        };
-        assert!((noise(wild(1).iter().map(Vec::as_slice)) - 0.02).abs() < 1e-12);
-        assert!((noise(wild(2).iter().map(Vec::as_slice)) - 1.0).abs() < 1e-12);
-        // Of one sample nothing is known.
-        assert_eq!(noise([[4.0].as_slice()].into_iter()), LEAST);
+    fn a_ratio_is_as_sure_as_its_rounds_agree() {
+        let r = Ratio::of(&[0.8, 0.82, 0.78, 5.0, 0.8]);
+        assert!((r.value - 0.8).abs() < 1e-12 && (0.01..0.03).contains(&r.off), "{r:?}");
+        assert_eq!(r.to_string(), format!("0.80 ± {:.2}", r.off));
+        // More rounds are surer; nothing is surer than clocks are.
+        let often: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 0.78 } else { 0.82 }).collect();
+        assert!(Ratio::of(&often).off < 0.5 * Ratio::of(&often[..4]).off);
+        assert_eq!(Ratio::of(&[0.8]), Ratio { value: 0.8, off: LEAST });
+        assert_eq!(Ratio::EXACT.to_string(), "1.00");
     }
 }

@@ -6,7 +6,7 @@
 //! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
 //! at once, since some choices do not do the same in every step.
 
-use super::front::{Standing, noise, standings};
+use super::front::{Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::{Args, lit};
 use crate::common::Common;
@@ -24,6 +24,12 @@ use std::time::Instant;
 
 /// Steps that are timed at once: as many as the slowest rhythm of a choice has, or a multiple of it.
 const RHYTHM: u32 = 8;
+
+/// Steps after which a training that was put somewhere runs as ever.
+const WARM: u32 = 2;
+
+/// How choices of surroundings that move seldom begin.
+const SELDOM: &str = "surroundings every";
 
 /// One way to do it.
 #[derive(Clone, Debug)]
@@ -45,6 +51,11 @@ impl Choice {
         }
         let setting: Vec<String> = sets.iter().map(|s| format!("`{}`", s.as_ref())).collect();
         Ok(Choice { name, setting: setting.join(", "), over, same })
+    }
+
+    /// Whether what it costs shows in one step: of surroundings that move seldom only a training can say it.
+    fn shows(&self) -> bool {
+        self.same && !self.name.starts_with(SELDOM)
     }
 
     fn level(name: &'static str) -> anyhow::Result<Choice> {
@@ -107,6 +118,7 @@ fn choices(base: &Settings, device: &Device) -> anyhow::Result<Vec<Choice>> {
 struct Row {
     choice: Choice,
     step: Summary,
+    of_exact: Ratio,
     bytes: u64,
     /// Largest and mean error of a picture against double precision, and decibels.
     picture: Option<[f64; 3]>,
@@ -138,10 +150,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("environment", base.intrinsic.environment.resolution);
     report.setting("trained", a.train);
     report.setting("rounds", a.rounds);
-    let (rows, noise) = measure(a, &device, scene, splats, &base, steps)?;
+    let rows = measure(a, &device, scene, splats, &base, steps)?;
     for r in &rows {
         let name = r.choice.name;
         report.time(&format!("step, {name}"), "ms", r.step);
+        report.fact(&format!("step, {name}, of exact"), r.of_exact.to_string());
         report.fact(&format!("device memory of training, {name}, MB"), r.bytes as f64 / 1e6);
         if let Some([largest, mean, db]) = r.picture {
             report.time(&format!("largest error, {name}"), "", Summary::of(&[largest]));
@@ -159,7 +172,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let best: Vec<&str> = rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name).collect();
     report.fact("on the front", best.join(", "));
-    report.fact("times differ by themselves, %", 100.0 * noise);
     report.check("the exact picture agrees with double precision");
     let table = table(&rows);
     if let Some(path) = &a.table {
@@ -169,11 +181,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
         let mark = |r: &Row| Mark {
             name: r.choice.name.to_owned(),
-            time: r.step.least,
+            time: r.of_exact.value,
             error: error(r),
             front: r.standing == Standing::Front,
         };
-        let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.same).map(mark).collect();
+        let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.shows()).map(mark).collect();
         let text = svg(&marks, &title, "error of gradients")?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
@@ -197,7 +209,7 @@ fn measure(
     splats: &Splats,
     base: &Settings,
     steps: u32,
-) -> anyhow::Result<(Vec<Row>, f64)> {
+) -> anyhow::Result<Vec<Row>> {
     let wanted = |c: &Choice| a.wants(c.name);
     let folder = tempfile::tempdir()?;
     // One training at a time is in memory; what each begins with is in a file.
@@ -209,7 +221,7 @@ fn measure(
         let before = device.memory_use().0;
         let mut training = Intrinsic::new(device, scene, &settings, splats)?;
         if exact.is_none() || !choice.same {
-            training.train(a.train.max(1), |_| {}, || true)?;
+            training.train(a.train.next_multiple_of(RHYTHM).max(RHYTHM), |_| {}, || true)?;
         }
         if exact.is_none() {
             training.save(&start)?;
@@ -242,6 +254,7 @@ fn measure(
         let row = Row {
             choice,
             step: Summary::default(),
+            of_exact: Ratio::EXACT,
             bytes,
             picture,
             gradients,
@@ -250,24 +263,54 @@ fn measure(
         };
         subjects.push((row, own, Vec::new()));
     }
-    // Every round begins elsewhere, every other one runs backwards: whoever is first in a round is often slower.
-    let count = subjects.len();
+    // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others.
+    let made = |row: &Row| -> anyhow::Result<Intrinsic> {
+        Ok(Intrinsic::new(device, scene, &settings(base, &row.choice)?, splats)?)
+    };
+    let (first, others) = subjects.split_at_mut(1);
+    let (row, own, times) = &mut first[0];
+    let mut exact = made(row)?;
+    restore(&mut exact, own, &row.choice)?;
+    // The same steps as of the others, and so the same views.
+    let warm = exact.step() + RHYTHM;
+    exact.train(warm - WARM, |_| {}, || true)?;
+    let nearer = folder.path().join("warm");
+    exact.save(&nearer)?;
+    let choice = row.choice.clone();
+    let mut of_exact = || -> anyhow::Result<f64> {
+        restore(&mut exact, &nearer, &choice)?;
+        exact.train(warm, |_| {}, || true)?;
+        times.push(timed(&mut exact, steps)?);
+        Ok(times[times.len() - 1])
+    };
+    let mut ratios = vec![Vec::new(); others.len()];
+    let count = others.len();
     for round in 0..a.rounds as usize {
+        let mut before = of_exact()?;
         for i in 0..count {
             let i = (i + round / 2 * 5) % count;
-            let (row, own, times) = &mut subjects[if round % 2 == 0 { i } else { count - 1 - i }];
-            let mut training = Intrinsic::new(device, scene, &settings(base, &row.choice)?, splats)?;
+            let i = if round % 2 == 0 { i } else { count - 1 - i };
+            let (row, own, times) = &mut others[i];
+            let mut training = made(row)?;
             restore(&mut training, own, &row.choice)?;
             // From a move of the surroundings to another.
-            training.train(training.step().next_multiple_of(RHYTHM) + RHYTHM, |_| {}, || true)?;
-            let begin = Instant::now();
-            training.train(training.step() + steps, |_| {}, || true)?;
-            times.push(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps));
+            training.train(warm, |_| {}, || true)?;
+            let time = timed(&mut training, steps)?;
+            drop(training);
+            let after = of_exact()?;
+            times.push(time);
+            ratios[i].push(2.0 * time / (before + after));
+            before = after;
         }
     }
-    let noise = noise(subjects.iter().map(|s| s.2.as_slice()));
-    let mut rows: Vec<Row> =
-        subjects.into_iter().map(|(row, _, times)| Row { step: Summary::of(&times), ..row }).collect();
+    drop(exact);
+    let ratios = std::iter::once(Ratio::EXACT).chain(ratios.iter().map(|r| Ratio::of(r)));
+    let row = |((row, _, times), of_exact): ((Row, PathBuf, Vec<f64>), Ratio)| Row {
+        step: Summary::of(&times),
+        of_exact,
+        ..row
+    };
+    let mut rows: Vec<Row> = subjects.into_iter().zip(ratios).map(row).collect();
     if let Some(quality) = a.quality {
         for row in &mut rows {
             let mut settings = settings(base, &row.choice)?;
@@ -275,10 +318,17 @@ fn measure(
             row.quality = Some(trained(device, scene, splats, &settings)?);
         }
     }
-    let same: Vec<(f64, f64)> = rows.iter().filter(|r| r.choice.same).map(|r| (r.step.least, error(r))).collect();
-    let standings = standings(&same, noise);
-    rows.iter_mut().filter(|r| r.choice.same).zip(standings).for_each(|(r, standing)| r.standing = standing);
-    Ok((rows, noise))
+    let same: Vec<(Ratio, f64)> = rows.iter().filter(|r| r.choice.shows()).map(|r| (r.of_exact, error(r))).collect();
+    let standings = standings(&same);
+    rows.iter_mut().filter(|r| r.choice.shows()).zip(standings).for_each(|(r, standing)| r.standing = standing);
+    Ok(rows)
+}
+
+/// Milliseconds of a step, of so many.
+fn timed(training: &mut Intrinsic, steps: u32) -> anyhow::Result<f64> {
+    let begin = Instant::now();
+    training.train(training.step() + steps, |_| {}, || true)?;
+    Ok(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps))
 }
 
 /// Puts a training where `exact` came to.
@@ -286,9 +336,10 @@ fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::R
     training.restore(start).with_context(|| format!("\"{}\" cannot begin where \"exact\" came to", choice.name))
 }
 
-/// What a choice goes by: its gradients, or its picture if that is farther off.
+/// What a choice goes by: its gradients, or its picture if that is farther off. Those of the field are left out: where few pairs teach
+/// it they are far off in one step, and right in the mean.
 fn error(row: &Row) -> f64 {
-    let gradients = row.gradients.map_or(0.0, |[all, field]| all.max(field));
+    let gradients = row.gradients.map_or(0.0, |[all, _]| all);
     gradients.max(row.picture.map_or(0.0, |[_, mean, _]| mean))
 }
 
@@ -343,10 +394,10 @@ fn table(rows: &[Row]) -> String {
     for r in rows {
         let _ = writeln!(
             out,
-            "| {} | {} | {:.3} | {:.3} | {} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {:.3} | {} | {} | {} | {} | {} | {} | {} | {} |",
             r.choice.name,
             r.choice.setting,
-            r.step.least / exact.step.least,
+            r.of_exact,
             r.bytes as f64 / exact.bytes as f64,
             cell(r.picture.map(|p| p[0]), &small),
             cell(r.picture.map(|p| p[1]), &small),

@@ -4,15 +4,16 @@
 //! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture
 //! against the double-precision twin (which follows the definition of 3D Gaussian splatting), and error of the gradient of one
 //! step against that of `exact`, which tests hold to finite differences of the twin. Choices are measured in rounds, one
-//! after the other in each and in another order each time, so that what drifts on a shared machine meets all of them. A choice stands on the front if
-//! nothing else is both faster and closer ([`front`]). Table, drawing and front go by the least time of all rounds: what others do on a
-//! shared machine can only add to it.
+//! after the other in each and in another order each time, with `exact` before and after each: times are ratios to these, which a machine
+//! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else is both faster and closer
+//! ([`front`]).
 
 mod choices;
 mod front;
 mod intrinsic;
 mod lit;
 mod plot;
+mod quality;
 
 use super::step::{Args as StepArgs, Stage};
 use crate::common::{Common, parse_size};
@@ -21,15 +22,16 @@ use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
 use choices::{Choice, choices};
-use front::{Standing, noise, standings};
+use front::{Ratio, Standing, standings};
 use plot::Mark;
+use quality::Quality;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
-use sgs_scene::Splats;
+use sgs_scene::{Scene, Splats};
 use sgs_train::gaussian_data;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -46,7 +48,7 @@ pub struct Args {
     /// Settings of the intrinsic stage that choices differ from, a TOML file as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// Steps of the intrinsic stage after which each choice is measured at the test views; not measured without.
+    /// Steps of a training of its own after which each choice is measured at the test views; not measured without.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub quality: Option<u32>,
     /// Trained Gaussians of the scene; without them its points, or those of the room, are trained first.
@@ -93,6 +95,8 @@ pub struct Point {
     pub step: Summary,
     /// Milliseconds of a frame on the device.
     pub frame: Summary,
+    /// Both by those of `exact`.
+    pub of_exact: [Ratio; 2],
     /// Device memory of a trainer, bytes.
     pub bytes: u64,
     /// Of one picture, largest and mean.
@@ -105,11 +109,13 @@ pub struct Point {
     pub gradient: f64,
     /// Whether anything is both faster and closer.
     pub standing: Standing,
+    /// What a training with it comes to.
+    pub quality: Option<Quality>,
 }
 
 impl From<&Point> for Mark {
     fn from(p: &Point) -> Mark {
-        Mark { name: p.name.clone(), time: p.step.least, error: p.mean, front: p.standing == Standing::Front }
+        Mark { name: p.name.clone(), time: p.of_exact[0].value, error: p.mean, front: p.standing == Standing::Front }
     }
 }
 
@@ -121,9 +127,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic {
         return intrinsic::run(common, a);
     }
+    anyhow::ensure!(a.config.is_none(), "--config is for --stage intrinsic.");
     anyhow::ensure!(
-        a.quality.is_none() && a.config.is_none(),
-        "--quality and --config are for --stage intrinsic; bench/accuracy-quality trains geometry with each level of accuracy."
+        a.quality.is_none() || a.scene.is_some(),
+        "--quality needs --scene: the synthetic room has no test views."
     );
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
@@ -139,19 +146,27 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.setting("trained", a.train);
     }
     report.setting("gaussians", workload.start.len());
-    let (points, noise) = measure(common, a, &device, &workload)?;
+    let points = measure(common, a, &device, &workload)?;
     for p in &points {
         report.time(&format!("step, {}", p.name), "ms", p.step);
         report.time(&format!("frame, {}", p.name), "ms", p.frame);
+        for (what, ratio) in ["step", "frame"].into_iter().zip(p.of_exact) {
+            report.fact(&format!("{what}, {}, of exact", p.name), ratio.to_string());
+        }
         for (what, value) in [("largest error", p.largest), ("mean error", p.mean), ("gradient error", p.gradient)] {
             report.time(&format!("{what}, {}", p.name), "", Summary::of(&[value]));
         }
         report.fact(&format!("picture, {}, dB", p.name), p.psnr);
         report.fact(&format!("device memory of training, {}, MB", p.name), p.bytes as f64 / 1e6);
+        if let Some(q) = p.quality {
+            report.fact(&format!("pictures after training, {}, dB", p.name), q.psnr);
+            if let Some(degrees) = q.normals {
+                report.fact(&format!("normals after training, {}, degrees", p.name), degrees);
+            }
+        }
     }
     let front: Vec<&str> = points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.name.as_str()).collect();
     report.fact("on the front", front.join(", "));
-    report.fact("times differ by themselves, %", 100.0 * noise);
     report.check("the exact picture agrees with double precision");
     let table = table(&points);
     if let Some(path) = &a.table {
@@ -187,11 +202,37 @@ struct Subject<'w> {
     point: Point,
     trainer: Trainer<'w>,
     renderer: Renderer,
-    steps: Vec<f64>,
-    frames: Vec<f64>,
+    /// Of steps and of frames: times, and of each round the ratio to `exact`.
+    times: [Vec<f64>; 2],
+    ratios: [Vec<f64>; 2],
 }
 
-fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<(Vec<Point>, f64)> {
+impl Subject<'_> {
+    /// Takes the time of some steps and of as many frames; the sum of each.
+    fn take(
+        &mut self,
+        device: &Device,
+        workload: &Workload,
+        gaussians: &Gaussians,
+        steps: u32,
+    ) -> anyhow::Result<[f64; 2]> {
+        let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
+        self.trainer.gaussians.upload(device, &workload.start)?;
+        self.trainer.run(2)?;
+        let trained = spans(&self.trainer.run(steps)?.times);
+        self.renderer.executor().take_times();
+        for i in 0..steps as usize {
+            let (camera, _) = workload.views[i % workload.views.len()];
+            self.renderer.render(gaussians, &camera, degree, background)?;
+        }
+        let all = [trained, spans(&self.renderer.executor().take_times())];
+        let sums = [all[0].iter().sum(), all[1].iter().sum()];
+        self.times.iter_mut().zip(all).for_each(|(times, taken)| times.extend(taken));
+        Ok(sums)
+    }
+}
+
+fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
     let all = choices(Tuning::for_device(device.info()));
     let wanted = |c: &Choice| a.wants(&c.name) && c.backward.runs_on(device.info());
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
@@ -207,7 +248,9 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     );
     let mut subjects = Vec::new();
     let mut exact: Option<GaussianData> = None;
+    let mut made = Vec::new();
     for choice in all.into_iter().filter(wanted) {
+        let of = choice.clone();
         let before = device.memory_use().0;
         let capacity = first_entry_capacity(workload.start.len());
         let mut trainer = Trainer::with(device, workload, choice.tuning, choice.backward, choice.dense_adam, capacity)?;
@@ -230,42 +273,51 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             setting: choice.setting,
             step: Summary::default(),
             frame: Summary::default(),
+            of_exact: [Ratio::EXACT; 2],
             bytes,
             largest,
             mean,
             psnr,
             gradient: gradient_error,
             standing: Standing::default(),
+            quality: None,
         };
-        subjects.push(Subject { point, trainer, renderer, steps: Vec::new(), frames: Vec::new() });
+        made.push(of);
+        subjects.push(Subject { point, trainer, renderer, times: Default::default(), ratios: Default::default() });
     }
-    // Every round begins elsewhere, every other one runs backwards: whoever is first in a round is often slower.
-    let count = subjects.len();
+    // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others. As many steps as there are
+    // views, or a multiple of it, so that all see the same.
+    let steps = common.repeats.next_multiple_of(workload.views.len().max(1) as u32);
+    let (exact, others) = subjects.split_at_mut(1);
+    let count = others.len();
     for round in 0..a.rounds as usize {
+        let mut before = exact[0].take(device, workload, &gaussians, steps)?;
         for i in 0..count {
             let i = (i + round / 2 * 5) % count;
-            let s = &mut subjects[if round % 2 == 0 { i } else { count - 1 - i }];
-            s.trainer.gaussians.upload(device, &workload.start)?;
-            s.trainer.run(2)?;
-            let run = s.trainer.run(common.repeats)?;
-            s.steps.extend(spans(&run.times));
-            s.renderer.executor().take_times();
-            for i in 0..common.repeats as usize {
-                let (camera, _) = workload.views[i % workload.views.len()];
-                s.renderer.render(&gaussians, &camera, degree, background)?;
+            let s = &mut others[if round % 2 == 0 { i } else { count - 1 - i }];
+            let own = s.take(device, workload, &gaussians, steps)?;
+            let after = exact[0].take(device, workload, &gaussians, steps)?;
+            for k in 0..2 {
+                s.ratios[k].push(2.0 * own[k] / (before[k] + after[k]));
             }
-            s.frames.extend(spans(&s.renderer.executor().take_times()));
+            before = after;
         }
     }
-    let noise = noise(subjects.iter().map(|s| s.steps.as_slice()));
     let mut points = Vec::new();
-    for s in subjects {
-        let (step, frame) = (Summary::of(&s.steps).scaled(1e-6), Summary::of(&s.frames).scaled(1e-6));
+    for (i, s) in subjects.into_iter().enumerate() {
+        let [step, frame] = s.times.map(|times| Summary::of(&times).scaled(1e-6));
         anyhow::ensure!(step.samples > 0, "The device has no timestamps.");
-        points.push(Point { step, frame, ..s.point });
+        let of_exact = if i == 0 { [Ratio::EXACT; 2] } else { s.ratios.map(|rounds| Ratio::of(&rounds)) };
+        points.push(Point { step, frame, of_exact, ..s.point });
     }
-    mark(&mut points, noise);
-    Ok((points, noise))
+    mark(&mut points);
+    if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
+        let scene = Scene::open(path, &workload.settings.scene_options())?;
+        for (point, choice) in points.iter_mut().zip(&made) {
+            point.quality = quality::trained(device, &scene, choice, steps)?;
+        }
+    }
+    Ok(points)
 }
 
 /// Largest and mean difference, and decibels, of all pixels.
@@ -294,31 +346,49 @@ fn difference(exact: &GaussianData, other: &GaussianData) -> f64 {
     })
 }
 
-fn mark(points: &mut [Point], noise: f64) {
-    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.step.least, p.mean)).collect();
-    points.iter_mut().zip(standings(&all, noise)).for_each(|(p, standing)| p.standing = standing);
+fn mark(points: &mut [Point]) {
+    let all: Vec<(Ratio, f64)> = points.iter().map(|p| (p.of_exact[0], p.mean)).collect();
+    points.iter_mut().zip(standings(&all)).for_each(|(p, standing)| p.standing = standing);
 }
 
 fn table(points: &[Point]) -> String {
-    let mut out = String::from(
-        "| choice | setting | step, of exact | frame, of exact | memory, of exact | largest error | mean error | picture, dB | gradient error | front |\n|---|---|---|---|---|---|---|---|---|---|\n",
-    );
+    let trained = points.iter().any(|p| p.quality.is_some());
+    let mut heads = vec![
+        "choice",
+        "setting",
+        "step, of exact",
+        "frame, of exact",
+        "memory, of exact",
+        "largest error",
+        "mean error",
+        "picture, dB",
+        "gradient error",
+        "front",
+    ];
+    if trained {
+        heads.extend(["pictures after training, dB", "normals, °"]);
+    }
+    let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     let Some(exact) = points.first() else { return out };
     for p in points {
-        let _ = writeln!(
-            out,
-            "| {} | {} | {:.3} | {:.3} | {:.3} | {:.1e} | {:.1e} | {:.1} | {:.1e} | {} |",
-            p.name,
-            p.setting,
-            p.step.least / exact.step.least,
-            p.frame.least / exact.frame.least,
-            p.bytes as f64 / exact.bytes as f64,
-            p.largest,
-            p.mean,
-            p.psnr,
-            p.gradient,
-            p.standing
-        );
+        let mut cells = vec![
+            p.name.clone(),
+            p.setting.clone(),
+            p.of_exact[0].to_string(),
+            p.of_exact[1].to_string(),
+            format!("{:.3}", p.bytes as f64 / exact.bytes as f64),
+            format!("{:.1e}", p.largest),
+            format!("{:.1e}", p.mean),
+            format!("{:.1}", p.psnr),
+            format!("{:.1e}", p.gradient),
+            p.standing.to_string(),
+        ];
+        if trained {
+            let cell = |v: Option<f64>| v.map_or(String::new(), |v| format!("{v:.2}"));
+            cells.push(cell(p.quality.map(|q| q.psnr)));
+            cells.push(cell(p.quality.and_then(|q| q.normals)));
+        }
+        let _ = writeln!(out, "| {} |", cells.join(" | "));
     }
     out
 }
@@ -333,12 +403,14 @@ mod tests {
             setting: String::new(),
             step: Summary::of(&[ms]),
             frame: Summary::of(&[ms]),
+            of_exact: [Ratio { value: ms / 10.0, off: 0.01 }; 2],
             bytes: 1,
             largest: mean,
             mean,
             psnr: 0.0,
             gradient: 0.0,
             standing: Standing::default(),
+            quality: None,
         }
     }
 
@@ -356,7 +428,7 @@ mod tests {
     #[test]
     fn the_picture_of_the_front_is_drawn() {
         let mut points = [point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
-        mark(&mut points, 0.01);
+        mark(&mut points);
         let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
         let text = plot::svg(&marks, "a title", "errors").unwrap();
         assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));

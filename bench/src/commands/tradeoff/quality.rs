@@ -1,0 +1,40 @@
+//! What a scene's geometry comes to at its test views when it is trained with a choice. Measures are exact whatever it was
+//! trained with.
+
+use super::choices::Choice;
+use sgs_engine::Device;
+use sgs_passes::scene::{Gaussians, Model};
+use sgs_passes::splat::BackwardKernel;
+use sgs_scene::Scene;
+use sgs_train::{Backward, Geometry, Settings, evaluate, gaussian_data};
+
+/// Decibels of pictures, and degrees of normals if the truth is known; of the training views where there are no others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quality {
+    pub psnr: f64,
+    pub normals: Option<f64>,
+}
+
+/// Trains from the scene's points, without classes. None where no setting makes the choice.
+pub fn trained(device: &Device, scene: &Scene, choice: &Choice, steps: u32) -> anyhow::Result<Option<Quality>> {
+    let Some(accuracy) = choice.accuracy() else { return Ok(None) };
+    let mut settings = Settings { scene: scene.root.clone(), accuracy, ..Settings::default() };
+    let g = &mut settings.geometry;
+    (g.steps, g.semantics, g.dense_adam) = (steps, false, choice.dense_adam);
+    g.backward = match choice.backward {
+        BackwardKernel::Pixel => Backward::Pixel,
+        BackwardKernel::Splat => Backward::Splat,
+        BackwardKernel::Atomic => Backward::Atomic,
+    };
+    let mut training = Geometry::new(device, scene, &settings, None)?;
+    training.train(steps, |_| {}, || true)?;
+    let splats = training.splats()?;
+    drop(training);
+    let (degree, normals) = (splats.sh_degree() as u32, splats.normals.is_some());
+    let model = Model { sh_degree: degree, normals, semantics: false };
+    let gaussians = Gaussians::new(device, model, splats.len() as u32, false)?;
+    gaussians.upload(device, &gaussian_data(&splats, model))?;
+    let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
+    let mean = evaluate(device, scene, &gaussians, views, settings.geometry.background, |_, _| Ok(()))?.mean;
+    Ok(Some(Quality { psnr: mean.nvs.psnr, normals: mean.normal_mae_deg }))
+}
