@@ -10,7 +10,7 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-priors bench lint docs check setup setup-tests install
+.PHONY: help demo test test-priors bench lint docs check fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo "make test    everything that CI checks"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
+	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
 	@echo "make docs    the API documentation, in target/doc"
 	@echo "make install put sgs with its manual and completions, libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
@@ -56,6 +57,9 @@ docs: setup
 bench: setup
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- passes
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- step
+
+fuzz: setup
+	$(CARGO) run --profile fuzz --locked -p sgs-fuzz -- --ledger tests/fuzz/ledger.toml --grown target/fuzz-grown --seconds 3600 --jobs "$$(nproc)"
 
 install: setup
 	$(CARGO) build --release --locked -p sgs -p sgs-capi

@@ -1,12 +1,12 @@
 //! A target fed: the corpus first, then changes of it; what goes wrong, made small.
 
 use crate::count;
-use crate::mutate::{Generator, Rng};
+use crate::mutate::{Generator, MOST_KEPT, Rng};
 use crate::place::Place;
 use crate::target::{Target, corpus};
 use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -69,6 +69,10 @@ pub struct Campaign<'a> {
     random: Rng,
     /// Where each input is written before it is tried, for those that end the process.
     pub current: Option<PathBuf>,
+    /// Where inputs that came to something new are kept from run to run.
+    pub grown: Option<PathBuf>,
+    /// How many more may be kept there.
+    room: usize,
     said: HashSet<String>,
     kinds: HashSet<String>,
     tally: Tally,
@@ -83,6 +87,8 @@ impl<'a> Campaign<'a> {
             generator: Generator::new(target, files),
             random: Rng::new(seed ^ target.name.bytes().fold(0, |h: u64, b| h.wrapping_mul(31).wrapping_add(b.into()))),
             current: None,
+            grown: None,
+            room: 0,
             said: HashSet::new(),
             kinds: HashSet::new(),
             tally: Tally::default(),
@@ -95,6 +101,9 @@ impl<'a> Campaign<'a> {
         for (_, bytes) in corpus(self.target) {
             self.take(&bytes);
         }
+        let grown = self.grown.as_deref().map(files).unwrap_or_default();
+        self.room = MOST_KEPT.saturating_sub(grown.len());
+        grown.iter().take(MOST_KEPT).for_each(|input| self.take(input));
         // What the first one takes to begin with is not the input's.
         self.tally.most_memory = 0;
         while self.tally.inputs < inputs && start.elapsed() < time {
@@ -104,6 +113,16 @@ impl<'a> Campaign<'a> {
         self.tally.said = self.said.len();
         self.tally.time = start.elapsed();
         self.tally
+    }
+
+    /// Keeps an input for later runs; they do without it if that fails.
+    fn grow(&mut self, input: &[u8]) {
+        let Some(folder) = self.grown.as_ref().filter(|_| self.room > 0) else { return };
+        let file = folder.join(format!("{:016x}", hash(input)));
+        if !file.exists() {
+            self.room -= 1;
+            let _unwritten = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&file, input));
+        }
     }
 
     /// Tries an input and takes note of what it came to.
@@ -121,6 +140,7 @@ impl<'a> Campaign<'a> {
                 self.tally.most_memory = self.tally.most_memory.max(memory);
                 if self.said.insert(shape(&said)) {
                     self.generator.keep(input);
+                    self.grow(input);
                 }
             }
             Err(what) => {
@@ -131,6 +151,13 @@ impl<'a> Campaign<'a> {
             }
         }
     }
+}
+
+/// What lies in a folder, in the order of names.
+fn files(folder: &Path) -> Vec<Vec<u8>> {
+    let mut paths: Vec<_> = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
+    paths.sort();
+    paths.iter().filter_map(|path| std::fs::read(path).ok()).collect()
 }
 
 /// Tries an input: what the target says, and the memory that it took; else what is wrong.
@@ -172,6 +199,11 @@ fn shape(said: &str) -> String {
         }
     }
     out
+}
+
+/// A name for an input (FNV-1a).
+pub fn hash(input: &[u8]) -> u64 {
+    input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3))
 }
 
 /// By what findings count as one: where, or what.

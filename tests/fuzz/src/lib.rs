@@ -15,7 +15,7 @@ mod target;
 mod targets;
 mod words;
 
-pub use campaign::{Campaign, Finding, Tally, quietly, taken};
+pub use campaign::{Campaign, Finding, Tally, hash, quietly, taken};
 pub use count::Counting;
 pub use mutate::{Generator, Rng};
 pub use place::Place;

@@ -1,11 +1,16 @@
 //! `sgs-fuzz`: damaged files for every reader, for so many seconds.
 //!
-//! Each target runs in a process of its own, so that one that ends it (no memory, no stack, no end) is a finding too.
+//! Each target runs in a process of its own, so that one that ends it (no memory, no stack, no end) is a finding too. With a ledger
+//! targets take turns, for as many runs of this program as it takes until each has been fed for so long.
+
+mod ledger;
 
 use clap::Parser;
-use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, find, quietly, write_seeds};
+use ledger::{Fed, Ledger};
+use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, find, hash, quietly, write_seeds};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 #[global_allocator]
@@ -14,12 +19,24 @@ static ALLOCATOR: Counting = Counting;
 /// Processor time after which an input counts as one without end.
 const PATIENCE: u64 = 30;
 
+/// Seconds after which it is another target's turn, where there is a ledger.
+const TURN: f64 = 60.0;
+
 #[derive(Parser)]
 #[command(about = "Damaged files for every reader of SGS")]
 struct Cli {
-    /// How long each target is fed.
+    /// How long each target is fed; with a ledger until it says so many seconds of the processor.
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
+    /// Adds up in this file what targets are fed, and goes on where it ends.
+    #[arg(long, value_name = "FILE")]
+    ledger: Option<PathBuf>,
+    /// With a ledger: so many targets at a time.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
+    jobs: u32,
+    /// Takes inputs that came to something new from DIR/TARGET, and leaves new ones there.
+    #[arg(long, value_name = "DIR")]
+    grown: Option<PathBuf>,
     /// At most so many inputs for each.
     #[arg(long, default_value_t = u64::MAX)]
     inputs: u64,
@@ -44,6 +61,9 @@ struct Cli {
     /// Feeds one target in this process; where each input is put first.
     #[arg(long, hide = true)]
     current: Option<PathBuf>,
+    /// Where it is written what that came to.
+    #[arg(long, hide = true)]
+    tally: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
@@ -79,14 +99,14 @@ fn run(cli: &Cli) -> Result<ExitCode, String> {
         let [target] = chosen[..] else { return Err("--current needs one --target".into()) };
         return Ok(feed(cli, target, current));
     }
-    let mut found = 0;
     println!(
         "{:<22} {:>9} {:>8} {:>6} {:>9} {:>9} {:>8}",
         "target", "inputs", "seconds", "said", "slowest", "memory", "found"
     );
-    for target in chosen {
-        found += parent(cli, target)?;
-    }
+    let found = match &cli.ledger {
+        Some(file) => in_turns(cli, &chosen, file)?,
+        None => chosen.into_iter().map(|target| parent(cli, target)).sum::<Result<u64, String>>()?,
+    };
     Ok(if found == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -96,12 +116,26 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     watch();
     let mut campaign = Campaign::new(target, cli.seed);
     campaign.current = Some(current.to_owned());
+    campaign.grown = cli.grown.as_ref().map(|folder| folder.join(target.name));
     let Tally { inputs, said, time, slowest, most_memory, findings } =
         campaign.run(cli.inputs, Duration::from_secs_f64(cli.seconds));
     for finding in &findings {
         keep(cli, target, &finding.what, &finding.input);
     }
     let (time, slowest) = (time.as_secs_f64(), slowest.as_secs_f64());
+    if let Some(file) = &cli.tally {
+        let fed = Fed {
+            seconds: used() as f64 / 100.0,
+            wall: time,
+            inputs,
+            slices: 1,
+            slowest,
+            most_memory: most_memory as u64,
+            findings: findings.len() as u64,
+        };
+        // Without it the turn does not count.
+        let _unwritten = serde_json::to_vec(&fed).map(|text| std::fs::write(file, text));
+    }
     let memory = most_memory as f64 / f64::from(1 << 20);
     let count = findings.len();
     println!("{:<22} {inputs:>9} {time:>8.0} {said:>6} {slowest:>7.2} s {memory:>6.0} MiB {count:>6}", target.name);
@@ -110,8 +144,7 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
 
 /// Writes an input at which a reader fails.
 fn keep(cli: &Cli, target: &Target, what: &str, input: &[u8]) {
-    let hash = input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3));
-    let file = cli.output.join(format!("{}-{hash:016x}", target.name));
+    let file = cli.output.join(format!("{}-{:016x}", target.name, hash(input)));
     let written = std::fs::create_dir_all(&cli.output).and_then(|()| std::fs::write(&file, input));
     let place = written.map_or_else(|e| e.to_string(), |()| file.display().to_string());
     println!("{}: {what}; {} bytes in {place}", target.name, input.len());
@@ -119,9 +152,6 @@ fn keep(cli: &Cli, target: &Target, what: &str, input: &[u8]) {
 
 /// Feeds a target in a process of its own, and again with another seed where that ends early. How much was found.
 fn parent(cli: &Cli, target: &Target) -> Result<u64, String> {
-    let folder = sgs_fuzz::Place::new();
-    let current = folder.path("current");
-    let program = std::env::current_exe().map_err(|e| e.to_string())?;
     let start = Instant::now();
     let mut found = 0;
     for seed in cli.seed.. {
@@ -129,27 +159,85 @@ fn parent(cli: &Cli, target: &Target) -> Result<u64, String> {
         if seed > cli.seed && left < 1.0 {
             break;
         }
-        let mut child = Command::new(&program);
-        child.args(["--target", target.name]).arg("--current").arg(&current).arg("--output").arg(&cli.output);
-        child.args(["--seed", &seed.to_string(), "--inputs", &cli.inputs.to_string(), "--seconds", &left.to_string()]);
-        let status = child.status().map_err(|e| e.to_string())?;
-        match status.code() {
-            Some(0) => break,
-            Some(1) => {
-                found += 1;
-                break;
-            }
-            _ => {
-                found += 1;
-                let input = std::fs::read(&current).unwrap_or_default();
-                keep(cli, target, &format!("the process ended ({status})"), &input);
-            }
-        }
-        if found > 20 {
+        let (fed, ended) = turn(cli, target, seed, left, true)?;
+        found += fed.findings;
+        if !ended || found > 20 {
             break;
         }
     }
     Ok(found)
+}
+
+/// Feeds targets in turns, those first that were fed least, until the ledger says that each was fed for so long. How much was found.
+fn in_turns(cli: &Cli, targets: &[&Target], file: &Path) -> Result<u64, String> {
+    // What is fed just now is not fed twice: the grown corpus has one writer a target.
+    let state = Mutex::new((Ledger::open(file)?, Vec::<&str>::new(), 0u64));
+    let lock = || state.lock().unwrap_or_else(PoisonError::into_inner);
+    let work = || -> Result<(), String> {
+        loop {
+            let (target, seed, left) = {
+                let (ledger, fed, _) = &mut *lock();
+                let names = targets.iter().map(|t| t.name);
+                let Some(name) = ledger.hungriest(names, cli.seconds, |t| !fed.contains(&t)) else { return Ok(()) };
+                fed.push(name);
+                let before = ledger.of(name);
+                (name, cli.seed + before.slices, (cli.seconds - before.seconds).clamp(1.0, TURN))
+            };
+            let target = find(target).ok_or("a target is gone")?;
+            let (slice, _) = turn(cli, target, seed, left, false)?;
+            let (ledger, fed, found) = &mut *lock();
+            fed.retain(|t| *t != target.name);
+            *found += slice.findings;
+            ledger.add(target.name, &slice);
+            ledger.write(file)?;
+            if *found > 20 {
+                return Ok(());
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..cli.jobs).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| Err("a worker ended".into())))
+    })?;
+    let (ledger, _, found) = &*lock();
+    for target in targets {
+        let Fed { seconds, inputs, slowest, most_memory, findings, .. } = ledger.of(target.name);
+        let memory = most_memory as f64 / f64::from(1 << 20);
+        println!(
+            "{:<22} {inputs:>9} {seconds:>8.0} {:>6} {slowest:>7.2} s {memory:>6.0} MiB {findings:>6}",
+            target.name, ""
+        );
+    }
+    Ok(*found)
+}
+
+/// Feeds a target in a process of its own. What it was fed, and whether an input ended the process.
+fn turn(cli: &Cli, target: &Target, seed: u64, seconds: f64, loud: bool) -> Result<(Fed, bool), String> {
+    let folder = sgs_fuzz::Place::new();
+    let (current, tally) = (folder.path("current"), folder.path("tally"));
+    let program = std::env::current_exe().map_err(|e| e.to_string())?;
+    let mut child = Command::new(&program);
+    child.args(["--target", target.name]).arg("--current").arg(&current).arg("--output").arg(&cli.output);
+    child.args(["--seed", &seed.to_string(), "--inputs", &cli.inputs.to_string(), "--seconds", &seconds.to_string()]);
+    child.arg("--tally").arg(&tally);
+    if let Some(grown) = &cli.grown {
+        child.arg("--grown").arg(grown);
+    }
+    if !loud {
+        child.stdout(Stdio::null());
+    }
+    let begin = Instant::now();
+    let status = child.status().map_err(|e| e.to_string())?;
+    let fed = std::fs::read(&tally).ok().and_then(|text| serde_json::from_slice::<Fed>(&text).ok());
+    match status.code() {
+        Some(0 | 1) => Ok((fed.ok_or_else(|| format!("{} did not say what it came to", target.name))?, false)),
+        _ => {
+            let input = std::fs::read(&current).unwrap_or_default();
+            keep(cli, target, &format!("the process ended ({status})"), &input);
+            let wall = begin.elapsed().as_secs_f64();
+            Ok((Fed { wall, slices: 1, findings: 1, ..Fed::default() }, true))
+        }
+    }
 }
 
 /// Ends the process when an input takes too much of the processor's time. Clocks on the wall say nothing on a busy machine.
@@ -169,9 +257,9 @@ fn watch() {
     });
 }
 
-/// Processor time of this process so far, in hundredths of a second; 0 where the system does not say.
+/// Processor time of this process and those that it started so far, in hundredths of a second; 0 where the system does not say.
 fn used() -> u64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after = text.rsplit(')').next().unwrap_or_default();
-    after.split_whitespace().skip(11).take(2).filter_map(|n| n.parse::<u64>().ok()).sum()
+    after.split_whitespace().skip(11).take(4).filter_map(|n| n.parse::<u64>().ok()).sum()
 }

@@ -72,7 +72,7 @@ impl Schedule {
             interval => g.sh_degree.most().min((step - 1) / interval),
         };
         let factor = g.rate_factor() * self.rates;
-        let spread = 10f64.powf(f64::from(step) / 5000.0).min(100.0) as f32;
+        let spread = 10f64.powf(f64::from(step) / 5000.0).min(f64::from(g.losses.depth_variance_growth)) as f32;
         Step {
             camera: *camera,
             background: g.background,
@@ -187,6 +187,22 @@ mod tests {
         // Of 51 views one may be missing among 100 steps; the last densification is after step 800.
         assert_eq!((weight(51, 500), weight(51, 800), weight(50, 500)), (0.0, 0.0, 1e-4));
         assert!((weight(12, 800) - 8.0 * 0.002).abs() < 1e-6 && weight(12, 700) == 1e-4);
+    }
+
+    #[test]
+    fn depth_variance_stops_growing_where_published_runs_end() {
+        let mut settings = Settings::default();
+        settings.geometry.steps = 100_000;
+        let weight =
+            |s: &Settings, step| Schedule::new(s, 1.0, 1).step(step, &Camera::default(), 0).weight_depth_variance;
+        let is = |weight: f32, expected: f32| assert!((weight / expected - 1.0).abs() < 1e-5, "{weight} {expected}");
+        is(weight(&settings, 1), 0.02 * 10f32.powf(1.0 / 5000.0));
+        is(weight(&settings, 5000), 0.2);
+        is(weight(&settings, 6980), 0.02 * 10f32.powf(6980.0 / 5000.0));
+        is(weight(&settings, 7000), 0.5);
+        is(weight(&settings, 100_000), 0.5);
+        settings.geometry.losses.depth_variance_growth = 100.0;
+        is(weight(&settings, 100_000), 2.0);
     }
 
     #[test]

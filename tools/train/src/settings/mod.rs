@@ -232,8 +232,11 @@ pub struct LossWeights {
     pub normal_smooth: f32,
     /// Edge-aware smoothness of depth.
     pub depth_smooth: f32,
-    /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps, a hundredfold at most.
+    /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps.
     pub depth_variance: f32,
+    /// By how much that grows at most. Published: 100, which no run as long as the published ones reaches; in longer ones it outweighs
+    /// photographs and normals, which get worse. 25 is what 7000 steps come to.
+    pub depth_variance_growth: f32,
     /// One minus the cosine of decoded features to the semantic prior.
     pub semantic: f32,
     /// Cross-entropy of their class to that of the prior.
@@ -251,6 +254,7 @@ impl Default for LossWeights {
             normal_smooth: 0.01,
             depth_smooth: 0.01,
             depth_variance: 0.02,
+            depth_variance_growth: 25.0,
             semantic: 1.0,
             semantic_class: 1.0,
             correspondence: 0.3,
@@ -413,6 +417,7 @@ impl Settings {
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
             ("losses.depth_smooth", f64::from(l.depth_smooth)),
             ("losses.depth_variance", f64::from(l.depth_variance)),
+            ("losses.depth_variance_growth", f64::from(l.depth_variance_growth)),
             ("losses.semantic", f64::from(l.semantic)),
             ("losses.semantic_class", f64::from(l.semantic_class)),
             ("losses.correspondence", f64::from(l.correspondence)),
