@@ -1,7 +1,7 @@
 //! A target fed: the corpus first, then changes of it; what goes wrong, made small.
 
 use crate::count;
-use crate::mutate::{Generator, MOST_KEPT, Rng};
+use crate::mutate::{Generator, Rng};
 use crate::place::Place;
 use crate::target::{Target, corpus};
 use std::collections::HashSet;
@@ -13,6 +13,9 @@ use std::time::{Duration, Instant};
 
 /// Memory that is always allowed.
 const FREE: usize = 64 << 20;
+
+/// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.
+const MOST_GROWN: usize = 500;
 
 /// What the last panic said.
 static PANIC: Mutex<String> = Mutex::new(String::new());
@@ -102,8 +105,8 @@ impl<'a> Campaign<'a> {
             self.take(&bytes);
         }
         let grown = self.grown.as_deref().map(files).unwrap_or_default();
-        self.room = MOST_KEPT.saturating_sub(grown.len());
-        grown.iter().take(MOST_KEPT).for_each(|input| self.take(input));
+        self.room = MOST_GROWN.saturating_sub(grown.len());
+        grown.iter().for_each(|input| self.take(input));
         // What the first one takes to begin with is not the input's.
         self.tally.most_memory = 0;
         while self.tally.inputs < inputs && start.elapsed() < time {

@@ -19,8 +19,6 @@ pub struct Fed {
     pub inputs: u64,
     /// Processes that did it, each with a seed of its own.
     pub slices: u64,
-    /// The longest that an input took, seconds of the wall.
-    pub slowest: f64,
     /// The most memory that an input took, bytes.
     pub most_memory: u64,
     /// What was found wrong.
@@ -34,7 +32,6 @@ impl Fed {
         self.wall = tenths(self.wall + slice.wall);
         self.inputs += slice.inputs;
         self.slices += slice.slices;
-        self.slowest = self.slowest.max((slice.slowest * 1e3).round() / 1e3);
         self.most_memory = self.most_memory.max(slice.most_memory);
         self.findings += slice.findings;
     }
@@ -98,15 +95,14 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("ledger.toml");
         let mut ledger = Ledger::open(&file).expect("nothing is a ledger");
-        let slice =
-            Fed { seconds: 40.04, wall: 60.0, inputs: 7, slices: 1, slowest: 0.25, most_memory: 9, findings: 0 };
+        let slice = Fed { seconds: 40.04, wall: 60.0, inputs: 7, slices: 1, most_memory: 9, findings: 0 };
         ledger.add("gltf", &slice);
-        ledger.add("gltf", &Fed { slowest: 0.125, findings: 1, ..slice.clone() });
+        ledger.add("gltf", &Fed { findings: 1, ..slice.clone() });
         ledger.add("lights", &Fed { seconds: 90.0, ..slice });
         ledger.write(&file).expect("it is written");
         let again = Ledger::open(&file).expect("it is read");
         assert_eq!(again, ledger);
-        let sum = Fed { seconds: 80.0, wall: 120.0, inputs: 14, slices: 2, slowest: 0.25, most_memory: 9, findings: 1 };
+        let sum = Fed { seconds: 80.0, wall: 120.0, inputs: 14, slices: 2, most_memory: 9, findings: 1 };
         assert_eq!(again.of("gltf"), sum);
         assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing lies beside it");
         std::fs::write(&file, "[gltf]\nhours = 3\n").expect("written");

@@ -129,7 +129,6 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
             wall: time,
             inputs,
             slices: 1,
-            slowest,
             most_memory: most_memory as u64,
             findings: findings.len() as u64,
         };
@@ -201,12 +200,9 @@ fn in_turns(cli: &Cli, targets: &[&Target], file: &Path) -> Result<u64, String> 
     })?;
     let (ledger, _, found) = &*lock();
     for target in targets {
-        let Fed { seconds, inputs, slowest, most_memory, findings, .. } = ledger.of(target.name);
+        let Fed { seconds, inputs, most_memory, findings, .. } = ledger.of(target.name);
         let memory = most_memory as f64 / f64::from(1 << 20);
-        println!(
-            "{:<22} {inputs:>9} {seconds:>8.0} {:>6} {slowest:>7.2} s {memory:>6.0} MiB {findings:>6}",
-            target.name, ""
-        );
+        println!("{:<22} {inputs:>9} {seconds:>8.0} {memory:>26.0} MiB {findings:>6}", target.name);
     }
     Ok(*found)
 }

@@ -72,7 +72,7 @@ pub struct Generator {
 }
 
 /// Inputs that came to something new are kept until there are so many.
-pub(crate) const MOST_KEPT: usize = 4000;
+const MOST_KEPT: usize = 4000;
 
 impl Generator {
     /// For a target with these files; an empty one is always among them.
