@@ -3,10 +3,10 @@
 use crate::count;
 use crate::mutate::{Generator, Rng};
 use crate::place::Place;
-use crate::target::{Target, corpus};
+use crate::target::{Target, corpus, files};
 use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -106,7 +106,7 @@ impl<'a> Campaign<'a> {
         }
         let grown = self.grown.as_deref().map(files).unwrap_or_default();
         self.room = MOST_GROWN.saturating_sub(grown.len());
-        grown.iter().for_each(|input| self.take(input));
+        grown.iter().for_each(|(_, input)| self.take(input));
         // What the first one takes to begin with is not the input's.
         self.tally.most_memory = 0;
         while self.tally.inputs < inputs && start.elapsed() < time {
@@ -154,13 +154,6 @@ impl<'a> Campaign<'a> {
             }
         }
     }
-}
-
-/// What lies in a folder, in the order of names.
-fn files(folder: &Path) -> Vec<Vec<u8>> {
-    let mut paths: Vec<_> = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
-    paths.sort();
-    paths.iter().filter_map(|path| std::fs::read(path).ok()).collect()
 }
 
 /// Tries an input: what the target says, and the memory that it took; else what is wrong.

@@ -60,8 +60,7 @@ impl Ledger {
     pub fn write(&self, file: &Path) -> Result<(), String> {
         let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", file.display());
         let text = toml::to_string(self).map_err(|e| failed(&e))?;
-        let beside = file.with_extension("toml.tmp");
-        std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, file)).map_err(|e| failed(&e))
+        sgs_scene::atomic_write(file, |out| std::io::Write::write_all(out, text.as_bytes())).map_err(|e| failed(&e))
     }
 
     /// What a target was fed.

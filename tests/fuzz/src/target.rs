@@ -3,7 +3,7 @@
 use crate::fix::{self, Fix};
 use crate::targets::{images, light, provider, runs, scenes, splats, tensors};
 use crate::words::Words::{self, *};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A reader.
 #[derive(Clone, Debug)]
@@ -99,7 +99,11 @@ pub fn fuzz(name: &str, bytes: &[u8]) {
 
 /// The kept files of a target, in the order of their names.
 pub fn corpus(target: &Target) -> Vec<(PathBuf, Vec<u8>)> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name);
+    files(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name))
+}
+
+/// What lies in a folder, in the order of names; nothing if there is none.
+pub(crate) fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.filter_map(|e| Some((e.path(), std::fs::read(e.path()).ok()?))).collect();
     files.sort();

@@ -234,8 +234,8 @@ pub struct LossWeights {
     pub depth_smooth: f32,
     /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps.
     pub depth_variance: f32,
-    /// By how much that grows at most. Published: 100, which no run as long as the published ones reaches; in longer ones it outweighs
-    /// photographs and normals, which get worse. 25 is what 7000 steps come to.
+    /// By how much that grows at most. Published: 100, which no run as long as the published ones reaches; in longer ones of a
+    /// toy room it outweighed photographs and normals, which got worse. 25 is what 7000 steps come to.
     pub depth_variance_growth: f32,
     /// One minus the cosine of decoded features to the semantic prior.
     pub semantic: f32,
