@@ -1,5 +1,6 @@
 // Gradients of raw features summed over the entries of each visible splat, and Adam on the spot. A feature whose gradient
-// is exactly zero was not seen and stays as it is, unless Adam is dense; a raised flag leaves everything as it was.
+// is exactly zero was not seen and stays as it is, unless Adam is dense; one that is not finite changes nothing and is
+// counted; a raised flag leaves everything as it was.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -23,6 +24,7 @@ IN(uint, entry_flags);
 IN(uint, seen);
 INOUT(float, parameters);
 INOUT(vec2, moments);
+INOUT(uint, skipped); // counter of gradients that were not finite
 
 #include "entry_features.glsl"
 
@@ -34,6 +36,7 @@ void main() {
     if (DENSE) there = there && seen[id] != 0u;
     EntrySplat mine = entry_splat(own, there);
     uvec4 exist = subgroupBallot(there);
+    uint bad = 0u;
     for (uint item = gl_SubgroupInvocationID; item < SUBGROUP * QUADS; item += SUBGROUP) {
         uint of = item / QUADS, c = item % QUADS * 4u;
         uint row = subgroupShuffle(id, of) * FEATURES + c;
@@ -41,6 +44,10 @@ void main() {
         if (subgroupBallotBitExtract(exist, of) && (DENSE || sum != vec4(0.0))) {
             [[unroll]] for (uint k = 0u; k < 4u; ++k) {
                 if (!DENSE && sum[k] == 0.0) continue;
+                if (!is_finite(sum[k])) {
+                    bad++;
+                    continue;
+                }
                 uint at = row + k;
                 float parameter = parameters[at];
                 vec2 m = moments[at];
@@ -50,4 +57,5 @@ void main() {
             }
         }
     }
+    if (bad != 0u) atomicAdd(skipped[0], bad);
 }

@@ -143,6 +143,9 @@ fn a_planted_error_is_caught() {
     assert!(largest(&found, &image(&scene)) > 2e-3);
 }
 
+/// What the counter of skipped gradients begins with.
+const SKIPPED: u32 = 5;
+
 /// The update of features fused with the sum of their gradients.
 struct Fused {
     scene: Gaussians,
@@ -173,8 +176,9 @@ impl Fused {
         Fused { scene, view, moments, seen, flag: 0 }
     }
 
-    /// Runs and compares with Adam on the gradients; returns how many scalars moved, and how many had no gradient.
-    fn check(&self, gpu: &Gpu, halved: bool) -> [usize; 2] {
+    /// Runs and compares with Adam on the gradients; returns how many scalars moved, how many had no gradient, and for how
+    /// many it was not finite.
+    fn check(&self, gpu: &Gpu, halved: bool) -> [usize; 3] {
         let t = gpu.tuning();
         let n = self.scene.len();
         let rates = twin::Rates::at(2e-3, 4);
@@ -196,12 +200,13 @@ impl Fused {
         let raised = g.input("raised", 4);
         let seen = self.seen.as_ref().map(|_| g.input("seen", 4 * n as u64));
         let moments = handles.moments.unwrap()[Group::Semantics as usize];
-        let a = FeatureAdam { step: d.screen.step, flags: raised, moments, seen };
+        let skipped = g.external("skipped", 4);
+        let a = FeatureAdam { step: d.screen.step, flags: raised, moments, skipped, seen };
         features_bwd_adam(&mut g, &t, &handles, &d.visible, &d.features, &a).unwrap();
         let mut inputs = gaussian_inputs(&self.scene, &handles);
         inputs.extend(d.inputs);
         inputs.extend([(flags, vec![0; 4]), (into, vec![0; 4 * WIDE * n]), (raised, bytes(&[self.flag]))]);
-        inputs.push((moments, bytes(&self.moments)));
+        inputs.extend([(moments, bytes(&self.moments)), (skipped, bytes(&[SKIPPED]))]);
         inputs.extend(seen.zip(self.seen.as_ref()).map(|(b, s)| (b, bytes(s))));
         let out = gpu.run(g, &inputs);
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
@@ -213,7 +218,7 @@ impl Fused {
         let visible = sgs_passes::reference::project::project(&self.scene, &self.view.camera, 0, false);
         let mut is_visible = vec![false; n];
         visible.iter().for_each(|s| is_visible[s.id] = true);
-        let mut counts = [0; 2];
+        let (mut counts, mut not_finite) = ([0; 2], 0);
         let (mut expected, mut expected_moments) = (Vec::new(), Vec::new());
         for (j, gradient) in gradients.iter().enumerate() {
             let (p, m) = (data.group(Group::Semantics)[j], self.moments[j]);
@@ -223,7 +228,8 @@ impl Fused {
             };
             let gradient = f64::from(*gradient) * if halved { 0.5 } else { 1.0 };
             counts[1] += usize::from(gradient == 0.0);
-            if self.flag != 0 || !moves || gradient.is_nan() {
+            not_finite += u32::from(self.flag == 0 && moves && !gradient.is_finite());
+            if self.flag != 0 || !moves || !gradient.is_finite() {
                 assert!((found[j], found_moments[j]) == (p, m), "scalar {j} was touched");
                 expected.push(f64::from(p));
                 expected_moments.extend(m.map(f64::from));
@@ -236,7 +242,8 @@ impl Fused {
         }
         assert_close("moments", &expected_moments, found_moments.as_flattened(), Tolerance::new(1e-7, 1e-5));
         assert_close("features", &expected, found, Tolerance::new(1e-4 * rates.lr, 2e-7));
-        counts
+        assert_eq!(out.get::<u32>(skipped), [SKIPPED + not_finite]);
+        [counts[0], counts[1], not_finite as usize]
     }
 }
 
@@ -244,8 +251,9 @@ impl Fused {
 fn the_fused_update_of_features_is_adam_on_their_gradients() {
     let gpu = Gpu::new();
     for dense in [false, true] {
-        let [moved, still] = Fused::new(11, dense).check(&gpu, false);
+        let [moved, still, bad] = Fused::new(11, dense).check(&gpu, false);
         assert!(moved > 300 && still > 300, "{moved} moved, {still} had no gradient");
+        assert_eq!(bad, 0);
     }
 }
 
@@ -263,8 +271,8 @@ fn features_whose_gradients_are_not_finite_stay_as_they_are() {
     for dense in [false, true] {
         let mut case = Fused::new(13, dense);
         case.view.weights[400 * WIDE..].iter_mut().step_by(WIDE * 20).for_each(|w| *w = f64::NAN);
-        let [moved, _] = case.check(&gpu, false);
-        assert!(moved > 300);
+        let [moved, _, bad] = case.check(&gpu, false);
+        assert!(moved > 300 && bad > 10, "{moved} moved, {bad} were not finite");
     }
 }
 

@@ -254,6 +254,8 @@ pub struct FeatureAdam {
     pub flags: Buffer,
     /// The features' moments, pairs.
     pub moments: Buffer,
+    /// A counter, increased by the number of gradients that were skipped because they are not finite.
+    pub skipped: Buffer,
     /// For dense Adam: what the fused update of the other groups has marked; the rest is left to another pass.
     pub seen: Option<Buffer>,
 }
@@ -276,6 +278,7 @@ pub fn features_bwd_adam(
         seen: a.seen.unwrap_or(visible.ids).into(),
         parameters: gaussians.group(Group::Semantics).into(),
         moments: a.moments.into(),
+        skipped: a.skipped.into(),
     );
     let specs = fused::Specs {
         workgroup: t.workgroup,

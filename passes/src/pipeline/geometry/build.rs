@@ -107,7 +107,7 @@ pub(super) fn build(
         match &meaning.pseudo {
             None => {
                 let seen = seen.filter(|_| o.dense_adam);
-                let adam = FeatureAdam { step, flags: status.flags, moments, seen };
+                let adam = FeatureAdam { step, flags: status.flags, moments, skipped: status.skipped, seen };
                 features_bwd_adam(g, t, gaussians, &view.visible, &meaning.entries, &adam)?;
             }
             Some(pseudo) => {
