@@ -163,6 +163,17 @@ fn what_a_trade_comes_to_is_measured_at_test_views() {
     let text = std::fs::read_to_string(&table).unwrap();
     let tiles: Vec<&str> = text.lines().filter(|l| l.starts_with("| tiles of")).collect();
     assert!(!tiles.is_empty() && tiles.iter().all(|l| l.ends_with("|  |  |")), "{text}");
+    // With classes there are features, which have a choice of their own: what it costs is seen in their gradient.
+    let what = ["tradeoff", "--scene", &room, "--semantics", "--filter", "features", "--rounds", "1", "--train", "2"];
+    let report = succeeds(&[&what[..], &["--repeats", "1", "--warmup", "1"]].concat());
+    let values = report["values"].as_array().unwrap();
+    let value = |name: &str| values.iter().find(|v| v["name"] == name).map(|v| v["value"]["median"].as_f64().unwrap());
+    let own = value("gradient error, features in 16 bits").unwrap();
+    assert!(own > 1e-6 && own < 1e-2, "{own}");
+    assert!(value("mean error, features in 16 bits") > value("mean error, exact"));
+    let refused = bench(&["tradeoff", "--stage", "intrinsic", "--scene", &room, "--semantics"]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(1) && said.contains("--semantics is for --stage geometry"), "{said}");
     let refused = bench(&["tradeoff", "--quality", "2"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(1) && said.contains("--quality needs --scene"), "{said}");

@@ -27,8 +27,8 @@ impl Choice {
     }
 }
 
-/// `exact` first, then every choice alone, then the presets.
-pub fn choices(own: Tuning) -> Vec<Choice> {
+/// `exact` first, then every choice alone, then the presets; those of features where there are some.
+pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
     let exact = Accuracy::EXACT;
     let mut all = Vec::new();
     let mut add = |name: &str, setting: &str, a: Accuracy| {
@@ -58,8 +58,15 @@ pub fn choices(own: Tuning) -> Vec<Choice> {
     }
     add("cubic for exp", "`accuracy.fast_exp=true`", Accuracy { fast_exp: true, ..exact });
     add("colors in 16 bits", "`accuracy.color_bits=16`", Accuracy { color_bits: 16, ..exact });
+    if semantics {
+        add("features in 16 bits", "`accuracy.feature_bits=16`", Accuracy { feature_bits: 16, ..exact });
+    }
     add("balanced", "`--accuracy balanced`", Accuracy::BALANCED);
     add("fast", "`--accuracy fast`", Accuracy::FAST);
+    if semantics {
+        let setting = "`--accuracy fast`, `accuracy.feature_bits=16`";
+        add("fast, features in 16 bits", setting, Accuracy { feature_bits: 16, ..Accuracy::FAST });
+    }
     let [width, height] = own.tile;
     for rows in [height / 2, height * 2] {
         let tuning = Tuning { tile: [width, rows], ..own };

@@ -1,8 +1,9 @@
 //! `engine-bench tradeoff`: what each choice that trades accuracy for speed costs and saves, on Gaussians that stay as they
 //! are while it is measured.
 //!
-//! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture
-//! against the double-precision twin (which follows the definition of 3D Gaussian splatting), and error of the gradient of one
+//! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture, of which
+//! features are further channels where there are some, against the double-precision twin (which follows the definition of 3D
+//! Gaussian splatting), and error of the gradient of one
 //! step against that of `exact`, which tests hold to finite differences of the twin. Choices are measured in rounds, one
 //! after the other in each and in another order each time, with `exact` before and after each: times are ratios to these, which a machine
 //! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else is both faster and closer
@@ -27,7 +28,7 @@ use plot::Mark;
 use quality::Quality;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::Renderer;
+use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
@@ -42,6 +43,9 @@ pub struct Args {
     /// A scene directory in place of the synthetic room.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["gaussians", "size"])]
     pub scene: Option<PathBuf>,
+    /// With the semantic loss, and the choices of its features; the scene must have the priors.
+    #[arg(long, requires = "scene")]
+    pub semantics: bool,
     /// Whose choices.
     #[arg(long, value_enum, default_value = "geometry")]
     pub stage: Stage,
@@ -125,6 +129,7 @@ impl From<&Point> for Mark {
 /// If the device fails, a file cannot be read or written, or `exact` is not.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic {
+        anyhow::ensure!(!a.semantics, "--semantics is for --stage geometry.");
         return intrinsic::run(common, a);
     }
     anyhow::ensure!(a.config.is_none(), "--config is for --stage intrinsic.");
@@ -137,6 +142,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut workload = workload(&device, a)?;
     report.setting("scene", workload.name.clone());
     report.setting("size", format!("{}x{}", workload.largest[0], workload.largest[1]));
+    report.setting("semantics", a.semantics);
     report.setting("rounds", a.rounds);
     if a.geometry.is_none() {
         let capacity = first_entry_capacity(workload.start.len());
@@ -188,9 +194,15 @@ fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
         let (gaussians, size) = StepArgs::sizes(device, a.gaussians, a.size);
         return synthetic(device, &Synthetic { gaussians, size, normals: false, densify: false, sh_degree: 3 });
     };
-    let mut workload = directory(device, path, Priors::default(), false, 3)?;
+    let priors = Priors { semantics: a.semantics, ..Priors::default() };
+    let mut workload = directory(device, path, priors, false, 3)?;
     if let Some(file) = &a.geometry {
         let splats = Splats::read_ply(file)?;
+        anyhow::ensure!(
+            !a.semantics || splats.semantic.is_some(),
+            "\"{}\" has no semantic features: without --geometry some are trained first.",
+            file.display()
+        );
         workload.start = gaussian_data(&splats, workload.model);
     }
     Ok(workload)
@@ -233,7 +245,7 @@ impl Subject<'_> {
 }
 
 fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
-    let all = choices(Tuning::for_device(device.info()));
+    let all = choices(Tuning::for_device(device.info()), workload.model.semantics);
     let wanted = |c: &Choice| a.wants(&c.name) && c.backward.runs_on(device.info());
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
     gaussians.upload(device, &workload.start)?;
@@ -246,6 +258,11 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         false,
         background.map(f64::from),
     );
+    // All share one decoder, which moves with every step; gradients are to be those of the same one.
+    let decoder = match workload.semantics.as_deref() {
+        Some((_, decoder)) => Some((decoder, decoder.download(device)?)),
+        None => None,
+    };
     let mut subjects = Vec::new();
     let mut exact: Option<GaussianData> = None;
     let mut made = Vec::new();
@@ -254,15 +271,20 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let before = device.memory_use().0;
         let capacity = first_entry_capacity(workload.start.len());
         let mut trainer = Trainer::with(device, workload, choice.tuning, choice.backward, choice.dense_adam, capacity)?;
+        if let Some((decoder, parameters)) = &decoder {
+            decoder.upload(device, parameters)?;
+        }
         let gradient = trainer.gradients(&workload.start)?;
         trainer.gaussians.upload(device, &workload.start)?;
         // Every view once, so that none finds too little room later.
         trainer.run(common.warmup.max(workload.views.len() as u32))?;
         trainer.set_timestamps(true)?;
         let bytes = device.memory_use().0 - before;
-        let mut renderer = Renderer::new(device, choice.tuning, &gaussians, workload.largest, Channels::default())?;
+        let (tuning, channels) = (choice.tuning, Channels::default());
+        let mut renderer = Renderer::with_features(device, tuning, &gaussians, workload.largest, channels)?;
         let picture = renderer.render(&gaussians, &camera, degree, background)?;
-        let (largest, mean, psnr) = differences(&picture.image, &truth.image);
+        let image = with_features(device, &renderer, picture)?;
+        let (largest, mean, psnr) = differences(&image, &truth.image);
         if choice.name == "exact" {
             anyhow::ensure!(psnr > 55.0, "The exact picture is {psnr:.1} dB off double precision.");
         }
@@ -314,10 +336,19 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
         let scene = Scene::open(path, &workload.settings.scene_options())?;
         for (point, choice) in points.iter_mut().zip(&made) {
-            point.quality = quality::trained(device, &scene, choice, steps)?;
+            point.quality = quality::trained(device, &scene, choice, steps, a.semantics)?;
         }
     }
     Ok(points)
+}
+
+/// Colors, and behind those of each pixel its features, if there are any: the channels of the twin.
+fn with_features(device: &Device, renderer: &Renderer, picture: Picture) -> anyhow::Result<Vec<f32>> {
+    let Some(buffer) = renderer.features() else { return Ok(picture.image) };
+    let wide = Group::Semantics.width() as usize;
+    let pixels = picture.image.chunks_exact(picture.channels as usize);
+    let features = device.download_as::<f32>(buffer, wide * pixels.len())?;
+    Ok(pixels.zip(features.chunks_exact(wide)).flat_map(|(color, own)| color.iter().chain(own)).copied().collect())
 }
 
 /// Largest and mean difference, and decibels, of all pixels.

@@ -15,12 +15,18 @@ pub struct Quality {
     pub normals: Option<f64>,
 }
 
-/// Trains from the scene's points, without classes. None where no setting makes the choice.
-pub fn trained(device: &Device, scene: &Scene, choice: &Choice, steps: u32) -> anyhow::Result<Option<Quality>> {
+/// Trains from the scene's points, with classes or without. None where no setting makes the choice.
+pub fn trained(
+    device: &Device,
+    scene: &Scene,
+    choice: &Choice,
+    steps: u32,
+    semantics: bool,
+) -> anyhow::Result<Option<Quality>> {
     let Some(accuracy) = choice.accuracy() else { return Ok(None) };
     let mut settings = Settings { scene: scene.root.clone(), accuracy, ..Settings::default() };
     let g = &mut settings.geometry;
-    (g.steps, g.semantics, g.dense_adam) = (steps, false, choice.dense_adam);
+    (g.steps, g.semantics, g.dense_adam) = (steps, semantics, choice.dense_adam);
     g.backward = match choice.backward {
         BackwardKernel::Pixel => Backward::Pixel,
         BackwardKernel::Splat => Backward::Splat,
