@@ -5,6 +5,7 @@
 //! [`View::load_image`](crate::View::load_image).
 
 mod color;
+mod dwa;
 mod environment;
 mod exr;
 mod file;

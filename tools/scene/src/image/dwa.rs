@@ -1,0 +1,151 @@
+//! What the blocks of an EXR file say of themselves that is compressed by DWA. Each begins with the sizes of its parts, and these are
+//! what its decoder takes memory for: a damaged block may ask for more than there is, which ends the process.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use ::exr::block::chunk::{CompressedBlock, CompressedScanLineBlock, CompressedTileBlock};
+use ::exr::compression::Compression;
+use ::exr::meta::header::Header;
+
+use super::exr::unreadable;
+use crate::error::{Result, SceneError, io_error};
+
+/// Bytes of a size, little-endian.
+const WIDE: usize = 8;
+/// Which of the eleven sizes count what comes out: bytes left as they are, bytes of runs before and after, and the numbers of
+/// 16-bit coefficients. The others are of what is in the file, which the decoder holds against the block.
+const COUNTS: [usize; 5] = [1, 6, 7, 8, 9];
+/// Coefficients of a block of eight by eight are as many as its pixels.
+const EDGE: usize = 8;
+
+/// Whether a file's blocks are looked at.
+pub(super) fn applies(header: &Header) -> bool {
+    matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_))
+}
+
+/// Goes through the file, and refuses it where a block says that more comes out of it than its pixels can be.
+pub(super) fn check(path: &Path) -> Result<()> {
+    let file = File::open(path).map_err(io_error("read", path))?;
+    let reader = ::exr::block::read(BufReader::new(file), false).map_err(|e| unreadable(path, &e))?;
+    let headers: Vec<Header> = reader.headers().to_vec();
+    for chunk in reader.all_chunks(false).map_err(|e| unreadable(path, &e))? {
+        let chunk = chunk.map_err(|e| unreadable(path, &e))?;
+        let Some(header) = headers.get(chunk.layer_index).filter(|h| applies(h)) else { continue };
+        let held = match &chunk.compressed_block {
+            CompressedBlock::ScanLine(CompressedScanLineBlock { compressed_pixels_le, .. })
+            | CompressedBlock::Tile(CompressedTileBlock { compressed_pixels_le, .. }) => compressed_pixels_le,
+            _ => continue,
+        };
+        let place = header
+            .get_block_data_indices(&chunk.compressed_block)
+            .and_then(|tile| header.get_absolute_block_pixel_coordinates(tile))
+            .map_err(|e| unreadable(path, &e))?;
+        // One that would not get smaller is there as it is.
+        if held.len() == place.size.area().saturating_mul(header.channels.bytes_per_pixel) {
+            continue;
+        }
+        let padded = |n: usize| n.div_ceil(EDGE).saturating_mul(EDGE);
+        let pixels = padded(place.size.width()).saturating_mul(padded(place.size.height()));
+        if most_counted(held) > most(pixels.saturating_mul(header.channels.bytes_per_pixel)) {
+            let problem = "a block of the EXR file says that more comes out of it than it has pixels; copy it again";
+            return Err(SceneError::image(path, problem));
+        }
+    }
+    Ok(())
+}
+
+/// The most that a block of so many bytes may count: runs that are none make it longer, by a byte in 127.
+fn most(bytes: usize) -> u64 {
+    (bytes as u64).saturating_mul(2).saturating_add(64)
+}
+
+/// The largest count at the beginning of a block; 0 where it is shorter than that, which the decoder says.
+fn most_counted(held: &[u8]) -> u64 {
+    let sizes = held.as_chunks::<WIDE>().0;
+    COUNTS.iter().filter_map(|&i| sizes.get(i)).map(|&size| u64::from_le_bytes(size)).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::exr::read_exr;
+    use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Layer};
+    use ::exr::meta::attribute::LineOrder;
+    use ::exr::meta::header::LayerAttributes;
+    use ::exr::prelude::{SmallVec, Vec2, WritableImage, f16};
+
+    const SIZE: (usize, usize) = (70, 50);
+    const TILES: Blocks = Blocks::Tiles(Vec2(64, 64));
+
+    /// Smooth colors, which are compressed with loss, coverage in runs, and a channel that is left as it is.
+    fn write(path: &Path, compression: Compression, blocks: Blocks) -> Vec<f32> {
+        let value = |i: usize, c: usize| {
+            let (x, y) = ((i % SIZE.0) as f32, (i / SIZE.0) as f32);
+            if c == 3 { f32::from(u8::from(x > 30.0)) } else { 0.5 + 0.4 * (0.1 * x + 0.07 * y + c as f32).sin() }
+        };
+        let mut channels = SmallVec::new();
+        for (c, name) in ["R", "G", "B", "A"].into_iter().enumerate() {
+            let values = (0..SIZE.0 * SIZE.1).map(|i| f16::from_f32(value(i, c))).collect();
+            channels.push(AnyChannel::new(name, FlatSamples::F16(values)));
+        }
+        let depth = (0..SIZE.0 * SIZE.1).map(|i| value(i, 5)).collect();
+        channels.push(AnyChannel::new("depth", FlatSamples::F32(depth)));
+        let encoding = Encoding { compression, blocks, line_order: LineOrder::Increasing };
+        let layer = Layer::new(SIZE, LayerAttributes::default(), encoding, AnyChannels::sort(channels));
+        ::exr::image::Image::from_layer(layer).write().non_parallel().to_file(path).unwrap();
+        (0..SIZE.0 * SIZE.1).flat_map(|i| [0, 1, 2, 3, 5].map(|c| value(i, c))).collect()
+    }
+
+    /// Where the blocks that are compressed begin in the file.
+    fn blocks(path: &Path) -> Vec<usize> {
+        let bytes = std::fs::read(path).unwrap();
+        let reader = ::exr::block::read(BufReader::new(File::open(path).unwrap()), false).unwrap();
+        let held = reader.all_chunks(false).unwrap().map(|chunk| match chunk.unwrap().compressed_block {
+            CompressedBlock::ScanLine(CompressedScanLineBlock { compressed_pixels_le, .. })
+            | CompressedBlock::Tile(CompressedTileBlock { compressed_pixels_le, .. }) => compressed_pixels_le,
+            _ => panic!("the blocks are of colors"),
+        });
+        held.map(|b| bytes.windows(b.len()).position(|w| w == b).unwrap()).collect()
+    }
+
+    #[test]
+    fn what_is_whole_is_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let kinds = [(Compression::DWAA(None), Blocks::ScanLines), (Compression::DWAB(Some(10.0)), TILES)];
+        for (compression, blocks) in kinds {
+            let truth = write(&path, compression, blocks);
+            assert!(std::fs::metadata(&path).unwrap().len() < (SIZE.0 * SIZE.1 * 12) as u64 / 2, "it is compressed");
+            let image = read_exr(&path).unwrap().image;
+            assert_eq!((image.width, image.height, image.channels), (SIZE.0 as u32, SIZE.1 as u32, 5));
+            let off = image.data.iter().zip(&truth).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(off < 0.05, "{off}");
+        }
+    }
+
+    #[test]
+    fn blocks_that_promise_too_much_are_refused_in_a_sentence() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        for kind in [Blocks::ScanLines, TILES] {
+            write(&path, Compression::DWAA(None), kind);
+            let whole = std::fs::read(&path).unwrap();
+            let found = blocks(&path);
+            assert!(found.len() >= 2);
+            for at in found {
+                for count in COUNTS {
+                    for value in [1 << 20, 532_942_459_764_736, i64::MAX as u64, u64::MAX] {
+                        let mut bytes = whole.clone();
+                        let at = at + WIDE * count;
+                        bytes[at..at + WIDE].copy_from_slice(&u64::to_le_bytes(value));
+                        std::fs::write(&path, bytes).unwrap();
+                        let said = read_exr(&path).unwrap_err().to_string();
+                        assert!(said.contains("more comes out of it than it has pixels"), "{count} {value}: {said}");
+                    }
+                }
+            }
+        }
+    }
+}
