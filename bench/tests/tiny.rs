@@ -163,7 +163,8 @@ fn what_a_trade_comes_to_is_measured_at_test_views() {
     let text = std::fs::read_to_string(&table).unwrap();
     let tiles: Vec<&str> = text.lines().filter(|l| l.starts_with("| tiles of")).collect();
     assert!(!tiles.is_empty() && tiles.iter().all(|l| l.ends_with("|  |  |")), "{text}");
-    // With classes there are features, which have a choice of their own: what it costs is seen in their gradient.
+    // With classes there are features, which have a choice of their own: what it costs is seen in their gradient
+    // and in the picture, which has them as channels.
     let what = ["tradeoff", "--scene", &room, "--semantics", "--filter", "features", "--rounds", "1", "--train", "2"];
     let report = succeeds(&[&what[..], &["--repeats", "1", "--warmup", "1"]].concat());
     let values = report["values"].as_array().unwrap();

@@ -3,9 +3,8 @@
 //!
 //! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture, of which
 //! features are further channels where there are some, against the double-precision twin (which follows the definition of 3D
-//! Gaussian splatting), and error of the gradient of one
-//! step against that of `exact`, which tests hold to finite differences of the twin. Choices are measured in rounds, one
-//! after the other in each and in another order each time, with `exact` before and after each: times are ratios to these, which a machine
+//! Gaussian splatting), and error of the gradient of one step against that of `exact`, which tests hold to finite differences of
+//! the twin. Choices are measured in rounds, one after the other in each and in another order each time, with `exact` before and after each: times are ratios to these, which a machine
 //! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else is both faster and closer
 //! ([`front`]).
 
