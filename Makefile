@@ -59,7 +59,7 @@ bench: setup
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- step
 
 fuzz: setup
-	$(CARGO) run --profile fuzz --locked -p sgs-fuzz -- --ledger tests/fuzz/ledger.toml --grown target/fuzz-grown --seconds 3600 --jobs "$$(nproc)"
+	$(CARGO) --config tests/fuzz/coverage.toml run --profile fuzz --target "$$(rustc -vV | sed -n 's/^host: //p')" --locked -p sgs-fuzz -- --ledger tests/fuzz/ledger.toml --grown target/fuzz-grown --seconds 3600 --jobs "$$(nproc)"
 
 install: setup
 	$(CARGO) build --release --locked -p sgs -p sgs-capi

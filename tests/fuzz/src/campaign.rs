@@ -1,6 +1,7 @@
 //! A target fed: the corpus first, then changes of it; what goes wrong, made small.
 
 use crate::count;
+use crate::coverage::Coverage;
 use crate::mutate::{Generator, Rng};
 use crate::place::Place;
 use crate::target::{Target, corpus, files};
@@ -15,7 +16,10 @@ use std::time::{Duration, Instant};
 const FREE: usize = 64 << 20;
 
 /// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.
-const MOST_GROWN: usize = 500;
+const MOST_GROWN: usize = 4000;
+
+/// Inputs after which branches are looked for where none was taken before.
+const LOOK: usize = 32;
 
 /// What the last panic said.
 static PANIC: Mutex<String> = Mutex::new(String::new());
@@ -55,6 +59,8 @@ pub struct Tally {
     pub inputs: u64,
     /// Different things that the target said.
     pub said: usize,
+    /// Branches that inputs took; `None` where the program does not count them.
+    pub branches: Option<usize>,
     /// How long it took.
     pub time: Duration,
     /// The longest that an input took.
@@ -77,6 +83,9 @@ pub struct Campaign<'a> {
     /// How many more may be kept there.
     room: usize,
     said: HashSet<String>,
+    coverage: Coverage,
+    /// Inputs since all counters were looked at.
+    recent: Vec<Vec<u8>>,
     kinds: HashSet<String>,
     tally: Tally,
 }
@@ -93,6 +102,8 @@ impl<'a> Campaign<'a> {
             grown: None,
             room: 0,
             said: HashSet::new(),
+            coverage: Coverage::of_program(),
+            recent: Vec::new(),
             kinds: HashSet::new(),
             tally: Tally::default(),
         }
@@ -102,55 +113,89 @@ impl<'a> Campaign<'a> {
     pub fn run(mut self, inputs: u64, time: Duration) -> Tally {
         let start = Instant::now();
         for (_, bytes) in corpus(self.target) {
-            self.take(&bytes);
+            let _new = self.take_wholly(&bytes);
         }
-        let grown = self.grown.as_deref().map(files).unwrap_or_default();
-        self.room = MOST_GROWN.saturating_sub(grown.len());
-        grown.iter().for_each(|(_, input)| self.take(input));
+        let mut grown = self.grown.as_deref().map(files).unwrap_or_default();
+        // Short ones first: a longer one that comes to nothing more is not needed.
+        grown.sort_by_key(|(_, input)| input.len());
+        self.room = MOST_GROWN;
+        for (file, input) in grown {
+            // Those that are new stay where they are, or are told below as findings.
+            if !self.take_wholly(&input) && self.tally.findings.is_empty() {
+                let _still_there = std::fs::remove_file(file);
+            }
+        }
         // What the first one takes to begin with is not the input's.
         self.tally.most_memory = 0;
         while self.tally.inputs < inputs && start.elapsed() < time {
             let input = self.generator.next(&mut self.random);
-            self.take(&input);
+            let _new = self.take(&input);
+            self.look_around(input);
         }
         self.tally.said = self.said.len();
+        self.tally.branches = self.coverage.counts().then(|| self.coverage.branches());
         self.tally.time = start.elapsed();
         self.tally
+    }
+
+    /// Now and then, where an input came to branches far from all others, has another look at each of the last ones.
+    fn look_around(&mut self, input: Vec<u8>) {
+        self.recent.push(input);
+        if self.recent.len() == LOOK {
+            let recent = std::mem::take(&mut self.recent);
+            if self.coverage.elsewhere() {
+                for input in &recent {
+                    let _new = self.take(input);
+                }
+            }
+        }
     }
 
     /// Keeps an input for later runs; they do without it if that fails.
     fn grow(&mut self, input: &[u8]) {
         let Some(folder) = self.grown.as_ref().filter(|_| self.room > 0) else { return };
+        self.room -= 1;
         let file = folder.join(format!("{:016x}", hash(input)));
         if !file.exists() {
-            self.room -= 1;
             let _unwritten = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&file, input));
         }
     }
 
-    /// Tries an input and takes note of what it came to.
-    fn take(&mut self, input: &[u8]) {
+    /// Tries an input, and again where it came to branches far from all others; whether it came to something new.
+    fn take_wholly(&mut self, input: &[u8]) -> bool {
+        let new = self.take(input);
+        if self.coverage.elsewhere() { self.take(input) } else { new }
+    }
+
+    /// Tries an input and takes note of what it came to; whether that is new.
+    fn take(&mut self, input: &[u8]) -> bool {
         if let Some(file) = &self.current {
             // Without it, an input that ends the process is lost, and no more.
             let _unwritten = std::fs::write(file, input);
         }
         self.tally.inputs += 1;
+        self.coverage.begin();
         let begun = Instant::now();
         let came = attempt(self.target, input);
         self.tally.slowest = self.tally.slowest.max(begun.elapsed());
         match came {
             Ok((said, memory)) => {
                 self.tally.most_memory = self.tally.most_memory.max(memory);
-                if self.said.insert(shape(&said)) {
+                let words = self.said.insert(shape(&said));
+                // Words may be new without end, as the names in them are.
+                let new = if self.coverage.counts() { self.coverage.is_new() } else { words };
+                if new {
                     self.generator.keep(input);
                     self.grow(input);
                 }
+                new
             }
             Err(what) => {
                 if self.kinds.insert(kind(&what)) {
                     let input = smaller(self.target, input, &what);
                     self.tally.findings.push(Finding { what, input });
                 }
+                true
             }
         }
     }

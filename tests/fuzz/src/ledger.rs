@@ -13,12 +13,18 @@ use std::path::Path;
 pub struct Fed {
     /// Seconds of the processor.
     pub seconds: f64,
+    /// Those of them in which the program counted branches, and followed inputs that took new ones.
+    #[serde(default)]
+    pub guided: f64,
     /// Seconds of the clock on the wall: more where a target waits.
     pub wall: f64,
     /// Inputs that were tried.
     pub inputs: u64,
     /// Processes that did it, each with a seed of its own.
     pub slices: u64,
+    /// Branches that the inputs of a slice took, at most.
+    #[serde(default)]
+    pub branches: u64,
     /// The most memory that an input took, bytes.
     pub most_memory: u64,
     /// What was found wrong.
@@ -29,9 +35,11 @@ impl Fed {
     /// With another slice.
     pub fn add(&mut self, slice: &Fed) {
         self.seconds = tenths(self.seconds + slice.seconds);
+        self.guided = tenths(self.guided + slice.guided);
         self.wall = tenths(self.wall + slice.wall);
         self.inputs += slice.inputs;
         self.slices += slice.slices;
+        self.branches = self.branches.max(slice.branches);
         self.most_memory = self.most_memory.max(slice.most_memory);
         self.findings += slice.findings;
     }
@@ -94,16 +102,21 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("ledger.toml");
         let mut ledger = Ledger::open(&file).expect("nothing is a ledger");
-        let slice = Fed { seconds: 40.04, wall: 60.0, inputs: 7, slices: 1, most_memory: 9, findings: 0 };
+        let one = Fed { wall: 60.0, inputs: 7, slices: 1, most_memory: 9, ..Fed::default() };
+        let slice = Fed { seconds: 40.04, guided: 40.04, branches: 300, ..one };
         ledger.add("gltf", &slice);
-        ledger.add("gltf", &Fed { findings: 1, ..slice.clone() });
+        ledger.add("gltf", &Fed { findings: 1, guided: 0.0, branches: 0, ..slice.clone() });
         ledger.add("lights", &Fed { seconds: 90.0, ..slice });
         ledger.write(&file).expect("it is written");
         let again = Ledger::open(&file).expect("it is read");
         assert_eq!(again, ledger);
-        let sum = Fed { seconds: 80.0, wall: 120.0, inputs: 14, slices: 2, most_memory: 9, findings: 1 };
-        assert_eq!(again.of("gltf"), sum);
+        let both = Fed { wall: 120.0, inputs: 14, slices: 2, most_memory: 9, findings: 1, ..Fed::default() };
+        assert_eq!(again.of("gltf"), Fed { seconds: 80.0, guided: 40.0, branches: 300, ..both });
         assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing lies beside it");
+        let before = "[gltf]\nseconds = 2.0\nwall = 3.0\ninputs = 4\nslices = 1\nmost_memory = 5\nfindings = 0\n";
+        std::fs::write(&file, before).expect("written");
+        let old = Ledger::open(&file).expect("ledgers from before branches were counted are read");
+        assert_eq!((old.of("gltf").seconds, old.of("gltf").guided, old.of("gltf").branches), (2.0, 0.0, 0));
         std::fs::write(&file, "[gltf]\nhours = 3\n").expect("written");
         assert!(Ledger::open(&file).is_err_and(|e| e.contains("ledger.toml") && e.contains("hours")));
     }

@@ -3,6 +3,7 @@
 //! Each target runs in a process of its own, so that one that ends it (no memory, no stack, no end) is a finding too. With a ledger
 //! targets take turns, for as many runs of this program as it takes until each has been fed for so long.
 
+mod hook;
 mod ledger;
 
 use clap::Parser;
@@ -20,7 +21,7 @@ static ALLOCATOR: Counting = Counting;
 const PATIENCE: u64 = 30;
 
 /// Seconds after which it is another target's turn, where there is a ledger.
-const TURN: f64 = 60.0;
+const TURN: f64 = 120.0;
 
 #[derive(Parser)]
 #[command(about = "Damaged files for every reader of SGS")]
@@ -100,8 +101,8 @@ fn run(cli: &Cli) -> Result<ExitCode, String> {
         return Ok(feed(cli, target, current));
     }
     println!(
-        "{:<22} {:>9} {:>8} {:>6} {:>9} {:>9} {:>8}",
-        "target", "inputs", "seconds", "said", "slowest", "memory", "found"
+        "{:<22} {:>9} {:>8} {:>6} {:>8} {:>9} {:>9} {:>8}",
+        "target", "inputs", "seconds", "said", "branches", "slowest", "memory", "found"
     );
     let found = match &cli.ledger {
         Some(file) => in_turns(cli, &chosen, file)?,
@@ -117,15 +118,18 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     let mut campaign = Campaign::new(target, cli.seed);
     campaign.current = Some(current.to_owned());
     campaign.grown = cli.grown.as_ref().map(|folder| folder.join(target.name));
-    let Tally { inputs, said, time, slowest, most_memory, findings } =
+    let Tally { inputs, said, branches, time, slowest, most_memory, findings } =
         campaign.run(cli.inputs, Duration::from_secs_f64(cli.seconds));
     for finding in &findings {
         keep(cli, target, &finding.what, &finding.input);
     }
     let (time, slowest) = (time.as_secs_f64(), slowest.as_secs_f64());
     if let Some(file) = &cli.tally {
+        let seconds = used() as f64 / 100.0;
         let fed = Fed {
-            seconds: used() as f64 / 100.0,
+            seconds,
+            guided: if branches.is_some() { seconds } else { 0.0 },
+            branches: branches.unwrap_or(0) as u64,
             wall: time,
             inputs,
             slices: 1,
@@ -137,7 +141,11 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     }
     let memory = most_memory as f64 / f64::from(1 << 20);
     let count = findings.len();
-    println!("{:<22} {inputs:>9} {time:>8.0} {said:>6} {slowest:>7.2} s {memory:>6.0} MiB {count:>6}", target.name);
+    let branches = branches.map_or_else(|| "-".into(), |n| n.to_string());
+    println!(
+        "{:<22} {inputs:>9} {time:>8.0} {said:>6} {branches:>8} {slowest:>7.2} s {memory:>6.0} MiB {count:>6}",
+        target.name
+    );
     ExitCode::from(u8::from(count > 0))
 }
 
@@ -200,9 +208,9 @@ fn in_turns(cli: &Cli, targets: &[&Target], file: &Path) -> Result<u64, String> 
     })?;
     let (ledger, _, found) = &*lock();
     for target in targets {
-        let Fed { seconds, inputs, most_memory, findings, .. } = ledger.of(target.name);
+        let Fed { seconds, inputs, branches, most_memory, findings, .. } = ledger.of(target.name);
         let memory = most_memory as f64 / f64::from(1 << 20);
-        println!("{:<22} {inputs:>9} {seconds:>8.0} {memory:>26.0} MiB {findings:>6}", target.name);
+        println!("{:<22} {inputs:>9} {seconds:>8.0} {branches:>15} {memory:>16.0} MiB {findings:>6}", target.name);
     }
     Ok(*found)
 }

@@ -74,6 +74,12 @@ pub struct Generator {
 /// Inputs that came to something new are kept until there are so many.
 const MOST_KEPT: usize = 4000;
 
+/// How much longer most inputs become at most, bytes.
+const SHORT: usize = 1 << 10;
+
+/// How many inputs are the last ones.
+const LAST: usize = 32;
+
 impl Generator {
     /// For a target with these files; an empty one is always among them.
     pub fn new(target: &Target, mut corpus: Vec<Vec<u8>>) -> Generator {
@@ -103,14 +109,21 @@ impl Generator {
 
     /// Another input.
     pub fn next(&self, random: &mut Rng) -> Vec<u8> {
-        // Half of them from the files themselves, lest chance lead away from what is valid.
-        let from = if random.once_in(2) { self.kept } else { self.corpus.len() };
-        let mut input = self.corpus[random.below(from)].clone();
+        // Some from the files themselves, lest chance lead away from what is valid; some from what was new last, to go on from there.
+        let (all, last) = (self.corpus.len(), self.corpus.len().min(LAST));
+        let from = match random.below(4) {
+            0 => random.below(self.kept),
+            1 => all - 1 - random.below(last),
+            _ => random.below(all),
+        };
+        let mut input = self.corpus[from].clone();
+        // Long ones take long, so there are few.
+        let longest = if random.once_in(8) { self.longest } else { self.longest.min(input.len() + SHORT) };
         let most = 1 << random.below(5);
         let changes = 1 + random.below(most);
         for _ in 0..changes {
             self.change(&mut input, random);
-            input.truncate(self.longest);
+            input.truncate(longest);
         }
         if let Some(fix) = self.fix
             && !random.once_in(4)
