@@ -3,6 +3,7 @@
 //!
 //! As AFL and libFuzzer do, a way is new where a branch is taken that never was, or about twice as many times as ever.
 
+use std::collections::HashSet;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -28,6 +29,8 @@ pub(crate) struct Coverage {
 }
 
 struct Block {
+    /// Which it is among all.
+    number: usize,
     counters: &'static [AtomicU64],
     /// For each counter a bit for each of eight classes of numbers.
     seen: [u64; BLOCK],
@@ -46,7 +49,8 @@ impl Coverage {
     }
 
     fn of(counters: &'static [AtomicU64]) -> Coverage {
-        let blocks = counters.chunks(BLOCK).map(|counters| Block { counters, seen: [0; BLOCK] }).collect();
+        let blocks = counters.chunks(BLOCK).enumerate();
+        let blocks = blocks.map(|(number, counters)| Block { number, counters, seen: [0; BLOCK] }).collect();
         Coverage { blocks, near: 0 }
     }
 
@@ -87,6 +91,18 @@ impl Coverage {
             }
         }
         self.near > before
+    }
+
+    /// Which branches were counted since [`Coverage::begin`], where something was counted before.
+    pub(crate) fn taken(&self) -> HashSet<u32> {
+        let numbers = self.blocks[..self.near].iter().flat_map(|block| {
+            let counters = block.counters.iter().enumerate().filter(|(_, c)| c.load(Relaxed) != 0);
+            counters.flat_map(move |(at, c)| {
+                let bytes = c.load(Relaxed).to_ne_bytes().into_iter().enumerate().filter(|(_, count)| *count != 0);
+                bytes.map(move |(byte, _)| ((block.number * BLOCK + at) * 8 + byte) as u32)
+            })
+        });
+        numbers.collect()
     }
 
     /// How many branches were taken at all.
@@ -164,8 +180,9 @@ mod tests {
         count(far, 1);
         count(farther, 9);
         assert!(!coverage.is_new() && coverage.elsewhere() && coverage.is_new() && coverage.branches() == 2);
+        assert_eq!(coverage.taken(), [far as u32, farther as u32].into());
         coverage.begin();
-        assert!(counters.iter().all(|c| c.load(Relaxed) == 0));
+        assert!(counters.iter().all(|c| c.load(Relaxed) == 0) && coverage.taken().is_empty());
         count(far, 2);
         assert!(coverage.is_new() && !coverage.elsewhere() && coverage.branches() == 2);
     }

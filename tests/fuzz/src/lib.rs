@@ -9,6 +9,7 @@
 mod campaign;
 mod count;
 mod coverage;
+mod distill;
 mod fix;
 mod mutate;
 mod place;
@@ -20,8 +21,9 @@ mod words;
 pub use campaign::{Campaign, Finding, Tally, hash, quietly, taken};
 pub use count::Counting;
 pub use coverage::enlist;
+pub use distill::distill;
 pub use mutate::{Generator, Rng};
 pub use place::Place;
 pub use seeds::write_seeds;
-pub use target::{TARGETS, Target, corpus, find, fuzz};
+pub use target::{TARGETS, Target, corpus, files, find, folder, fuzz};
 pub use words::Words;

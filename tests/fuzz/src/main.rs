@@ -8,7 +8,7 @@ mod ledger;
 
 use clap::Parser;
 use ledger::{Fed, Ledger};
-use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, find, hash, quietly, write_seeds};
+use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, distill, files, find, folder, hash, quietly, write_seeds};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -38,6 +38,9 @@ struct Cli {
     /// Takes inputs that came to something new from DIR/TARGET, and leaves new ones there.
     #[arg(long, value_name = "DIR")]
     grown: Option<PathBuf>,
+    /// Puts those inputs into the corpus that came to branches which it does not come to, at most so many bytes for each target.
+    #[arg(long, value_name = "BYTES", requires = "grown", conflicts_with = "ledger")]
+    distill: Option<usize>,
     /// At most so many inputs for each.
     #[arg(long, default_value_t = u64::MAX)]
     inputs: u64,
@@ -96,6 +99,10 @@ fn run(cli: &Cli) -> Result<ExitCode, String> {
         println!("{}", (target.run)(&bytes));
         return Ok(ExitCode::SUCCESS);
     }
+    if let (Some(room), Some(grown)) = (cli.distill, &cli.grown) {
+        quietly();
+        return chosen.into_iter().try_for_each(|t| distilled(t, grown, room)).map(|()| ExitCode::SUCCESS);
+    }
     if let Some(current) = &cli.current {
         let [target] = chosen[..] else { return Err("--current needs one --target".into()) };
         return Ok(feed(cli, target, current));
@@ -147,6 +154,21 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
         target.name
     );
     ExitCode::from(u8::from(count > 0))
+}
+
+/// Puts inputs into the corpus that take branches which it does not.
+fn distilled(target: &Target, grown: &Path, room: usize) -> Result<(), String> {
+    let inputs: Vec<Vec<u8>> = files(&grown.join(target.name)).into_iter().map(|(_, input)| input).collect();
+    let uncounted = "branches are not counted; build with --config tests/fuzz/coverage.toml (docs/TESTING.md)";
+    let (chosen, more) = distill(target, &inputs, room).ok_or(uncounted)?;
+    let (folder, bytes) = (folder(target), chosen.iter().map(Vec::len).sum::<usize>());
+    for input in &chosen {
+        let file = folder.join(format!("grown-{:016x}", hash(input)));
+        std::fs::write(&file, input).map_err(|e| format!("{}: {e}", file.display()))?;
+    }
+    let of = inputs.len();
+    println!("{:<22} {:>4} of {of:>4} inputs, {bytes:>6} bytes, {more:>5} branches more", target.name, chosen.len());
+    Ok(())
 }
 
 /// Writes an input at which a reader fails.

@@ -99,11 +99,16 @@ pub fn fuzz(name: &str, bytes: &[u8]) {
 
 /// The kept files of a target, in the order of their names.
 pub fn corpus(target: &Target) -> Vec<(PathBuf, Vec<u8>)> {
-    files(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name))
+    files(&folder(target))
+}
+
+/// Where the kept files of a target lie.
+pub fn folder(target: &Target) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name)
 }
 
 /// What lies in a folder, in the order of names; nothing if there is none.
-pub(crate) fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.filter_map(|e| Some((e.path(), std::fs::read(e.path()).ok()?))).collect();
     files.sort();
