@@ -5,4 +5,4 @@
 // Then dL/dalpha = T (f . g) - (R after this splat) / (1 - alpha): one number a pixel, whatever the channels.
 // Moments of h = dL/d(exponent) accumulate; project_bwd turns them into gradients of mean and factor.
 
-const uint MOMENTS = 6u; // h, h p, h p dx, h p dy, h dy, h dy²
+const uint MOMENTS = 6u; // h, h p, h p², h p dy, h dy, h dy²

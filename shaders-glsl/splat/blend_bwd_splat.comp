@@ -97,7 +97,7 @@ void main() {
                     float hy = h * dy;
                     total[0] += h;
                     total[1] += hp;
-                    total[2] += hp * dx;
+                    total[2] += hp * p;
                     total[3] += hp * dy;
                     total[4] += hy;
                     total[5] += hy * dy;

@@ -115,7 +115,7 @@ void main() {
                     float hy = h * dy;
                     sum[0] += h;
                     sum[1] += hp;
-                    sum[2] += hp * dx;
+                    sum[2] += hp * p;
                     sum[3] += hp * dy;
                     sum[4] += hy;
                     sum[5] += hy * dy;

@@ -10,6 +10,7 @@ pub mod feature_view;
 pub mod field;
 pub mod foreign;
 pub mod gpu;
+pub mod gradients;
 pub mod intrinsic;
 pub mod kernels;
 pub mod lit;

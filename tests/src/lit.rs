@@ -1,10 +1,14 @@
-//! Pixels under lights: cases for the kernels of `shade`, with the same numbers for their references.
+//! Pixels under lights: cases for the kernels of `shade`, with the same numbers for their references, and what the kernels make of them.
 
+use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{Material, V3, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::shade::lights::{LightModel, LightParameters};
+use sgs_passes::shade::lights::{
+    LightModel, LightParameterGradients, LightParameters, Lights, Perturbation, Shape, lights, lights_bwd,
+    lights_materials_bwd, lights_normals_bwd, lights_prepare_bwd, lights_prepare_culled, lights_split, lights_train,
+};
 use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
@@ -29,6 +33,8 @@ pub struct Lit {
     pub gradient: Vec<f64>,
     /// Of random numbers.
     pub seed: u32,
+    /// What gradients of materials are added to.
+    pub before: f32,
 }
 
 /// A number as 32 bits hold it.
@@ -93,6 +99,7 @@ impl Lit {
             camera: narrow3([0.4, -0.3, -4.0]),
             gradient: (0..3 * count).map(|_| narrow(rng.normal())).collect(),
             seed: 77,
+            before: BEFORE,
         }
     }
 
@@ -147,4 +154,106 @@ impl Lit {
         };
         Bound { pixels, parameters, gradient, inputs }
     }
+}
+
+/// What the kernels of lights left, without what lies behind the view.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Radiance.
+    pub direct: Vec<f32>,
+    /// The whole again, and its diffuse part.
+    pub split: [Vec<f32>; 2],
+    /// Gradients, with what they were added to: albedo and roughness by pixel.
+    pub materials: Vec<f32>,
+    /// The same of metallic.
+    pub metallic: Vec<f32>,
+    /// Gradients of places of lights.
+    pub positions: Vec<f32>,
+    /// Gradients of rows of lobes.
+    pub lobes: Vec<f32>,
+    /// Gradients of normals.
+    pub normals: Vec<f32>,
+}
+
+/// What gradients of materials are added to in cases drawn at random.
+pub const BEFORE: f32 = 0.5;
+
+/// Every kernel of lights on a case, in a view of up to `largest`.
+///
+/// # Panics
+/// If something is written behind the view, or kernels of one body disagree.
+pub fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
+    run_culled(gpu, shape, case, largest, perturbation, 0.0)
+}
+
+/// [`run`], with lights left out of which no more than `missing` is lost.
+///
+/// # Panics
+/// As it.
+pub fn run_culled(
+    gpu: &Gpu,
+    shape: Shape,
+    case: &Lit,
+    largest: [u32; 2],
+    perturbation: Option<&Perturbation>,
+    missing: f32,
+) -> Found {
+    let tuning = gpu.tuning();
+    let mut g = Graph::new("lights");
+    let mut bound = case.bind(&mut g, largest);
+    let pixels = bound.pixels;
+    let step = pixels.screen.step;
+    let model = case.raw.model;
+    let prepared =
+        lights_prepare_culled(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation, missing)
+            .unwrap();
+    let what = Lights { pixels, prepared, normalizer: case.normalizer() as f32, shape };
+    let room = (case.pixels.len() + SPARE) as u64;
+    let [direct, again, whole, diffuse] =
+        ["direct", "again", "whole", "diffuse"].map(|name| g.external(name, 12 * room));
+    lights(&mut g, &what, direct).unwrap();
+    lights_split(&mut g, &what, whole, diffuse).unwrap();
+    let sums = lights_train(&mut g, &what, again).unwrap();
+    let materials = g.external("materials_gradient", 16 * room);
+    let metallic = g.external("metallic_gradient", 4 * room);
+    let wanted = case.metallic.then_some(metallic);
+    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
+    let into = LightParameterGradients {
+        positions: g.external("positions_gradient", model.position_bytes()),
+        lobes: g.external("lobes_gradient", model.lobe_bytes()),
+    };
+    let gradients = lights_bwd(&mut g, tuning, &what, bound.gradient).unwrap();
+    lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, None, &into).unwrap();
+    let normals = g.external("normals_gradient", 12 * room);
+    lights_normals_bwd(&mut g, &what, bound.gradient, normals).unwrap();
+    bound
+        .inputs
+        .push((materials, vec![case.before; 4 * case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
+    bound.inputs.push((metallic, vec![case.before; case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
+    let out = gpu.run(g, &bound.inputs);
+    let n = case.pixels.len();
+    let radiance = |buffer| {
+        let all: Vec<f32> = out.get(buffer);
+        assert!(all[3 * n..].iter().all(|x| x.to_bits() == u32::MAX), "pixels behind the view were written");
+        all[..3 * n].to_vec()
+    };
+    let found = Found {
+        direct: radiance(direct),
+        split: [radiance(whole), radiance(diffuse)],
+        materials: out.get::<f32>(materials)[..4 * n].to_vec(),
+        metallic: out.get::<f32>(metallic)[..n].to_vec(),
+        positions: out.get(into.positions),
+        lobes: out.get(into.lobes),
+        normals: radiance(normals),
+    };
+    // Kernels of one body, with more or less beside it.
+    for other in [radiance(again), found.split[0].clone()] {
+        assert_close(
+            "variant",
+            &found.direct.iter().map(|x| f64::from(*x)).collect::<Vec<_>>(),
+            &other,
+            Tolerance::new(1e-30, 2e-6),
+        );
+    }
+    found
 }

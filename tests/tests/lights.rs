@@ -1,102 +1,15 @@
 //! Shading under lights on a device against its reference and the reference's differences.
 
-use sgs_engine::graph::Graph;
 use sgs_passes::reference::brdf::unit;
 use sgs_passes::reference::lights as twin;
-use sgs_passes::shade::lights::{
-    Axes, LightModel, LightParameterGradients, Lights, Perturbation, Shape, lights, lights_bwd, lights_materials_bwd,
-    lights_normals_bwd, lights_prepare_bwd, lights_prepare_culled, lights_split, lights_train,
-};
-use sgs_tests::lit::{Lit, SPARE};
+use sgs_passes::shade::lights::{Axes, LightModel, Perturbation, Shape};
+use sgs_tests::lit::{BEFORE, Found, Lit, run, run_culled};
 use sgs_tests::{Gpu, Tolerance, assert_close};
-
-/// What the forward kernels and the materials' gradients left.
-struct Found {
-    direct: Vec<f32>,
-    split: [Vec<f32>; 2],
-    materials: Vec<f32>,
-    metallic: Vec<f32>,
-    positions: Vec<f32>,
-    lobes: Vec<f32>,
-    normals: Vec<f32>,
-}
-
-/// What materials' gradients are added to.
-const BEFORE: f32 = 0.5;
 
 /// Shapes of other devices than this one; small, so that processors compile them quickly.
 fn shapes(gpu: &Gpu) -> [Shape; 2] {
     let own = Shape::for_device(gpu.tuning());
     [Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
-}
-
-fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
-    run_culled(gpu, shape, case, largest, perturbation, 0.0)
-}
-
-fn run_culled(
-    gpu: &Gpu,
-    shape: Shape,
-    case: &Lit,
-    largest: [u32; 2],
-    perturbation: Option<&Perturbation>,
-    missing: f32,
-) -> Found {
-    let tuning = gpu.tuning();
-    let mut g = Graph::new("lights");
-    let mut bound = case.bind(&mut g, largest);
-    let pixels = bound.pixels;
-    let step = pixels.screen.step;
-    let model = case.raw.model;
-    let prepared =
-        lights_prepare_culled(&mut g, tuning, "lights_prepare", step, model, &bound.parameters, perturbation, missing)
-            .unwrap();
-    let what = Lights { pixels, prepared, normalizer: case.normalizer() as f32, shape };
-    let room = (case.pixels.len() + SPARE) as u64;
-    let [direct, again, whole, diffuse] =
-        ["direct", "again", "whole", "diffuse"].map(|name| g.external(name, 12 * room));
-    lights(&mut g, &what, direct).unwrap();
-    lights_split(&mut g, &what, whole, diffuse).unwrap();
-    let sums = lights_train(&mut g, &what, again).unwrap();
-    let materials = g.external("materials_gradient", 16 * room);
-    let metallic = g.external("metallic_gradient", 4 * room);
-    let wanted = case.metallic.then_some(metallic);
-    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
-    let into = LightParameterGradients {
-        positions: g.external("positions_gradient", model.position_bytes()),
-        lobes: g.external("lobes_gradient", model.lobe_bytes()),
-    };
-    let gradients = lights_bwd(&mut g, tuning, &what, bound.gradient).unwrap();
-    lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, None, &into).unwrap();
-    let normals = g.external("normals_gradient", 12 * room);
-    lights_normals_bwd(&mut g, &what, bound.gradient, normals).unwrap();
-    bound.inputs.push((materials, vec![BEFORE; 4 * case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
-    bound.inputs.push((metallic, vec![BEFORE; case.pixels.len()].iter().flat_map(|x| x.to_le_bytes()).collect()));
-    let out = gpu.run(g, &bound.inputs);
-    let n = case.pixels.len();
-    let radiance = |buffer| {
-        let all: Vec<f32> = out.get(buffer);
-        assert!(all[3 * n..].iter().all(|x| x.to_bits() == u32::MAX), "pixels behind the view were written");
-        all[..3 * n].to_vec()
-    };
-    let found = Found {
-        direct: radiance(direct),
-        split: [radiance(whole), radiance(diffuse)],
-        materials: out.get::<f32>(materials)[..4 * n].to_vec(),
-        metallic: out.get::<f32>(metallic)[..n].to_vec(),
-        positions: out.get(into.positions),
-        lobes: out.get(into.lobes),
-        normals: radiance(normals),
-    };
-    // Kernels of one body, with more or less beside it.
-    for other in [radiance(again), found.split[0].clone()] {
-        assert_close("variant", &wide(&found.direct), &other, Tolerance::new(1e-30, 2e-6));
-    }
-    found
-}
-
-fn wide(x: &[f32]) -> Vec<f64> {
-    x.iter().map(|&x| f64::from(x)).collect()
 }
 
 /// Root of the mean square.

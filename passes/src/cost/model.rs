@@ -9,8 +9,8 @@ const PROJECT: f64 = 204.0;
 /// Its parameters that projection reads: mean 3, log scale 3, quaternion 4, opacity 1.
 const SHAPE_BYTES: f64 = 44.0;
 
-/// Backward of the above: covariance 40, Jacobian 60, matrices 130, quaternion 50, the forward values again 204.
-const PROJECT_BWD: f64 = 484.0;
+/// Backward of the above: covariance 60, Jacobian 50, matrices 115, quaternion 50, the forward values again 204.
+const PROJECT_BWD: f64 = 479.0;
 
 /// An Adam step of one scalar: two moments 7, corrections, root and division 12.
 const ADAM: f64 = 19.0;

@@ -153,7 +153,9 @@ fn loss(pixel: &Pixel, light: &Light, camera: V3, gradient: &[f64]) -> f64 {
 
 /// Derivative of `f` at `x`, by central differences.
 fn slope(x: f64, step: f64, mut f: impl FnMut(f64) -> f64) -> f64 {
-    (f(x + step) - f(x - step)) / (2.0 * step)
+    // As they are rounded: of a large number a small step is another one.
+    let (up, down) = (x + step, x - step);
+    (f(up) - f(down)) / (up - down)
 }
 
 /// The `i`-th number of a material: albedo (3), roughness, metallic.
@@ -254,7 +256,12 @@ pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, grad
         let row = (raw.model.lobes * raw.model.row()) as usize;
         for i in row * light..row * (light + 1) {
             let x = raw.lobes[i];
-            found.lobes[i] = slope(x, 1e-6, |x| {
+            // A short axis turns far by little.
+            let (width, free) = (raw.model.row() as usize, raw.model.axes == Axes::Free);
+            let axis = &raw.lobes[i / width * width..][..3];
+            let length = dot([axis[0], axis[1], axis[2]], [axis[0], axis[1], axis[2]]).sqrt();
+            let step = if free && i % width < 3 { 1e-6 * length.clamp(1e-6, 1.0) } else { 1e-6 };
+            found.lobes[i] = slope(x, step, |x| {
                 raw.lobes[i] = x;
                 all(&raw, light, &shown)
             });

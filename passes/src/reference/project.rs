@@ -1,7 +1,7 @@
 //! `project`: the CPU twin in double precision.
 //!
-//! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the plain quadratic form, not
-//! from the kernel, so that an error in one is not repeated in the other.
+//! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the quadratic form, not from the kernel, so
+//! that an error in one is not repeated in the other.
 
 use super::stored::stored;
 use crate::Accuracy;
@@ -65,8 +65,8 @@ pub struct Projected {
     pub depth: f64,
     /// Center in pixels.
     pub mean: DVec2,
-    /// Covariance in px², dilated: xx, xy, yy.
-    pub covariance: [f64; 3],
+    /// What its scaled axes come to in pixels, x and y of each; the covariance is their products', dilated.
+    pub axes: [DVec3; 2],
     /// After the sigmoid.
     pub opacity: f64,
     /// rgb, then the normal if there is one, then z and z² if asked for, then semantic features.
@@ -84,18 +84,19 @@ pub struct Projected {
 impl Projected {
     /// Opacity times the Gaussian at a pixel position, before it is cut off at 0.99.
     pub fn alpha(&self, at: DVec2) -> f64 {
-        let d = at - self.mean;
-        let [a, b, c] = self.covariance;
-        let det = a * c - b * b;
-        // For needles the plain determinant loses digits even in double precision; the dilation bounds the loss.
-        let power = 0.5 * (c * d.x * d.x - 2.0 * b * d.x * d.y + a * d.y * d.y) / det;
+        let (d, [x, y]) = (at - self.mean, self.axes);
+        // What is inverted is 0.3 more than a sum of products. By the axes themselves (Lagrange's identity), since a determinant of
+        // products loses all its digits for needles of condition 1e16, in double precision, too.
+        let determinant = x.cross(y).length_squared() + 0.3 * (x.length_squared() + y.length_squared()) + 0.09;
+        let power = 0.5 * ((d.x * y - d.y * x).length_squared() + 0.3 * d.length_squared()) / determinant;
         self.opacity * (-power).exp()
     }
 
     /// Half the width and height of the box around the region where alpha reaches `alpha_min`.
     pub fn reach(&self) -> DVec2 {
         let k = 2.0 * (self.opacity / self.alpha_min).ln().max(0.0);
-        DVec2::new((k * self.covariance[0]).sqrt(), (k * self.covariance[2]).sqrt())
+        let [x, y] = self.axes.map(|axis| axis.length_squared() + 0.3);
+        DVec2::new((k * x).sqrt(), (k * y).sqrt())
     }
 }
 
@@ -150,9 +151,8 @@ fn project_one(
     let (rx, ry, rz) = (q.row(0), q.row(1), q.row(2));
     let t0 = camera.focal.x / p.z * (rx - held.x * rz);
     let t1 = camera.focal.y / p.z * (ry - held.y * rz);
-    let covariance = [t0.dot(t0) + 0.3, t0.dot(t1), t1.dot(t1) + 0.3];
     let center = camera.focal * slope + camera.center;
-    if !(covariance.iter().all(|v| v.is_finite()) && center.is_finite()) {
+    if !(t0.is_finite() && t1.is_finite() && center.is_finite()) {
         return None;
     }
     let color = color(g, i, camera, mean, sh_degree);
@@ -175,7 +175,7 @@ fn project_one(
         id: i,
         depth: p.z,
         mean: center,
-        covariance,
+        axes: [t0, t1],
         opacity,
         features,
         key: key(1.0),

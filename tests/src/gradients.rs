@@ -1,0 +1,257 @@
+//! Gradients of the whole render (projection, harmonics, blending): a case for the kernels and for the twin.
+
+use crate::Gpu;
+use crate::scenes::{self, Rng};
+use sgs_engine::graph::Graph;
+use sgs_passes::Accuracy;
+use sgs_passes::pipeline::Step;
+use sgs_passes::reference::blend::{Blended as Picture, blend_at};
+use sgs_passes::reference::project::{Camera, Gaussians, project_at};
+use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
+use sgs_passes::splat::{
+    BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
+    blend_features_bwd, features_bwd, features_pack, intersect, project, project_bwd, wanted_words,
+};
+
+/// A scene, a view of it, and the weights of what is seen: the loss is their dot product.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// The scene.
+    pub gaussians: Gaussians,
+    /// The view.
+    pub camera: Camera,
+    /// Whether depth and its square are blended.
+    pub depth: bool,
+    /// Weights of the picture's channels.
+    pub image: Vec<f64>,
+    /// Weights of transmittances.
+    pub transmittance: Vec<f64>,
+    /// Weights of features, by pixel; zero where they are not wanted.
+    pub features: Vec<f64>,
+    /// Whether features move opacities and footprints.
+    pub features_move: bool,
+    /// What is left out for speed.
+    pub accuracy: Accuracy,
+}
+
+/// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
+fn wants(pixel: usize) -> bool {
+    pixel % 7 < 3 || (100..230).contains(&pixel)
+}
+
+/// What is behind everything.
+const BACKGROUND: [f64; 3] = [0.3, 0.1, 0.6];
+
+impl Case {
+    /// With random weights, in the usual view.
+    pub fn new(gaussians: Gaussians, size: [u32; 2], depth: bool) -> Case {
+        Case::seen(gaussians, scenes::camera(size), depth)
+    }
+
+    /// With random weights, in any view.
+    pub fn seen(gaussians: Gaussians, camera: Camera, depth: bool) -> Case {
+        let size = camera.size;
+        let channels = 3 + if gaussians.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
+        let pixels = (size[0] * size[1]) as usize;
+        let mut r = Rng::new(99);
+        let single = |v: f64| f64::from(v as f32);
+        let image = (0..pixels * channels).map(|_| single(r.between(-1.0, 1.0))).collect();
+        let transmittance = (0..pixels).map(|_| single(r.between(-1.0, 1.0))).collect();
+        let wide = if gaussians.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
+        let features = (0..pixels * wide).map(|i| if wants(i / wide) { single(r.between(-1.0, 1.0)) } else { 0.0 });
+        let features = features.collect();
+        Case {
+            gaussians,
+            camera,
+            depth,
+            image,
+            transmittance,
+            features,
+            features_move: true,
+            accuracy: Accuracy::EXACT,
+        }
+    }
+
+    fn degree(&self) -> usize {
+        (0..4).rev().find(|b| !self.gaussians.sh[*b].is_empty()).unwrap_or(0)
+    }
+
+    /// The twin's picture, with semantic features behind the other channels. What rounding of stored numbers has changed at the scene of the case stays that change as parameters move:
+    /// gradients pass it by.
+    pub fn twin(&self, g: &Gaussians, camera: &Camera) -> Picture {
+        let exact = Accuracy { color_bits: 32, feature_bits: 32, ..self.accuracy };
+        let seen = |g: &Gaussians, camera: &Camera, a: &Accuracy| project_at(g, camera, self.degree(), self.depth, a);
+        let mut splats = seen(g, camera, &exact);
+        if self.accuracy != exact {
+            let mut rounding = vec![vec![]; g.len()];
+            let here = |a: &Accuracy| seen(&self.gaussians, &self.camera, a);
+            for (stored, plain) in here(&self.accuracy).iter().zip(&here(&exact)) {
+                rounding[stored.id] = stored.features.iter().zip(&plain.features).map(|(a, b)| a - b).collect();
+            }
+            splats.iter_mut().for_each(|s| s.features.iter_mut().zip(&rounding[s.id]).for_each(|(f, r)| *f += r));
+        }
+        let wide = if g.semantics.is_empty() { 0 } else { SEMANTIC_FEATURES as usize };
+        let channels = self.image.len() / self.transmittance.len() + wide;
+        blend_at(&splats, camera.size, channels, BACKGROUND, &self.accuracy)
+    }
+
+    /// The twin's loss.
+    pub fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
+        let r = self.twin(g, camera);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        let weights: Vec<f64> = if self.features.is_empty() {
+            self.image.clone()
+        } else {
+            // The twin has features behind the other channels of a pixel.
+            let base = self.image.len() / self.transmittance.len();
+            let pixels = self.image.chunks_exact(base).zip(self.features.chunks_exact(SEMANTIC_FEATURES as usize));
+            pixels.flat_map(|(a, b)| a.iter().chain(b).copied()).collect()
+        };
+        dot(&r.image, &weights) + dot(&r.transmittance, &self.transmittance)
+    }
+
+    /// Blended features against the twin where they are wanted; elsewhere nothing may be written.
+    fn check_features(&self, found: &[f32]) {
+        let r = self.twin(&self.gaussians, &self.camera);
+        let (f, all) = (SEMANTIC_FEATURES as usize, r.image.len() / r.transmittance.len());
+        for (p, pixel) in found.chunks_exact(f).enumerate() {
+            if !wants(p) {
+                assert!(pixel.iter().all(|x| x.to_bits() == u32::MAX), "pixel {p} is not wanted, but was written");
+            } else if !r.doubtful[p] {
+                let expected = &r.image[(p + 1) * all - f..(p + 1) * all];
+                let worst = pixel.iter().zip(expected).map(|(x, y)| (f64::from(*x) - y).abs()).fold(0.0, f64::max);
+                assert!(worst < 1e-4, "pixel {p}: features are off by {worst}");
+            }
+        }
+    }
+
+    /// Gradients by the GPU: every group, then the twelve numbers of the pose.
+    ///
+    /// # Panics
+    /// If entries overflow, or features are wrong or written where they are not wanted.
+    pub fn gpu_gradients(&self, gpu: &Gpu, which: BackwardKernel) -> (Vec<Vec<f32>>, Vec<f32>) {
+        let n = self.gaussians.len() as u32;
+        let model = Model {
+            sh_degree: self.degree() as u32,
+            normals: !self.gaussians.normals.is_empty(),
+            semantics: !self.gaussians.semantics.is_empty(),
+        };
+        let channels = Channels { colors: true, normals: model.normals, depth: self.depth };
+        let t = gpu.tuning().with(self.accuracy);
+        let data = scenes::data(&self.gaussians);
+        // Declared by hand, since the harness owns the memory of a single run.
+        let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();
+        let mut g = Graph::new("gradients");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest: self.camera.size, tile: t.tile };
+        let handles = gaussians.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let visible = project(&mut g, &t, &screen, &handles, channels).unwrap();
+        let entries = intersect(&mut g, &t, &screen, &visible, 1 << 14, flags).unwrap();
+        let c = u64::from(channels.count());
+        let blended = Blended {
+            image: g.external("image", 4 * c * screen.pixels()),
+            transmittance: g.external("transmittance", 4 * screen.pixels()),
+        };
+        blend(&mut g, &t, &screen, &visible, &entries, &blended).unwrap();
+        let gradient = Blended {
+            image: g.input("grad_image", 4 * c * screen.pixels()),
+            transmittance: g.input("grad_transmittance", 4 * screen.pixels()),
+        };
+        let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
+        let mut sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
+        let pixels = screen.pixels();
+        let packed = features_pack(&mut g, &t, &handles).unwrap();
+        let wide = model.semantics.then(|| {
+            let wanted = g.input("wanted", 4 * wanted_words(pixels));
+            let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+            let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
+            let all = Wanted { pixels: wanted, dense: true };
+            blend_features(&mut g, &t, &screen, &packed, &visible, &entries, all, image).unwrap();
+            let left = blend_features_bwd(&mut g, &t, &screen, &packed, &visible, &entries, all, image, gradient);
+            (wanted, gradient, left.unwrap(), image)
+        });
+        if self.features_move {
+            sums.features = wide.map(|(_, _, left, _)| left);
+        }
+        let groups = Group::ALL.map(|group| {
+            let count = if model.has(group) { u64::from(n * group.width()) } else { 1 };
+            g.external(format!("grad_{}", group.name()), 4 * count.max(3))
+        });
+        let pose = g.external("pose", 48);
+        let into = Gradients { groups, means2d: g.external("means2d", 8 * u64::from(n)), pose: Some(pose) };
+        project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
+        if let Some((_, _, left, _)) = &wide {
+            features_bwd(&mut g, &t, &visible, left, groups[Group::Semantics as usize]).unwrap();
+        }
+
+        let mut camera = scenes::gpu_camera(&self.camera);
+        camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
+        let uniform = Step {
+            camera,
+            background: BACKGROUND.map(|b| b as f32),
+            step: 1,
+            sh_degree: self.degree() as u32,
+            ..Default::default()
+        };
+        let single = |v: &[f64]| bytemuck::cast_slice(&v.iter().map(|x| *x as f32).collect::<Vec<_>>()).to_vec();
+        let work = sgs_shaders::structs::Work { x: n.div_ceil(256), y: 1, z: 1, count: n };
+        let mut inputs = vec![
+            (step, bytemuck::bytes_of(&uniform).to_vec()),
+            (flags, vec![0; 4]),
+            (gradient.image, single(&self.image)),
+            (gradient.transmittance, single(&self.transmittance)),
+            (handles.work, bytemuck::bytes_of(&work).to_vec()),
+        ];
+        if let Some((wanted, gradient, ..)) = wide {
+            let mut words = vec![0_u32; wanted_words(pixels) as usize];
+            (0..pixels as usize).filter(|&p| wants(p)).for_each(|p| words[p / 32] |= 1 << (p % 32));
+            inputs.push((wanted, bytemuck::cast_slice(&words).to_vec()));
+            // Where nothing is wanted stands what nobody may read.
+            let weights = self.features.iter().enumerate();
+            let weights =
+                weights.map(|(i, x)| if wants(i / SEMANTIC_FEATURES as usize) { *x as f32 } else { f32::NAN });
+            inputs.push((gradient, bytemuck::cast_slice(&weights.collect::<Vec<_>>()).to_vec()));
+        }
+        for group in model.groups() {
+            inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
+        }
+        // Gradients are written for visible Gaussians alone.
+        inputs.extend(
+            groups
+                .iter()
+                .zip(Group::ALL)
+                .filter(|(_, g)| model.has(*g))
+                .map(|(b, group)| (*b, vec![0; 4 * (n * group.width()) as usize])),
+        );
+        let out = gpu.run(g, &inputs);
+        assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
+        if let Some((.., image)) = wide {
+            self.check_features(&out.get::<f32>(image));
+        }
+        let all = Group::ALL.map(|group| {
+            if model.has(group) {
+                out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec()
+            } else {
+                vec![]
+            }
+        });
+        (all.to_vec(), out.get(pose))
+    }
+}
+
+/// A group's parameters.
+pub fn parameters(g: &mut Gaussians, group: Group) -> &mut Vec<f64> {
+    match group {
+        Group::Means => &mut g.means,
+        Group::LogScales => &mut g.log_scales,
+        Group::Rotations => &mut g.rotations,
+        Group::OpacityLogits => &mut g.opacity_logits,
+        Group::Sh0 => &mut g.sh[0],
+        Group::Sh1 => &mut g.sh[1],
+        Group::Sh2 => &mut g.sh[2],
+        Group::Sh3 => &mut g.sh[3],
+        Group::Normals => &mut g.normals,
+        Group::Semantics => &mut g.semantics,
+    }
+}
