@@ -66,15 +66,22 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// As [`scene`], of a few Gaussians in small pictures.
+    /// As [`scene`], of a few Gaussians in small pictures, with more bands of harmonics.
     fn few()(
         all in prop::collection::vec(gaussian(), 1..4),
         size in [1..20_u32, 1..20_u32],
         width in 1.0..170.0_f64,
         turn in [-3.0..3.0_f64, -1.5..1.5_f64, -3.0..3.0_f64],
         away in [spread(-3.0, 2.0), spread(-3.0, 2.0), spread(-3.0, 2.0)],
+        degree in 0..4_usize,
+        bands in prop::collection::vec(-1.0..1.0_f64, 3 * 3 * (3 + 5 + 7)),
     ) -> (Gaussians, Camera) {
-        place(&all, size, width, turn, away)
+        let (mut g, camera) = place(&all, size, width, turn, away);
+        let mut bands = bands.into_iter().map(|x| f64::from(x as f32));
+        for band in 1..=degree {
+            g.sh[band] = bands.by_ref().take(3 * (2 * band + 1) * g.len()).collect();
+        }
+        (g, camera)
     }
 }
 
@@ -152,7 +159,16 @@ fn pictures_agree_with_the_twin() {
     assert!(sure > all * 9 / 10 && seen > all / 10, "of {all} pixels {sure} are sure and {seen} show anything");
 }
 
-const GROUPS: [Group; 5] = [Group::Means, Group::LogScales, Group::Rotations, Group::OpacityLogits, Group::Sh0];
+const GROUPS: [Group; 8] = [
+    Group::Means,
+    Group::LogScales,
+    Group::Rotations,
+    Group::OpacityLogits,
+    Group::Sh0,
+    Group::Sh1,
+    Group::Sh2,
+    Group::Sh3,
+];
 
 /// By how much a number of a group changes what is seen: what a pixel is of a center, a radian of a quaternion, else one.
 fn unit(case: &Case, group: Group, i: usize) -> f64 {
@@ -186,10 +202,41 @@ fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
         ((coarse - fine).abs() <= 1e-4 * (1.0 + fine.abs())).then_some(fine)
     };
     let all = |group: &Group| {
-        let count = case.gaussians.len() * group.width() as usize;
+        let count = parameters(&mut case.gaussians.clone(), *group).len();
         (0..count).map(|i| difference(*group, i)).collect()
     };
-    GROUPS.iter().map(all).collect()
+    GROUPS.iter().map(all).chain([pose_differences(case)]).collect()
+}
+
+/// What a number of the camera's pose, rows of the rotation and then the translation, changes as [`unit`] says: a pixel, or a radian.
+/// Of the nearest Gaussian.
+fn pose_unit(case: &Case, i: usize) -> f64 {
+    let nearest = (0..case.gaussians.len()).map(|k| unit(case, Group::Means, 3 * k)).fold(f64::INFINITY, f64::min);
+    let far = case.gaussians.means.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+    if i < 9 { (nearest / far).min(1.0) } else { nearest }
+}
+
+/// The same of the pose.
+fn pose_differences(case: &Case) -> Vec<Option<f64>> {
+    let difference = |i: usize| {
+        let unit = pose_unit(case, i);
+        let at = |step: f64| {
+            let by = |change: f64| {
+                let (mut m, mut t) = (case.camera.rotation.to_cols_array(), case.camera.translation.to_array());
+                if i < 9 {
+                    m[i % 3 * 3 + i / 3] += change
+                } else {
+                    t[i - 9] += change
+                }
+                let (rotation, translation) = (DMat3::from_cols_array(&m), DVec3::from_array(t));
+                case.loss(&case.gaussians, &Camera { rotation, translation, ..case.camera })
+            };
+            (by(step * unit) - by(-step * unit)) / (2.0 * step)
+        };
+        let (coarse, fine) = (at(2e-5), at(5e-6));
+        ((coarse - fine).abs() <= 1e-4 * (1.0 + fine.abs())).then_some(fine)
+    };
+    (0..12).map(difference).collect()
 }
 
 /// The case as it might be after rounding in single precision: every number by some units of the last place, one way or the other.
@@ -220,12 +267,18 @@ fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 
     }
     let seen: f64 = truth.transmittance.iter().map(|t| 1.0 - t).sum();
     let (found, pose) = case.gpu_gradients(gpu, BackwardKernel::Pixel);
-    prop_assert!(found.iter().flatten().chain(&pose).all(|v| v.is_finite()));
-    let expected = differences(&case);
-    let others: Vec<_> = (0..4).map(|way| differences(&rounded(&case, way))).collect();
+    compare(&case, seen, &found, &pose)
+}
+
+/// The same, of gradients that were found; `seen` is how much of all pixels the scene fills.
+fn compare(case: &Case, seen: f64, found: &[Vec<f32>], pose: &[f32]) -> Result<[usize; 2], TestCaseError> {
+    prop_assert!(found.iter().flatten().chain(pose).all(|v| v.is_finite()));
+    let expected = differences(case);
+    let others: Vec<_> = (0..4).map(|way| differences(&rounded(case, way))).collect();
     let (mut compared, mut skipped) = (0, 0);
-    for (k, group) in GROUPS.into_iter().enumerate() {
-        for (i, found) in found[group as usize].iter().enumerate() {
+    let groups = GROUPS.iter().map(|group| (group.name(), &found[*group as usize]));
+    for (k, (name, found)) in groups.map(|(name, found)| (name, &found[..])).chain([("pose", pose)]).enumerate() {
+        for (i, found) in found.iter().enumerate() {
             let Some(fine) = expected[k][i] else {
                 skipped += 1;
                 continue;
@@ -233,8 +286,8 @@ fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 
             compared += 1;
             let moved = |other: &Vec<Vec<Option<f64>>>| other[k][i].map_or(f64::INFINITY, |other| (other - fine).abs());
             let slack = 2e-3 * fine.abs() + 1e-4 * seen + 1e-6 + 4.0 * others.iter().map(moved).fold(0.0, f64::max);
-            let found = f64::from(*found) * unit(&case, group, i);
-            let name = group.name();
+            let unit = if k < GROUPS.len() { unit(case, GROUPS[k], i) } else { pose_unit(case, i) };
+            let found = f64::from(*found) * unit;
             prop_assert!((found - fine).abs() <= slack, "{}[{}] is {} and not {}, to {}", name, i, found, fine, slack);
         }
     }
@@ -257,6 +310,28 @@ fn gradients_agree_with_the_twin() {
     let [scenes, compared, skipped] = counts.get();
     println!("{scenes} scenes, {compared} numbers compared, {skipped} at thresholds");
     assert!(scenes > 30 && compared > 500 && skipped * 4 < compared, "{:?}", counts.get());
+}
+
+/// A gradient that is a fiftieth too large, and one that is lost, are noticed.
+#[test]
+fn checks_of_gradients_can_fail() {
+    let gpu = Gpu::new();
+    let (g, camera) = (scenes::ordinary(4, 3, false, 5), scenes::camera([12, 9]));
+    let case = Case::seen(g, camera, false);
+    let (found, pose) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);
+    assert!(compare(&case, 1.0, &found, &pose).is_ok_and(|[compared, _]| compared > 200));
+    for group in GROUPS.map(|g| g as usize) {
+        let most = found[group].iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+        let at = found[group].iter().position(|x| x.abs() == most).unwrap();
+        for factor in [0.0, 1.02] {
+            let mut wrong = found.clone();
+            wrong[group][at] *= factor;
+            assert!(compare(&case, 1.0, &wrong, &pose).is_err(), "{group} times {factor}");
+        }
+    }
+    let mut wrong = pose.clone();
+    wrong[5] *= 1.02;
+    assert!(compare(&case, 1.0, &found, &wrong).is_err());
 }
 
 #[test]
