@@ -37,9 +37,12 @@ float traced_factor(float s[13], vec3 from, vec3 along, float reach) {
     vec3 c = near * along - to;
     vec3 p = vec3(dot(white0, c), dot(white1, c), dot(white2, c));
     vec3 d = vec3(dot(white0, along), dot(white1, along), dot(white2, along));
-    float t = -dot(p, d) / dot(d, d);
-    vec3 r = p + t * d, r0 = p - near * d;
-    float alpha = min(s[12] * exp(-0.5 * dot(r, r)), TRACED_ALPHA_MAX);
+    float inverse = 1.0 / dot(d, d);
+    float t = -dot(p, d) * inverse;
+    // The distance squared of the ray from the center as |p x d|² / |d|²: in p + t d what is left across a sheet thinner than a micrometer
+    // would be rounding.
+    vec3 r = cross(p, d), r0 = p - near * d;
+    float alpha = min(s[12] * exp(-0.5 * inverse * dot(r, r)), TRACED_ALPHA_MAX);
     float before = min(s[12] * exp(-0.5 * dot(r0, r0)), TRACED_ALPHA_MAX);
     if (!(before >= TRACED_ALPHA_MIN)) before = 0.0;
     float peak = near + t;

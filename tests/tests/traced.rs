@@ -1,6 +1,9 @@
 //! Traced visibility on a device against the product over all Gaussians.
 
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sgs_engine::graph::Graph;
+use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::traced::{self as twin, Splat, V3};
 use sgs_passes::shade::lights::{Axes, LightModel, Lights, Shape, lights, lights_prepare};
 use sgs_passes::shade::traced::{TracedTree, lights_traced, visibility_traced};
@@ -136,4 +139,82 @@ fn what_cannot_be_seen_is_not_in_the_tree() {
     // Many in one place are still a tree.
     let heap = vec![Splat { opacity_logit: 1.0, ..random_splats(1, 1)[0] }; 5000];
     assert_eq!(TracedTree::new(&splat_data(&heap)).unwrap().splats(), 5000);
+}
+
+/// Some units of the last place, one way or the other.
+fn jitter(rng: &mut Pcg, v: &mut [f64], size: f64) {
+    v.iter_mut().for_each(|x| *x += 4e-7 * size * rng.range(-1.0, 1.0));
+}
+
+/// By how much the twin's answer moves when what it is made from is rounded otherwise.
+fn slack(splats: &[Splat], from: V3, to: V3, right: f64) -> f64 {
+    let mut rng = Pcg::new(9);
+    let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let moved = (0..8).map(|_| {
+        let (mut from, mut to) = (from, to);
+        let size = length(&from) + length(&to);
+        jitter(&mut rng, &mut from, size);
+        jitter(&mut rng, &mut to, size);
+        let other = |s: &Splat| {
+            let mut s = *s;
+            let sizes = [length(&s.rotation), length(&s.mean)];
+            jitter(&mut rng, &mut s.rotation, sizes[0]);
+            jitter(&mut rng, &mut s.mean, sizes[1]);
+            jitter(&mut rng, &mut s.log_scale, 4.0);
+            s
+        };
+        let splats: Vec<Splat> = splats.iter().map(other).collect();
+        (twin::transmittance(&splats, from, to) - right).abs()
+    });
+    4.0 * moved.fold(0.0, f64::max)
+}
+
+/// Scales e^-17 to e^9, quaternions of any length, places near and far.
+fn drawn() -> impl Strategy<Value = Splat> {
+    let signed = |low: f64, high: f64| {
+        (low..high, any::<bool>()).prop_map(|(power, minus)| if minus { -1.0 } else { 1.0 } * 10_f64.powf(power))
+    };
+    let axis = move || prop_oneof![4 => signed(-3.0, 0.3), 1 => signed(0.3, 4.0)];
+    (
+        [axis(), axis(), axis()],
+        [-17.0..9.0_f64, -17.0..9.0_f64, -17.0..9.0_f64],
+        [signed(-18.0, 16.0), signed(-18.0, 16.0), signed(-18.0, 16.0), signed(-18.0, 16.0)],
+        -12.0..30.0_f64,
+    )
+        .prop_map(|(mean, log_scale, rotation, opacity_logit)| Splat {
+            mean: mean.map(narrow),
+            log_scale: log_scale.map(narrow),
+            rotation: rotation.map(narrow),
+            opacity_logit: narrow(opacity_logit),
+        })
+}
+
+/// The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+#[test]
+fn rays_through_what_is_drawn_at_random_agree_with_the_twin() {
+    let gpu = Gpu::new();
+    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
+    let config = Config { cases: asked.unwrap_or(64), failure_persistence: None, ..Config::default() };
+    let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
+    let c = case([6, 3], 3, 31);
+    let counts = std::cell::Cell::new([0, 0, 0]);
+    let result = runner.run(&prop::collection::vec(drawn(), 1..40), |splats| {
+        let found = run(&gpu, &c, &splats);
+        for (i, p) in c.pixels.iter().enumerate() {
+            for l in 0..3 {
+                let is = f64::from(found.visibility[l * c.pixels.len() + i]);
+                let from = std::array::from_fn(|k| p.point[k] + f64::from(OFFSET) * p.normal[k]);
+                let to = std::array::from_fn(|k| c.raw.positions[3 * l + k]);
+                let right = twin::transmittance(&splats, from, to);
+                let slack = 3e-4 + doubt(&splats, from, to) + slack(&splats, from, to, right);
+                prop_assert!((is - right).abs() <= slack, "pixel {}, light {}: {} is {} to {}", i, l, right, is, slack);
+                let [all, hidden, sure] = counts.get();
+                counts.set([all + 1, hidden + u32::from(right < 0.9), sure + u32::from(slack < 1e-2)]);
+            }
+        }
+        Ok(())
+    });
+    result.unwrap_or_else(|e| panic!("{e}"));
+    let [all, hidden, sure] = counts.get();
+    assert!(hidden > all / 20 && sure > all / 2, "of {all} rays {hidden} are hidden and {sure} are sure");
 }

@@ -36,12 +36,12 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // A ray finds its way through eight nodes a level, with eight boxes of 24 operations each, and as many Gaussians.
         "visibility_traced" => {
             let nodes = 8.0 * c.gaussians.max(8.0).log(8.0);
-            (32.0 * p, nodes * (8.0 * 24.0 + 60.0) * p)
+            (32.0 * p, nodes * (8.0 * 24.0 + 64.0) * p)
         }
         // Half of the pairs face.
         "lights_trace" => {
             let nodes = 8.0 * c.gaussians.max(8.0).log(8.0);
-            ((28.0 + c.lights) * p, 0.5 * c.lights * nodes * (8.0 * 24.0 + 60.0) * p)
+            ((28.0 + c.lights) * p, 0.5 * c.lights * nodes * (8.0 * 24.0 + 64.0) * p)
         }
         _ => return None,
     };

@@ -1,0 +1,186 @@
+//! Pixels under surroundings, every number of which is drawn log-uniformly, against the double-precision twin: filtered levels, light,
+//! and gradients of materials. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+//!
+//! What single precision may be off by is measured as in `shading_properties`: by how much the twin's answer moves with its inputs.
+
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use sgs_passes::reference::environment as twin;
+use sgs_passes::reference::environment::{Cube, Pixel};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::shade::environment::Environment;
+use sgs_tests::environment::{BEFORE, CAMERA, Given, made, narrow, run, unit};
+use sgs_tests::{Gpu, Tolerance, assert_close};
+
+/// By how much directions are moved: some units of the last place.
+const MOVE: f64 = 1e-6;
+
+/// Texels along a side.
+const SIZE: u32 = 16;
+
+fn runner(cases: u32) -> TestRunner {
+    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
+    let config = Config { cases: asked.unwrap_or(cases), failure_persistence: None, ..Config::default() };
+    TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha))
+}
+
+fn spread(low: f64, high: f64) -> impl Strategy<Value = f64> {
+    (low..high).prop_map(|power| 10_f64.powf(power))
+}
+
+fn signed(low: f64, high: f64) -> impl Strategy<Value = f64> {
+    (spread(low, high), any::<bool>()).prop_map(|(size, minus)| if minus { -size } else { size })
+}
+
+#[derive(Clone, Debug)]
+struct Drawn {
+    pixel: Pixel,
+    gradient: [f64; 3],
+}
+
+prop_compose! {
+    fn drawn()(
+        way in [signed(-4.0, 0.0), signed(-4.0, 0.0), signed(-4.0, 0.0)],
+        away in spread(-3.0, 3.0),
+        normal in [signed(-4.0, 0.0), signed(-4.0, 0.0), signed(-4.0, 0.0)],
+        coverage in prop_oneof![4 => spread(-2.9, 0.0), 1 => spread(-6.0, -3.1)],
+        albedo in [spread(-6.0, 0.0), spread(-6.0, 0.0), spread(-6.0, 0.0)],
+        roughness in spread(-2.5, -1e-4),
+        metallic in spread(-6.0, 0.0),
+        gradient in [signed(-6.0, 6.0), signed(-6.0, 6.0), signed(-6.0, 6.0)],
+    ) -> Drawn {
+        let way = unit(way);
+        let point = std::array::from_fn(|k| f64::from(CAMERA[k]) + away * way[k]);
+        let pixel = narrow(Pixel { point, normal: unit(normal), coverage, albedo, roughness, metallic });
+        Drawn { pixel, gradient: gradient.map(|g| f64::from(g as f32)) }
+    }
+}
+
+prop_compose! {
+    /// How bright the surroundings are, how much brighter some texels, and which (a seed).
+    fn sky()(bright in spread(-8.0, 4.0), spot in spread(-4.0, 6.0), share in spread(-3.0, 0.0), seed in 0..1000_u32)
+        -> (f64, f64, f64, u32)
+    {
+        (bright, spot, share, seed)
+    }
+}
+
+fn texels(e: &Environment, (bright, spot, share, seed): (f64, f64, f64, u32)) -> Vec<f32> {
+    let mut rng = Pcg::new(seed);
+    let texel = |_| {
+        let bright = bright * rng.range(0.5, 1.5) * if rng.uniform() < share { spot } else { 1.0 };
+        bright as f32
+    };
+    (0..e.floats()).map(texel).collect()
+}
+
+/// Light and gradients of materials of one pixel by the twin: 3 and 5 numbers.
+fn truth(e: &Environment, levels: &[Cube], drawn: &Drawn, camera: [f64; 3]) -> [f64; 8] {
+    let shade = |p: &Pixel| twin::shade(levels, e.split_sum(), camera, p);
+    let p = drawn.pixel;
+    let light = shade(&p);
+    let mut all = [0.0; 8];
+    all[..3].copy_from_slice(&light);
+    let x = [p.albedo[0], p.albedo[1], p.albedo[2], p.roughness, p.metallic];
+    for k in 0..5 {
+        // Light is linear in albedo and in metallic.
+        let step = if k == 3 { 1e-6 * x[k] } else { 1e-3 };
+        let at = |value: f64| -> f64 {
+            let mut x = x;
+            x[k] = value;
+            let moved = Pixel { albedo: [x[0], x[1], x[2]], roughness: x[3], metallic: x[4], ..p };
+            let light = shade(&moved);
+            (0..3).map(|c| drawn.gradient[c] * light[c]).sum()
+        };
+        let (up, down) = (x[k] + step, x[k] - step);
+        all[3 + k] = (at(up) - at(down)) / (up - down);
+    }
+    all
+}
+
+/// With the `planted`-th of a pixel's eight numbers a hundredth larger, if there is one.
+fn check(
+    gpu: &Gpu,
+    e: &Environment,
+    sky: (f64, f64, f64, u32),
+    all: &[Drawn],
+    planted: Option<usize>,
+) -> Result<(), TestCaseError> {
+    let texels = texels(e, sky);
+    let pixels: Vec<Pixel> = all.iter().map(|d| d.pixel).collect();
+    let gradient: Vec<f32> = all.iter().flat_map(|d| d.gradient).map(|g| g as f32).collect();
+    let given =
+        Given { e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic: true, merge: false };
+    let found = run(gpu, &gpu.tuning(), &given);
+    let cube = Cube::from_floats(e.size() as usize, &texels);
+    let levels: Vec<Cube> = e.levels().iter().map(|l| twin::prefilter(&cube, l)).collect();
+    let expected: Vec<f64> = levels.iter().flat_map(Cube::flat).collect();
+    assert_close("radiance", &expected, &found.radiance, Tolerance::new(1e-30, 1e-4));
+    prop_assert!(found.texels.iter().all(|x| x.is_finite()));
+    let camera = CAMERA.map(f64::from);
+    for (i, drawn) in all.iter().enumerate() {
+        let p = &drawn.pixel;
+        let expected = truth(e, &levels, drawn, camera);
+        let mut slack = expected.map(|x| 3e-4 * x.abs());
+        let away = (0..3).map(|k| (camera[k] - p.point[k]).powi(2)).sum::<f64>().sqrt();
+        for axis in 0..3 {
+            let moved = [MOVE, -MOVE].map(|by| {
+                let mut other = drawn.clone();
+                other.pixel.normal[axis] += by;
+                let mut from = camera;
+                from[axis] += by * away;
+                [truth(e, &levels, &other, camera), truth(e, &levels, drawn, from)]
+            });
+            for (k, slack) in slack.iter_mut().enumerate() {
+                let most = |way: usize| moved.iter().map(|m| (m[way][k] - expected[k]).abs()).fold(0.0, f64::max);
+                *slack += most(0) + most(1);
+            }
+        }
+        // Colors and the terms of each cancel.
+        let white = Pixel { albedo: [1.0; 3], metallic: 0.5, ..*p };
+        let white = twin::shade(&levels, e.split_sum(), camera, &white).iter().fold(0.0_f64, |m, x| m.max(*x));
+        let brightest = texels.iter().fold(0.0_f64, |m, t| m.max(f64::from(*t)));
+        let light: f64 = (0..3).map(|c| drawn.gradient[c].abs() * expected[c].abs()).sum();
+        let asked: f64 = drawn.gradient.iter().map(|g| g.abs()).sum();
+        for (k, slack) in slack.iter().enumerate() {
+            let (is, size) = match k {
+                0..3 => (f64::from(found.ambient[3 * i + k]), 1e-9 * brightest),
+                3..7 => (
+                    f64::from(found.materials[4 * i + k - 3] - BEFORE),
+                    3e-6 * light + 3e-6 * asked * white + 1e-9 * asked * brightest,
+                ),
+                _ => (
+                    f64::from(found.metallic[i] - BEFORE),
+                    3e-6 * light + 3e-6 * asked * white + 1e-9 * asked * brightest,
+                ),
+            };
+            let is = if planted == Some(k) { 1.01 * is } else { is };
+            // Gradients are added to what was there.
+            let before = if k < 3 { 0.0 } else { 1e-7 };
+            let t = slack + size + before + 1e-30;
+            prop_assert!((is - expected[k]).abs() <= t, "{}, {} is {} and not {}, to {}", i, k, is, expected[k], t);
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn surroundings_agree_with_the_twin() {
+    let (gpu, e) = (Gpu::new(), made(SIZE));
+    let cases = (sky(), prop::collection::vec(drawn(), 1..20));
+    runner(24).run(&cases, |(sky, all)| check(&gpu, &e, sky, &all, None)).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// A hundredth is noticed, of every number.
+#[test]
+fn checks_of_surroundings_can_fail() {
+    let (gpu, e) = (Gpu::new(), made(SIZE));
+    let mut rng = Pcg::new(4);
+    let pixel = sgs_tests::environment::pixel(&mut rng, 0.4, 0.6);
+    let all = [Drawn { pixel, gradient: [10.0, -7.0, 3.0] }];
+    let sky = (1.0, 20.0, 0.1, 3);
+    assert!(check(&gpu, &e, sky, &all, None).is_ok());
+    for k in 0..8 {
+        assert!(check(&gpu, &e, sky, &all, Some(k)).is_err(), "number {k}");
+    }
+}
