@@ -4,10 +4,10 @@ use crate::count;
 use crate::coverage::Coverage;
 use crate::mutate::{Generator, Rng};
 use crate::place::Place;
-use crate::target::{Target, corpus, files};
+use crate::target::{Target, corpus};
 use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,6 +17,9 @@ const FREE: usize = 64 << 20;
 
 /// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.
 const MOST_GROWN: usize = 4000;
+
+/// Bytes that they have at most, together.
+const MOST_GROWN_BYTES: usize = 64 << 20;
 
 /// Inputs after which branches are looked for where none was taken before.
 const LOOK: usize = 32;
@@ -80,8 +83,8 @@ pub struct Campaign<'a> {
     pub current: Option<PathBuf>,
     /// Where inputs that came to something new are kept from run to run.
     pub grown: Option<PathBuf>,
-    /// How many more may be kept there.
-    room: usize,
+    /// How many more may be kept there, and how many bytes.
+    room: [usize; 2],
     said: HashSet<String>,
     coverage: Coverage,
     /// Inputs since all counters were looked at.
@@ -100,7 +103,7 @@ impl<'a> Campaign<'a> {
             random: Rng::new(seed ^ target.name.bytes().fold(0, |h: u64, b| h.wrapping_mul(31).wrapping_add(b.into()))),
             current: None,
             grown: None,
-            room: 0,
+            room: [0; 2],
             said: HashSet::new(),
             coverage: Coverage::of_program(),
             recent: Vec::new(),
@@ -115,13 +118,13 @@ impl<'a> Campaign<'a> {
         for (_, bytes) in corpus(self.target) {
             let _new = self.take_wholly(&bytes);
         }
-        let mut grown = self.grown.as_deref().map(files).unwrap_or_default();
+        self.room = [MOST_GROWN, MOST_GROWN_BYTES];
         // Short ones first: a longer one that comes to nothing more is not needed.
-        grown.sort_by_key(|(_, input)| input.len());
-        self.room = MOST_GROWN;
-        for (file, input) in grown {
-            // Those that are new stay where they are, or are told below as findings.
-            if !self.take_wholly(&input) && self.tally.findings.is_empty() {
+        for file in self.grown.as_deref().map(by_length).unwrap_or_default() {
+            let Ok(input) = std::fs::read(&file) else { continue };
+            let found = self.tally.findings.len();
+            // Those that are new stay where they are; those that fail are told as findings.
+            if !self.take_wholly(&input) && found == self.tally.findings.len() {
                 let _still_there = std::fs::remove_file(file);
             }
         }
@@ -153,8 +156,9 @@ impl<'a> Campaign<'a> {
 
     /// Keeps an input for later runs; they do without it if that fails.
     fn grow(&mut self, input: &[u8]) {
-        let Some(folder) = self.grown.as_ref().filter(|_| self.room > 0) else { return };
-        self.room -= 1;
+        let [inputs, bytes] = self.room;
+        let Some(folder) = self.grown.as_ref().filter(|_| inputs > 0 && input.len() <= bytes) else { return };
+        self.room = [inputs - 1, bytes - input.len()];
         let file = folder.join(format!("{:016x}", hash(input)));
         if !file.exists() {
             let _unwritten = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&file, input));
@@ -199,6 +203,14 @@ impl<'a> Campaign<'a> {
             }
         }
     }
+}
+
+/// The files in a folder, short ones first, and of one length in the order of names. They are not all in memory at once: some are large.
+fn by_length(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut files: Vec<_> = entries.filter_map(|e| Some((e.metadata().ok()?.len(), e.path()))).collect();
+    files.sort();
+    files.into_iter().map(|(_, file)| file).collect()
 }
 
 /// Tries an input: what the target says, and the memory that it took; else what is wrong.

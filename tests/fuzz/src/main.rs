@@ -38,7 +38,8 @@ struct Cli {
     /// Takes inputs that came to something new from DIR/TARGET, and leaves new ones there.
     #[arg(long, value_name = "DIR")]
     grown: Option<PathBuf>,
-    /// Puts those inputs into the corpus that came to branches which it does not come to, at most so many bytes for each target.
+    /// Puts those inputs into the corpus that came to branches which it does not come to, at most so many bytes for each target, and
+    /// each file for 200 more than it has.
     #[arg(long, value_name = "BYTES", requires = "grown", conflicts_with = "ledger")]
     distill: Option<usize>,
     /// At most so many inputs for each.

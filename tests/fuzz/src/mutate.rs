@@ -69,10 +69,15 @@ pub struct Generator {
     corpus: Vec<Vec<u8>>,
     /// How many of them were there in the beginning.
     kept: usize,
+    /// How many bytes more may be kept.
+    room: usize,
 }
 
 /// Inputs that came to something new are kept until there are so many.
 const MOST_KEPT: usize = 4000;
+
+/// Or so many bytes: the driver shares its memory with the readers.
+const MOST_BYTES: usize = 256 << 20;
 
 /// How much longer most inputs become at most, bytes.
 const SHORT: usize = 1 << 10;
@@ -87,12 +92,13 @@ impl Generator {
         let longest = corpus.iter().map(|file| 2 * file.len()).max().unwrap_or(0).max(1 << 16);
         corpus.push(Vec::new());
         let words = target.words.iter().flat_map(|w| w.list().iter().copied()).collect();
-        Generator { words, fix: target.fix, longest, kept: corpus.len(), corpus }
+        Generator { words, fix: target.fix, longest, kept: corpus.len(), room: MOST_BYTES, corpus }
     }
 
     /// Keeps an input that came to something new.
     pub fn keep(&mut self, input: &[u8]) {
-        if self.corpus.len() < self.kept + MOST_KEPT {
+        if self.corpus.len() < self.kept + MOST_KEPT && input.len() <= self.room {
+            self.room -= input.len();
             self.corpus.push(input.to_vec());
         }
     }
