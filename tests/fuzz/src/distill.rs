@@ -6,7 +6,7 @@ use crate::target::{Target, corpus};
 use std::collections::HashSet;
 
 /// The inputs that take branches which neither the corpus of a target takes nor those before, at most `room` bytes in all, of
-/// which a file takes [`OVERHEAD`] beside its own; and how many branches more they take than the corpus. `None` where the program does not count branches.
+/// which a file takes 200 beside its own; and how many branches more they take than the corpus. `None` where the program does not count branches.
 ///
 /// Chosen greedily, which comes near the best choice there is. Inputs at which the target fails are left out.
 pub fn distill(target: &Target, inputs: &[Vec<u8>], mut room: usize) -> Option<(Vec<Vec<u8>>, usize)> {
@@ -41,4 +41,4 @@ pub fn distill(target: &Target, inputs: &[Vec<u8>], mut room: usize) -> Option<(
 }
 
 /// What a file costs beside its bytes.
-pub const OVERHEAD: usize = 200;
+const OVERHEAD: usize = 200;
