@@ -5,6 +5,7 @@ pub mod browser;
 pub mod busy;
 pub mod cli;
 pub mod compare;
+pub mod drawn;
 pub mod environment;
 pub mod feature_view;
 pub mod field;

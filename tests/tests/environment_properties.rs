@@ -4,11 +4,11 @@
 //! What single precision may be off by is measured as in `shading_properties`: by how much the twin's answer moves with its inputs.
 
 use proptest::prelude::*;
-use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sgs_passes::reference::environment as twin;
 use sgs_passes::reference::environment::{Cube, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::Environment;
+use sgs_tests::drawn::{runner, signed, spread};
 use sgs_tests::environment::{BEFORE, CAMERA, Given, made, narrow, run, unit};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -17,20 +17,6 @@ const MOVE: f64 = 1e-6;
 
 /// Texels along a side.
 const SIZE: u32 = 16;
-
-fn runner(cases: u32) -> TestRunner {
-    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
-    let config = Config { cases: asked.unwrap_or(cases), failure_persistence: None, ..Config::default() };
-    TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha))
-}
-
-fn spread(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    (low..high).prop_map(|power| 10_f64.powf(power))
-}
-
-fn signed(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    (spread(low, high), any::<bool>()).prop_map(|(size, minus)| if minus { -size } else { size })
-}
 
 #[derive(Clone, Debug)]
 struct Drawn {

@@ -4,11 +4,12 @@
 use glam::{DMat3, DVec2, DVec3};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
-use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
+use proptest::test_runner::TestCaseError;
 use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
+use sgs_tests::drawn::{runner, signed};
 use sgs_tests::gradients::{Case, parameters};
 use sgs_tests::whole::{BACKGROUND, picture, steps};
 use sgs_tests::{Gpu, scenes};
@@ -16,18 +17,9 @@ use sgs_tests::{Gpu, scenes};
 /// Largest difference where the twin is sure, of the largest color that there is.
 const LARGEST: f64 = 2e-3;
 
-fn runner(cases: u32) -> TestRunner {
-    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
-    let config = Config { cases: asked.unwrap_or(cases), failure_persistence: None, ..Config::default() };
-    TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha))
-}
-
-/// A number of either sign whose magnitude is log-uniform between two powers of ten.
-fn spread(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    (low..high, any::<bool>()).prop_map(|(power, minus)| {
-        let size = f64::from(10_f64.powf(power) as f32);
-        if minus { -size } else { size }
-    })
+/// A number of 32 bits, of either sign, log-uniform between two powers of ten.
+fn single(low: f64, high: f64) -> impl Strategy<Value = f64> {
+    signed(low, high).prop_map(|x| f64::from(x as f32))
 }
 
 #[derive(Clone, Debug)]
@@ -45,7 +37,7 @@ prop_compose! {
         depth in -2.5..5.0_f64,
         across in [-1.2..1.2_f64, -1.2..1.2_f64],
         log_scale in [-20.0..18.0_f64, -20.0..18.0_f64, -20.0..18.0_f64],
-        rotation in [spread(-20.0, 17.0), spread(-20.0, 17.0), spread(-20.0, 17.0), spread(-20.0, 17.0)],
+        rotation in [single(-20.0, 17.0), single(-20.0, 17.0), single(-20.0, 17.0), single(-20.0, 17.0)],
         logit in -30.0..30.0_f64,
         color in [-1.5..1.5_f64, -1.5..1.5_f64, -1.5..1.5_f64],
     ) -> One {
@@ -59,7 +51,7 @@ prop_compose! {
         size in [1..40_u32, 1..40_u32],
         width in 1.0..170.0_f64,
         turn in [-3.0..3.0_f64, -1.5..1.5_f64, -3.0..3.0_f64],
-        away in [spread(-3.0, 2.0), spread(-3.0, 2.0), spread(-3.0, 2.0)],
+        away in [single(-3.0, 2.0), single(-3.0, 2.0), single(-3.0, 2.0)],
     ) -> (Gaussians, Camera) {
         place(&all, size, width, turn, away)
     }
@@ -72,7 +64,7 @@ prop_compose! {
         size in [1..20_u32, 1..20_u32],
         width in 1.0..170.0_f64,
         turn in [-3.0..3.0_f64, -1.5..1.5_f64, -3.0..3.0_f64],
-        away in [spread(-3.0, 2.0), spread(-3.0, 2.0), spread(-3.0, 2.0)],
+        away in [single(-3.0, 2.0), single(-3.0, 2.0), single(-3.0, 2.0)],
         degree in 0..4_usize,
         bands in prop::collection::vec(-1.0..1.0_f64, 3 * 3 * (3 + 5 + 7)),
     ) -> (Gaussians, Camera) {

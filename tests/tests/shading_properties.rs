@@ -5,11 +5,11 @@
 //! camera move by a few units of the last place.
 
 use proptest::prelude::*;
-use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sgs_passes::reference::brdf::{Material, V3, along, cross, dot, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::shade::lights::{Axes, LightModel, Shape};
 use sgs_tests::Gpu;
+use sgs_tests::drawn::{runner, signed, spread};
 use sgs_tests::lit::{Lit, narrow, run};
 
 /// Of a value, beside what rounding of its inputs does to it.
@@ -17,21 +17,6 @@ const RELATIVE: f64 = 3e-4;
 
 /// By how much inputs are moved, of unit vectors and of distances.
 const MOVE: f64 = 1e-6;
-
-fn runner(cases: u32) -> TestRunner {
-    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
-    let config = Config { cases: asked.unwrap_or(cases), failure_persistence: None, ..Config::default() };
-    TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha))
-}
-
-/// Log-uniform between two powers of ten.
-fn spread(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    (low..high).prop_map(|power| 10_f64.powf(power))
-}
-
-fn signed(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    (spread(low, high), any::<bool>()).prop_map(|(size, minus)| if minus { -size } else { size })
-}
 
 /// A share: near nothing, near all, or between.
 fn share() -> impl Strategy<Value = f64> {
