@@ -18,7 +18,7 @@ struct SplatGradient {
 //
 // The exponent of a pixel d is |U d|² = FACTOR_SCALE² d·C⁻¹d, with (p, q) = U d and C = T Tᵀ + DILATION, T = J W R S. By a column v of T its
 // derivative is -2 / FACTOR_SCALE² ((p, q)·U v) Uᵀ(p, q): nothing but moments of p and q, and U v, which is small where v is long. By
-// way of C long axes would be multiplied by what only just cancels them: gradients of a needle of condition 1e7 would be noise.
+// way of C long axes would be multiplied by what only just cancels them: a gradient of a needle of condition 1e7 was off by a tenth.
 SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_scale, float moments[6], float depth) {
     SplatGradient g;
     float u11 = o.splat.factor.x, u12 = o.splat.factor.y, u22 = o.splat.factor.z;
