@@ -197,7 +197,9 @@ void main() {
                 ITEM_SUMS(stretch)
                 vec3 turn = vec3(turn_x[0], turn_y[0], turn_z[0]);
                 // Moving the light moves direction and distance the other way; at the faces, or in the point, nothing.
-                vec3 by_place = (turn - way.xyz * dot(way.xyz, turn)) / max(way.w, 1e-12) + way.xyz * stretch[0];
+                // What is across the way: by vector products, since a difference leaves a ten-millionth of the rest along it.
+                vec3 across = cross(way.xyz, cross(turn, way.xyz));
+                vec3 by_place = across / max(way.w, 1e-12) + way.xyz * stretch[0];
                 uvec3 inside = uvec3(greaterThan(place, field.box_min)) * uvec3(lessThan(place, field.box_max));
                 bool whose = column() < ITEMS && way.w > 1e-12;
                 by_place = mix(vec3(0.0), -by_place * field.box_inverse, bvec3(inside * uint(whose)));

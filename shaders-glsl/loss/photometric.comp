@@ -46,8 +46,11 @@ float ssim(vec4 m, out vec3 derivatives) {
     vec2 mu = m.xy + 0.5;
     float a1 = 2.0 * mu.x * mu.y + C1;
     float b1 = dot(mu, mu) + C1;
-    float a2 = 2.0 * (m.w - m.x * m.y) + C2;
-    float b2 = max(m.z - dot(m.xy, m.xy), 0.0) + C2;
+    // Of values far beyond one both are what rounding leaves, and that must stay what it can be: variances none below zero, and
+    // no covariance above half of their sum, or else similarities and gradients have no bound.
+    float variances = max(m.z - dot(m.xy, m.xy), 0.0);
+    float a2 = 2.0 * clamp(m.w - m.x * m.y, -0.5 * variances, 0.5 * variances) + C2;
+    float b2 = variances + C2;
     float r = 1.0 / (b1 * b2);
     float s = a1 * a2 * r;
     float by_variance = -s / b2;

@@ -2,6 +2,7 @@
 
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use sgs_passes::reference::rng::Pcg;
 
 /// So many cases, or as many as `SGS_TEST_CASES` asks for.
 pub fn runner(cases: u32) -> TestRunner {
@@ -18,4 +19,9 @@ pub fn spread(low: f64, high: f64) -> impl Strategy<Value = f64> {
 /// The same, of either sign.
 pub fn signed(low: f64, high: f64) -> impl Strategy<Value = f64> {
     (spread(low, high), any::<bool>()).prop_map(|(size, minus)| if minus { -size } else { size })
+}
+
+/// Log-uniform between two powers of ten, where numbers come in bulk.
+pub fn log_uniform(rng: &mut Pcg, [low, high]: [f64; 2]) -> f64 {
+    10_f64.powf(rng.range(low, high))
 }

@@ -17,6 +17,7 @@ pub mod kernels;
 pub mod lit;
 pub mod materials;
 pub mod meaning;
+pub mod photographs;
 pub mod place;
 pub mod priors;
 pub mod random;
@@ -25,6 +26,7 @@ pub mod runs;
 pub mod scenes;
 pub mod screen;
 pub mod splats;
+pub mod surfaces;
 pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};

@@ -7,7 +7,9 @@ use sgs_passes::loss::{
     CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Msg, cross_view, edge_aware, material_sum, msg,
     pack_mask, relight,
 };
-use sgs_passes::reference::msg::Difference;
+use sgs_passes::reference::cross_view::{Picture, cross_view as cross, cross_view_bwd as cross_bwd};
+use sgs_passes::reference::edge_aware::{edge_aware as edge, edge_aware_bwd as edge_bwd};
+use sgs_passes::reference::msg::{Difference, msg as twin, square};
 use sgs_passes::reference::photometric::unpack;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
@@ -249,4 +251,68 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
     let mut all: Vec<Vec<f32>> = gradients.iter().map(gradient).collect();
     let roughness = all.pop().unwrap();
     Found { albedo: all, roughness, stats: out.get::<MaterialStats>(stats)[0] }
+}
+
+/// What the references say: gradients by albedo of each view, by roughness of the first one, and the record.
+pub struct Expected {
+    /// `[P * 3]` of each view.
+    pub albedo: Vec<Vec<f64>>,
+    /// `[P * 3]` of the training view, of which the first channel counts.
+    pub roughness: Vec<f64>,
+    /// The record's, before their weights.
+    pub terms: [f64; 6],
+    /// Their weighted sum.
+    pub total: f64,
+}
+
+/// By the references.
+pub fn expected(views: &[Painted], asked: Asked) -> Expected {
+    let v = &views[0];
+    let n = v.pixels();
+    let mut albedo: Vec<Vec<f64>> = views.iter().map(|v| vec![0.0; 3 * v.pixels()]).collect();
+    let mut roughness = vec![0.0; n];
+    let mut terms = [0.0; 6];
+    let add = |to: &mut [f64], gradient: &[f64], weight: f32| {
+        to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
+    };
+    if asked.msg {
+        let (loss, gradient) = twin(&v.albedo_difference(&v.albedo_prior, asked.masked));
+        terms[0] = loss;
+        add(&mut albedo[0], &gradient, WEIGHTS.albedo_msg);
+        if asked.roughness {
+            let (loss, gradient) = twin(&v.roughness_difference(asked.masked));
+            terms[1] = loss;
+            add(&mut roughness, &gradient, WEIGHTS.roughness_msg);
+        }
+    }
+    if asked.edge {
+        terms[2] = edge(&v.albedo, 3, &v.photo, v.size);
+        add(&mut albedo[0], &edge_bwd(&v.albedo, 3, &v.photo, v.size), WEIGHTS.albedo_edge);
+        if asked.roughness {
+            terms[3] = edge(&v.roughness, 1, &v.photo, v.size);
+            add(&mut roughness, &edge_bwd(&v.roughness, 1, &v.photo, v.size), WEIGHTS.roughness_edge);
+        }
+    }
+    if asked.cross {
+        let pictures: Vec<Picture> =
+            views.iter().map(|v| Picture { albedo: v.albedo.clone(), mask: v.mask.clone() }).collect();
+        terms[4] = cross(&pictures).0;
+        for (to, gradient) in albedo.iter_mut().zip(cross_bwd(&pictures)) {
+            add(to, &gradient, WEIGHTS.cross_view);
+        }
+    }
+    for estimate in &v.estimates[..asked.estimates] {
+        let share = 1.0 / asked.estimates as f32;
+        let d = v.albedo_difference(estimate, true);
+        for (loss, gradient) in [twin(&d), square(&d)] {
+            terms[5] += f64::from(share) * loss;
+            add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
+        }
+    }
+    let w = &WEIGHTS;
+    let weights = [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight];
+    let total = terms.iter().zip(weights).map(|(t, w)| t * f64::from(w)).sum();
+    // Of roughness the first channel counts.
+    let roughness = roughness.into_iter().flat_map(|g| [g, 0.0, 0.0]).collect();
+    Expected { albedo, roughness, terms, total }
 }

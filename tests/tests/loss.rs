@@ -2,76 +2,17 @@
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
-use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd, photometric_bwd_in_place};
+use sgs_passes::loss::{Photometric, photometric, photometric_bwd_in_place};
 use sgs_passes::reference::photometric as twin;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
-use sgs_shaders::structs::{LossStats, Step};
+use sgs_shaders::structs::Step;
+use sgs_tests::photographs::{OFFSET, SPARE, WEIGHTS, bytes, padded, run_photometric, step};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
-
-/// First pixel of the view in the buffer of photographs.
-const OFFSET: usize = 5;
-/// Pixels that the buffers have beyond the view's.
-const SPARE: usize = 37;
-const WEIGHTS: [f32; 2] = [0.8, 0.2];
-
-fn step(shape: Shape) -> Step {
-    let mut step = Step { target_offset: OFFSET as u32, ..Default::default() };
-    step.camera.size = [shape.width as u32, shape.height as u32];
-    [step.weight_l1, step.weight_dssim] = WEIGHTS;
-    step
-}
-
-/// Behind what a kernel may read and before it, where it matters, lies a pattern that would be noticed.
-fn padded<T: Copy>(before: usize, data: &[T], spare: usize, pattern: T) -> Vec<T> {
-    let mut all = vec![pattern; before];
-    all.extend_from_slice(data);
-    all.resize(all.len() + spare, pattern);
-    all
-}
-
-fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
-    bytemuck::cast_slice(data).to_vec()
-}
 
 /// The device's own sizes, and those of a GPU, with which any device gets the same.
 fn tunings(gpu: &Gpu) -> [Tuning; 2] {
     [gpu.tuning(), Tuning { subgroup_size: 64, ..gpu.tuning() }]
-}
-
-/// Gradient of all of `grad_image`, spare pixels included, and the statistics.
-fn run_photometric(
-    gpu: &Gpu,
-    tuning: Tuning,
-    shape: Shape,
-    largest: [u32; 2],
-    image: &[f32],
-    targets: &[u32],
-) -> (Vec<f32>, LossStats) {
-    let mut g = Graph::new("photometric");
-    let floats = (shape.pixels() + SPARE) * shape.channels;
-    let uniform = g.uniform("step", size_of::<Step>() as u64);
-    let image_buffer = g.input("image", 4 * floats as u64);
-    let target_buffer = g.input("targets", 4 * (OFFSET + targets.len() + SPARE) as u64);
-    let grad_image = g.external("grad_image", 4 * floats as u64);
-    let stats = g.external("stats", size_of::<LossStats>() as u64);
-    let args = Photometric {
-        step: uniform,
-        image: image_buffer,
-        targets: target_buffer,
-        channels: shape.channels as u32,
-        largest,
-    };
-    let partials = photometric(&mut g, tuning, &args).unwrap();
-    photometric_bwd(&mut g, tuning, &args, &partials, grad_image).unwrap();
-    loss_sum(&mut g, tuning, uniform, (partials.sums, partials.count), None, stats).unwrap();
-    let inputs = [
-        (uniform, bytes(&[step(shape)])),
-        (image_buffer, bytes(&padded(0, image, SPARE * shape.channels, f32::NAN))),
-        (target_buffer, bytes(&padded(OFFSET, targets, SPARE, 0x0012_3456))),
-    ];
-    let out = gpu.run(g, &inputs);
-    (out.get(grad_image), out.get::<LossStats>(stats)[0])
 }
 
 fn random_case(shape: Shape, seed: u32) -> (Vec<f32>, Vec<u32>) {
@@ -181,6 +122,23 @@ fn photometric_at_extremes() {
     for g in &gradient[..3 * n] {
         let rest = [g.abs(), (g - l1).abs(), (g + l1).abs()].into_iter().fold(f32::MAX, f32::min);
         assert!(rest < 1e-4 * l1, "{g}");
+    }
+}
+
+/// Where rounding of squares is more than variances are, similarities are still none above one, and gradients none that drown L1's.
+#[test]
+fn photometric_of_pictures_far_too_bright() {
+    let gpu = Gpu::new();
+    let shape = Shape { width: 40, height: 33, channels: 3 };
+    let n = 3.0 * shape.pixels() as f32;
+    let mut rng = Pcg::new(21);
+    for (bright, noise) in [1e2, 3e3, 2.5e4, 1e6].into_iter().flat_map(|b| [0.0, 1e-6, 1e-4].map(|n| (b, n))) {
+        let image: Vec<f32> = (0..3 * shape.pixels()).map(|_| (bright * (1.0 + noise * rng.normal())) as f32).collect();
+        let targets: Vec<u32> = (0..shape.pixels()).map(|_| rng.next_u32() | 0xff00_0000).collect();
+        let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [40, 33], &image, &targets);
+        let largest = gradient[..3 * shape.pixels()].iter().fold(0.0_f32, |m, g| m.max((g * n - WEIGHTS[0]).abs()));
+        println!("{bright:e}, noise {noise:e}: SSIM {}, gradient of it {largest} at most", stats.ssim);
+        assert!(stats.ssim.abs() <= 1.0 && largest <= 0.5 * WEIGHTS[0], "{bright} {noise}: {} {largest}", stats.ssim);
     }
 }
 

@@ -1,72 +1,10 @@
 //! The losses of materials on a device against their references and the finite differences of these.
 
 use sgs_passes::Tuning;
-use sgs_passes::reference::cross_view::{Picture, cross_view, cross_view_bwd};
-use sgs_passes::reference::edge_aware::{edge_aware, edge_aware_bwd};
-use sgs_passes::reference::msg::{msg, square};
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::MaterialStats;
-use sgs_tests::materials::{Asked, Found, Painted, WEIGHTS, narrow, run};
+use sgs_tests::materials::{Asked, Expected, Found, Painted, expected, narrow, run};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
-
-/// What the references say: gradients by albedo of each view, by roughness of the first one, and the record.
-struct Expected {
-    albedo: Vec<Vec<f64>>,
-    roughness: Vec<f64>,
-    terms: [f64; 6],
-    total: f64,
-}
-
-fn expected(views: &[Painted], asked: Asked) -> Expected {
-    let v = &views[0];
-    let n = v.pixels();
-    let mut albedo: Vec<Vec<f64>> = views.iter().map(|v| vec![0.0; 3 * v.pixels()]).collect();
-    let mut roughness = vec![0.0; n];
-    let mut terms = [0.0; 6];
-    let add = |to: &mut [f64], gradient: &[f64], weight: f32| {
-        to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
-    };
-    if asked.msg {
-        let (loss, gradient) = msg(&v.albedo_difference(&v.albedo_prior, asked.masked));
-        terms[0] = loss;
-        add(&mut albedo[0], &gradient, WEIGHTS.albedo_msg);
-        if asked.roughness {
-            let (loss, gradient) = msg(&v.roughness_difference(asked.masked));
-            terms[1] = loss;
-            add(&mut roughness, &gradient, WEIGHTS.roughness_msg);
-        }
-    }
-    if asked.edge {
-        terms[2] = edge_aware(&v.albedo, 3, &v.photo, v.size);
-        add(&mut albedo[0], &edge_aware_bwd(&v.albedo, 3, &v.photo, v.size), WEIGHTS.albedo_edge);
-        if asked.roughness {
-            terms[3] = edge_aware(&v.roughness, 1, &v.photo, v.size);
-            add(&mut roughness, &edge_aware_bwd(&v.roughness, 1, &v.photo, v.size), WEIGHTS.roughness_edge);
-        }
-    }
-    if asked.cross {
-        let pictures: Vec<Picture> =
-            views.iter().map(|v| Picture { albedo: v.albedo.clone(), mask: v.mask.clone() }).collect();
-        terms[4] = cross_view(&pictures).0;
-        for (to, gradient) in albedo.iter_mut().zip(cross_view_bwd(&pictures)) {
-            add(to, &gradient, WEIGHTS.cross_view);
-        }
-    }
-    for estimate in &v.estimates[..asked.estimates] {
-        let share = 1.0 / asked.estimates as f32;
-        let d = v.albedo_difference(estimate, true);
-        for (loss, gradient) in [msg(&d), square(&d)] {
-            terms[5] += f64::from(share) * loss;
-            add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
-        }
-    }
-    let w = &WEIGHTS;
-    let weights = [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight];
-    let total = terms.iter().zip(weights).map(|(t, w)| t * f64::from(w)).sum();
-    // Of roughness the first channel counts.
-    let roughness = roughness.into_iter().flat_map(|g| [g, 0.0, 0.0]).collect();
-    Expected { albedo, roughness, terms, total }
-}
 
 /// Relative to the largest gradient, which is some multiple of one by the number of pixels.
 fn tolerance(expected: &[f64]) -> Tolerance {

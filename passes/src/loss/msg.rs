@@ -5,7 +5,7 @@
 //! level, pixel centers in the middle, weights over what lies inside the picture. Of each channel, filters of three taps
 //! (0.425287, 0, -0.425287) times (0.229879, 0.540242, 0.229879), with borders mirrored, give sqrt(gx² + gy² + 1e-8); the loss
 //! of a level is the mean over the channels and over the pixels that count, and `msg` the mean over four levels. On each
-//! level a pixel counts if at least 0.999 of what it is made of does, and all its neighbors likewise; a level where none counts
+//! level a pixel counts if at least 0.99903 of what it is made of does, and all its neighbors likewise; a level where none counts
 //! is 0. In the picture a pixel counts if its prior's alpha is not 0 and its coverage at least 0.5.
 //!
 //! `relight` compares albedo with an estimate of it under other light (or from elsewhere) within a mask: the squared

@@ -150,10 +150,17 @@ fn sign(x: f64) -> f64 {
 
 /// Gradient of the losses with these weights.
 pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
+    geometry_loss_bwd_sized(s, weights).0
+}
+
+/// The same, and the sizes of what each of its numbers is the sum of.
+pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradient) {
     let (units, depth) = (s.unit_normals(), s.depth());
     let n = s.pixels() as f64;
-    let mut by_unit = vec![[0.0; 3]; units.len()];
-    let mut by_depth = vec![0.0; depth.len()];
+    // Sums, and the sums of sizes.
+    let mut by_unit = vec![[[0.0; 2]; 3]; units.len()];
+    let mut by_depth = vec![[0.0; 2]; depth.len()];
+    let add = |to: &mut [f64; 2], x: f64| *to = [to[0] + x, to[1] + x.abs()];
     for p in 0..s.pixels() {
         for vertical in [false, true] {
             let taps = s.taps(p, vertical);
@@ -162,14 +169,14 @@ pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
                 for c in 0..3 {
                     let g: f64 = taps.iter().map(|&(q, w)| w * units[q][c]).sum();
                     for &(q, w) in &taps {
-                        by_unit[q][c] += weights.normal_smooth / (3.0 * n) * edge[c] * sign(g) * w;
+                        add(&mut by_unit[q][c], weights.normal_smooth / (3.0 * n) * edge[c] * sign(g) * w);
                     }
                 }
             }
             if s.depths.is_some() {
                 let g: f64 = taps.iter().map(|&(q, w)| w * depth[q]).sum();
                 for &(q, w) in &taps {
-                    by_depth[q] += weights.depth_smooth / n * edge.iter().sum::<f64>() / 3.0 * sign(g) * w;
+                    add(&mut by_depth[q], weights.depth_smooth / n * edge.iter().sum::<f64>() / 3.0 * sign(g) * w);
                 }
             }
         }
@@ -177,15 +184,20 @@ pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
             && let Some(prior) = octahedral_decode(priors[p])
         {
             for c in 0..3 {
-                by_unit[p][c] -= weights.normal / n * prior[c];
+                // Coordinates of unit vectors are made of numbers near one.
+                let [sum, all] = by_unit[p][c];
+                by_unit[p][c] = [sum - weights.normal / n * prior[c], all + weights.normal / n];
             }
         }
     }
-    let mut out = Gradient { normals: vec![], depths: vec![], transmittance: vec![0.0; s.pixels()] };
+    let none = Gradient { normals: vec![], depths: vec![], transmittance: vec![0.0; s.pixels()] };
+    let (mut out, mut sizes) = (none.clone(), none);
     for (p, &blended) in s.normals.iter().flatten().enumerate() {
-        let (size, unit, g) = (length(blended), units[p], by_unit[p]);
-        let along = if size > FLOOR { dot(unit, g) } else { 0.0 };
+        let (size, unit) = (length(blended), units[p]);
+        let (g, all) = (by_unit[p].map(|g| g[0]), by_unit[p].map(|g| g[1]));
+        let (along, most) = if size > FLOOR { (dot(unit, g), dot(unit.map(f64::abs), all)) } else { (0.0, 0.0) };
         out.normals.push([0, 1, 2].map(|c| (g[c] - unit[c] * along) / size.max(FLOOR)));
+        sizes.normals.push([0, 1, 2].map(|c| (all[c] + unit[c].abs() * most) / size.max(FLOOR)));
     }
     for (p, &[z, z2]) in s.depths.iter().flatten().enumerate() {
         let (opacity, variance) = (s.opacity(p), s.variance(p, depth[p]));
@@ -193,14 +205,18 @@ pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
             true => weights.depth_variance / n * 0.5 / variance.sqrt(),
             false => 0.0,
         };
-        let by_depth = by_depth[p] - 2.0 * depth[p] * by_variance;
+        let [smooth, all] = by_depth[p];
+        let by_depth = smooth - 2.0 * depth[p] * by_variance;
+        let most = all + 2.0 * depth[p].abs() * by_variance;
         let divisor = opacity.max(FLOOR);
         out.depths.push([by_depth / divisor, by_variance / divisor]);
+        sizes.depths.push([most / divisor, by_variance / divisor]);
         if opacity > FLOOR {
             out.transmittance[p] = (by_depth * z + by_variance * z2) / (opacity * opacity);
+            sizes.transmittance[p] = (most * z.abs() + by_variance * z2.abs()) / (opacity * opacity);
         }
     }
-    out
+    (out, sizes)
 }
 
 #[cfg(test)]

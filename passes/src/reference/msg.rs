@@ -54,7 +54,7 @@ fn level(d: &Difference, l: u32) -> Level {
     let sum = |w: &Vec<(usize, f64)>, c: usize| w.iter().map(|&(q, w)| w * d.values[q * d.channels + c]).sum();
     let values = made_of.iter().flat_map(|w| (0..d.channels).map(move |c| sum(w, c))).collect();
     let share = |w: &Vec<(usize, f64)>| w.iter().filter(|q| d.present[q.0]).map(|q| q.1).sum::<f64>();
-    let present: Vec<bool> = made_of.iter().map(|w| share(w) >= 0.999).collect();
+    let present: Vec<bool> = made_of.iter().map(|w| share(w) >= 0.99903).collect();
     let around = |p: usize| {
         let (x, y) = (p % size[0], p / size[0]);
         let rows = y.saturating_sub(1)..(y + 2).min(size[1]);

@@ -59,7 +59,10 @@ fn windows() -> Vec<(i64, i64, f64)> {
 /// SSIM at one pixel and its partial derivatives by the windowed means of x, x^2 and xy.
 fn ssim(ex: f64, ey: f64, exx: f64, eyy: f64, exy: f64) -> (f64, [f64; 3]) {
     let (a1, b1) = (2.0 * ex * ey + C1, ex * ex + ey * ey + C1);
-    let (a2, b2) = (2.0 * (exy - ex * ey) + C2, exx - ex * ex + eyy - ey * ey + C2);
+    // Neither of the two bounds says anything, but where means are off.
+    let variances = (exx - ex * ex + eyy - ey * ey).max(0.0);
+    let covariance = (exy - ex * ey).clamp(-0.5 * variances, 0.5 * variances);
+    let (a2, b2) = (2.0 * covariance + C2, variances + C2);
     let s = a1 * a2 / (b1 * b2);
     // b1 and b2 are positive; a1 and a2 need not be, so no logarithms.
     let by_a1 = a2 / (b1 * b2);
@@ -69,24 +72,38 @@ fn ssim(ex: f64, ey: f64, exx: f64, eyy: f64, exy: f64) -> (f64, [f64; 3]) {
     (s, [by_ex, by_b2, 2.0 * by_a2])
 }
 
-/// For one channel: SSIM summed over pixels, and the three derivative maps.
-fn ssim_maps(x: &[f64], y: &[f64], shape: Shape) -> (f64, Vec<[f64; 3]>) {
+/// For one channel: SSIM summed over pixels, the three derivative maps, and how large what the first of these is made of is.
+/// `off`: what is added to a windowed mean of values less one half, or of products of these, where what it is the sum of is so large.
+fn ssim_maps(x: &[f64], y: &[f64], shape: Shape, off: &mut dyn FnMut(f64) -> f64) -> (f64, Vec<[f64; 4]>) {
     let taps = windows();
     let mut sum = 0.0;
     let mut maps = Vec::with_capacity(shape.pixels());
     for row in 0..shape.height as i64 {
         for column in 0..shape.width as i64 {
-            let mut e = [0.0; 5];
+            let (mut e, mut size) = ([0.0; 5], [0.0; 4]);
             for &(dx, dy, w) in &taps {
+                let (mut a, mut b) = (0.0, 0.0);
                 if let Some(i) = inside(shape, column + dx, row + dy) {
-                    for (e, v) in e.iter_mut().zip([x[i], y[i], x[i] * x[i], y[i] * y[i], x[i] * y[i]]) {
+                    (a, b) = (x[i], y[i]);
+                    for (e, v) in e.iter_mut().zip([a, b, a * a, b * b, a * b]) {
                         *e += w * v;
                     }
                 }
+                let (a, b) = (a - 0.5, b - 0.5);
+                for (size, v) in size.iter_mut().zip([a, b, a * a + b * b, a * b]) {
+                    *size += w * f64::abs(v);
+                }
             }
-            let (s, derivatives) = ssim(e[0], e[1], e[2], e[3], e[4]);
+            let [by_x, by_y, by_squares, by_products] = size.map(&mut *off);
+            e[0] += by_x;
+            e[1] += by_y;
+            e[2] += by_squares + by_x;
+            e[3] += by_y;
+            e[4] += by_products + 0.5 * (by_x + by_y);
+            let (s, [a, b, c]) = ssim(e[0], e[1], e[2], e[3], e[4]);
             sum += s;
-            maps.push(derivatives);
+            let made_of = a.abs() + b.abs() * (1.0 + 2.0 * size[0]) + c.abs() * (0.5 + size[1]);
+            maps.push([a, b, c, made_of]);
         }
     }
     (sum, maps)
@@ -118,7 +135,7 @@ pub fn photometric(image: &[f64], targets: &[u32], shape: Shape) -> Photometric 
     for c in 0..3 {
         let (x, y) = channel(image, targets, shape, c);
         l1 += x.iter().zip(&y).map(|(x, y)| (x - y).abs()).sum::<f64>();
-        sum += ssim_maps(&x, &y, shape).0;
+        sum += ssim_maps(&x, &y, shape, &mut |_| 0.0).0;
     }
     let n = 3.0 * shape.pixels() as f64;
     Photometric { l1: l1 / n, ssim: sum / n }
@@ -126,27 +143,43 @@ pub fn photometric(image: &[f64], targets: &[u32], shape: Shape) -> Photometric 
 
 /// Gradient of `weight_l1 * L1 + weight_dssim * (1 - SSIM)` by the image; channels past the third are zero.
 pub fn photometric_bwd(image: &[f64], targets: &[u32], shape: Shape, weight_l1: f64, weight_dssim: f64) -> Vec<f64> {
+    photometric_bwd_off(image, targets, shape, [weight_l1, weight_dssim], &mut |_| 0.0).0
+}
+
+/// The same where windowed means are off, and the sizes of what gradients are the sums of. `off`: what is added to a mean of what
+/// adds up to so much; values have one half less, as the kernel has them.
+pub fn photometric_bwd_off(
+    image: &[f64],
+    targets: &[u32],
+    shape: Shape,
+    [weight_l1, weight_dssim]: [f64; 2],
+    off: &mut dyn FnMut(f64) -> f64,
+) -> (Vec<f64>, Vec<f64>) {
     let taps = windows();
     let n = 3.0 * shape.pixels() as f64;
     let mut gradient = vec![0.0; shape.pixels() * shape.channels];
+    let mut sizes = gradient.clone();
     for c in 0..3 {
         let (x, y) = channel(image, targets, shape, c);
-        let (_, maps) = ssim_maps(&x, &y, shape);
+        let (_, maps) = ssim_maps(&x, &y, shape, off);
         for p in 0..shape.pixels() {
             let (column, row) = ((p % shape.width) as i64, (p / shape.width) as i64);
-            let mut by_ssim = 0.0;
+            let (mut by_ssim, mut size) = (0.0, 0.0);
             for &(dx, dy, w) in &taps {
                 if let Some(q) = inside(shape, column + dx, row + dy) {
-                    by_ssim += w * (maps[q][0] + 2.0 * x[p] * maps[q][1] + y[p] * maps[q][2]);
+                    let [a, b, c, made_of] = maps[q];
+                    by_ssim += w * (a + 2.0 * x[p] * b + y[p] * c);
+                    size += w * (made_of + (2.0 * (x[p] - 0.5) * b).abs() + ((y[p] - 0.5) * c).abs());
                 }
             }
             let sign = if x[p] == y[p] { 0.0 } else { (x[p] - y[p]).signum() };
             if counts(targets[p]) {
                 gradient[p * shape.channels + c] = (weight_l1 * sign - weight_dssim * by_ssim) / n;
+                sizes[p * shape.channels + c] = (weight_l1 + weight_dssim * size) / n;
             }
         }
     }
-    gradient
+    (gradient, sizes)
 }
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ pub struct Field {
     pub high: [f32; 3],
     /// The box: 1 / size.
     pub inverse: [f32; 3],
+    /// By how much points lie elsewhere in the grids, of the box: 0, but where it is asked what rounding comes to.
+    pub slip: [f32; 3],
 }
 
 /// Gradients of a field and of what it was asked about.
@@ -58,7 +60,8 @@ impl Field {
     pub fn new(config: &FieldConfig, tables: &[f32], mlp: &[f32], low: [f32; 3], high: [f32; 3]) -> Field {
         let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect();
         let inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
-        Field { levels: config.table_levels(), tables: wide(tables), mlp: wide(mlp), low, high, inverse }
+        let levels = config.table_levels();
+        Field { levels, tables: wide(tables), mlp: wide(mlp), low, high, inverse, slip: [0.0; 3] }
     }
 
     /// The same with tables as they are looked up in so many bits.
@@ -84,7 +87,7 @@ impl Field {
         let x = [0, 1, 2].map(|k| ((inside(k) - self.low[k]) * self.inverse[k]).clamp(0.0, 1.0));
         let mut corners = Vec::new();
         for level in &self.levels {
-            let at = x.map(|x| x.mul_add(level.scale, 0.5));
+            let at = [0, 1, 2].map(|k| x[k].mul_add(level.scale, 0.5) + self.slip[k] * level.scale);
             let last = level.resolution - 1;
             let low = at.map(|a| (a.floor() as u32).min(last));
             let part = at.map(|a| f64::from(a - a.floor()));
@@ -154,6 +157,28 @@ impl Field {
     /// How much of a light a point sees; both in the world.
     pub fn visibility(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
         self.trace(point, light).value
+    }
+
+    /// How near a pair's rectified sums come to zero, of the sizes of what they add up; and the logit.
+    pub fn margin(&self, point: [f64; 3], light: [f64; 3]) -> (f64, f64) {
+        let t = self.trace(point, light);
+        let (one, rest) = self.mlp.split_at(FIELD_WIDTH * t.inputs.len());
+        let (two, three) = rest.split_at(FIELD_WIDTH * FIELD_WIDTH);
+        // Sums of rows, and of the sizes that rounding has been a share of by then.
+        let rows = |weights: &[f64], x: &[f64], sizes: &[f64]| -> Vec<(f64, f64)> {
+            let of = |row: &[f64]| {
+                let sum = row.iter().zip(x).map(|(w, x)| w * x).sum();
+                (sum, row.iter().zip(sizes).map(|(w, s)| (w * s).abs()).sum())
+            };
+            weights.chunks(x.len()).map(of).collect()
+        };
+        let first = rows(one, &t.inputs, &t.inputs);
+        let sizes: Vec<f64> = first.iter().map(|(z, size)| if *z > 0.0 { *size } else { 0.0 }).collect();
+        let second = rows(two, &t.first, &sizes);
+        let share = |(z, size): &(f64, f64)| if *size > 0.0 { z.abs() / size } else { 1.0 };
+        let nearest = first.iter().chain(&second).map(share).fold(1.0, f64::min);
+        let logit = three.iter().zip(&t.second).map(|(w, x)| w * x).sum();
+        (nearest, logit)
     }
 
     /// The same if the second layer's operands have 16 bits, as on cooperative matrices; sums are exact.

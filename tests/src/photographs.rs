@@ -1,0 +1,71 @@
+//! The photometric loss on a device.
+
+use crate::Gpu;
+use sgs_engine::graph::Graph;
+use sgs_passes::Tuning;
+use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd};
+use sgs_passes::reference::photometric::Shape;
+use sgs_shaders::structs::{LossStats, Step};
+
+/// First pixel of the view in the buffer of photographs.
+pub const OFFSET: usize = 5;
+/// Pixels that the buffers have beyond the view's.
+pub const SPARE: usize = 37;
+/// Of L1 and of 1 - SSIM.
+pub const WEIGHTS: [f32; 2] = [0.8, 0.2];
+
+/// Of a view of that shape.
+pub fn step(shape: Shape) -> Step {
+    let mut step = Step { target_offset: OFFSET as u32, ..Default::default() };
+    step.camera.size = [shape.width as u32, shape.height as u32];
+    [step.weight_l1, step.weight_dssim] = WEIGHTS;
+    step
+}
+
+/// Behind what a kernel may read and before it, where it matters, lies a pattern that would be noticed.
+pub fn padded<T: Copy>(before: usize, data: &[T], spare: usize, pattern: T) -> Vec<T> {
+    let mut all = vec![pattern; before];
+    all.extend_from_slice(data);
+    all.resize(all.len() + spare, pattern);
+    all
+}
+
+/// As they lie in memory.
+pub fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
+    bytemuck::cast_slice(data).to_vec()
+}
+
+/// Gradient of all of `grad_image`, spare pixels included, and the statistics.
+pub fn run_photometric(
+    gpu: &Gpu,
+    tuning: Tuning,
+    shape: Shape,
+    largest: [u32; 2],
+    image: &[f32],
+    targets: &[u32],
+) -> (Vec<f32>, LossStats) {
+    let mut g = Graph::new("photometric");
+    let floats = (shape.pixels() + SPARE) * shape.channels;
+    let uniform = g.uniform("step", size_of::<Step>() as u64);
+    let image_buffer = g.input("image", 4 * floats as u64);
+    let target_buffer = g.input("targets", 4 * (OFFSET + targets.len() + SPARE) as u64);
+    let grad_image = g.external("grad_image", 4 * floats as u64);
+    let stats = g.external("stats", size_of::<LossStats>() as u64);
+    let args = Photometric {
+        step: uniform,
+        image: image_buffer,
+        targets: target_buffer,
+        channels: shape.channels as u32,
+        largest,
+    };
+    let partials = photometric(&mut g, tuning, &args).unwrap();
+    photometric_bwd(&mut g, tuning, &args, &partials, grad_image).unwrap();
+    loss_sum(&mut g, tuning, uniform, (partials.sums, partials.count), None, stats).unwrap();
+    let inputs = [
+        (uniform, bytes(&[step(shape)])),
+        (image_buffer, bytes(&padded(0, image, SPARE * shape.channels, f32::NAN))),
+        (target_buffer, bytes(&padded(OFFSET, targets, SPARE, 0x0012_3456))),
+    ];
+    let out = gpu.run(g, &inputs);
+    (out.get(grad_image), out.get::<LossStats>(stats)[0])
+}

@@ -1,0 +1,261 @@
+//! Visibility fields, every size of which is drawn log-uniformly, against the double-precision twin: what points see of lights, and
+//! gradients of tables, layers and places. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
+//!
+//! What single precision may be off by is measured: by how much the twin's answer moves when tables and weights move by some units of
+//! the last place, and by how large what is added up is.
+
+use proptest::prelude::*;
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::visibility as twin;
+use sgs_passes::shade::visibility::FieldConfig;
+use sgs_tests::Gpu;
+use sgs_tests::drawn::{runner, signed, spread};
+use sgs_tests::field::{Asked, Case};
+
+/// By how much tables and weights are moved.
+const MOVE: f64 = 5e-7;
+
+/// By how much points are moved in the grid, of the box.
+const SLIP: f32 = 1e-7;
+
+/// How often.
+const DRAWS: u32 = 4;
+
+/// Of a rectified sum's terms: nearer to zero than that, rounding may decide whether there is a gradient.
+const MARGIN: f64 = 1e-5;
+
+/// Where a point or a light is along an axis, of the box.
+fn place() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        6 => 0.0..1.0,
+        2 => spread(-7.0, -0.3),
+        2 => spread(-7.0, -0.3).prop_map(|x| 1.0 - x),
+        1 => signed(-3.0, 6.0),
+        1 => prop_oneof![Just(0.0), Just(0.5), Just(1.0)],
+    ]
+}
+
+#[derive(Clone, Debug)]
+struct Drawn {
+    levels: u32,
+    log2_table: u32,
+    coarsest: u32,
+    growth: f64,
+    tables: f64,
+    layers: [f64; 3],
+    center: [f64; 3],
+    size: [f64; 3],
+    points: Vec<[f64; 3]>,
+    lights: Vec<[f64; 3]>,
+    /// A point that lies so near to the first light, in boxes.
+    near: Option<f64>,
+    asked: f64,
+    half: bool,
+    seed: u32,
+}
+
+prop_compose! {
+    fn drawn()(
+        // Each is a kernel of its own.
+        levels in prop::sample::select(vec![1_u32, 5, 16]),
+        log2_table in 8..10_u32,
+        coarsest in 2..17_u32,
+        growth in 1.0..2.0_f64,
+        tables in spread(-8.0, 3.0),
+        layers in [spread(-2.0, 1.0), spread(-2.0, 1.0), spread(-2.0, 1.0)],
+        center in [signed(-3.0, 3.0), signed(-3.0, 3.0), signed(-3.0, 3.0)],
+        size in [spread(-3.0, 3.0), spread(-3.0, 3.0), spread(-3.0, 3.0)],
+        points in prop::collection::vec([place(), place(), place()], 1..40),
+        lights in prop::collection::vec([place(), place(), place()], 1..5),
+        near in prop::option::of(spread(-9.0, -2.0)),
+        asked in spread(-12.0, 12.0),
+        half in prop::bool::weighted(0.25),
+        seed in 0..1_000_000_u32,
+    ) -> Drawn {
+        Drawn { levels, log2_table, coarsest, growth, tables, layers, center, size, points, lights, near, asked, half, seed }
+    }
+}
+
+impl Drawn {
+    fn case(&self) -> Case {
+        let finest = (f64::from(self.coarsest) * self.growth.powi(self.levels as i32 - 1)).min(4096.0) as u32;
+        let config = FieldConfig::new(self.levels, self.log2_table, self.coarsest, finest.max(self.coarsest));
+        let mut case = Case::random(config, 1, 1, self.seed);
+        let mut rng = Pcg::new(self.seed);
+        case.tables = (0..2 * config.entries()).map(|_| (self.tables * rng.normal()) as f32).collect();
+        let (first, second) = (32 * config.inputs(), 32 * 32);
+        for (i, w) in case.mlp.iter_mut().enumerate() {
+            let layer = usize::from(i >= first) + usize::from(i >= first + second);
+            *w = (f64::from(*w) * self.layers[layer]) as f32;
+        }
+        let low = [0, 1, 2].map(|k| (self.center[k] - 0.5 * self.size[k]) as f32);
+        // Boxes are never thinner than what positions have digits for.
+        let high = [0, 1, 2].map(|k| (f64::from(low[k]) + self.size[k].max(1e-3 * self.center[k].abs())) as f32);
+        let at = |way: &[f64; 3]| [0, 1, 2].map(|k| (f64::from(low[k]) + way[k] * f64::from(high[k] - low[k])) as f32);
+        case.points = self.points.iter().map(at).collect();
+        case.lights = self.lights.iter().map(at).collect();
+        if let Some(near) = self.near {
+            let mut way = self.lights[0];
+            way[0] += near;
+            case.points[0] = at(&way);
+        }
+        case.coverage = (0..self.points.len()).map(|i| if i % 11 == 7 { 9.9e-4 } else { 0.3 }).collect();
+        (case.low, case.high) = (low, high);
+        case.table_bits = if self.half { 16 } else { 32 };
+        case.step.box_min = low;
+        case.step.box_max = high;
+        case.step.box_inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
+        case.step.pixels = case.points.len() as u32;
+        case.step.lights = case.lights.len() as u32;
+        case
+    }
+
+    fn asked(&self, case: &Case) -> Asked {
+        let mut asked = Asked::random(case, self.asked, self.seed);
+        asked.options.regularized = false;
+        asked
+    }
+}
+
+/// The same field with its numbers moved by chance.
+fn moved(field: &twin::Field, rng: &mut Pcg) -> twin::Field {
+    let mut other = field.clone();
+    for x in other.tables.iter_mut().chain(&mut other.mlp) {
+        *x *= 1.0 + MOVE * rng.range(-1.0, 1.0);
+    }
+    // Sums and products of places need not be rounded together.
+    other.slip = [(); 3].map(|()| if rng.uniform() < 0.5 { -SLIP } else { SLIP });
+    other
+}
+
+/// Fails unless what points see of lights is the twin's.
+fn check_values(gpu: &Gpu, case: &Case, planted: f64) -> Result<(), TestCaseError> {
+    let field = case.twin();
+    let mut rng = Pcg::new(1);
+    let others: Vec<twin::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
+    for (j, light) in case.lights.iter().enumerate() {
+        let found = [true, false].map(|split| case.forward(gpu, Some(j as u32), split));
+        for (i, point) in case.points.iter().enumerate() {
+            let (point, light) = (Case::wide(*point), Case::wide(*light));
+            let shaded = case.coverage[i] >= 1e-3;
+            let v = if shaded { field.visibility(point, light) } else { 0.0 };
+            let off = |other: &twin::Field| (other.visibility(point, light) - v).abs();
+            // Where it is nearly nothing or all, digits of the exponent go, and more the farther.
+            let slack = if shaded { 4.0 * others.iter().map(off).fold(0.0, f64::max) } else { 0.0 };
+            let t = slack + 4e-7 * v * (1.0 + (1.0 - v) * v.max(1e-300).ln().abs()) + 1e-37;
+            for found in &found {
+                let is = f64::from(found[i]) * planted;
+                prop_assert!((is - v).abs() <= t, "pixel {}, light {}: {} is not {}, to {}", i, j, is, v, t);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Gradients of layers, tables and places in a row.
+fn row(g: &twin::Gradients) -> Vec<f64> {
+    [g.mlp.as_slice(), &g.tables, g.lights.as_flattened()].concat()
+}
+
+/// Fails unless gradients are the twin's; says how many were compared. `planted`: which of them is a hundredth off.
+fn check_gradients(gpu: &Gpu, case: &Case, asked: &Asked, planted: Option<usize>) -> Result<usize, TestCaseError> {
+    let mut case = case.clone();
+    let field = case.twin();
+    let lights: Vec<[f64; 3]> = case.lights.iter().map(|l| Case::wide(*l)).collect();
+    // Pixels that rounding may decide about, or whose slopes single precision does not hold, are not shaded.
+    for (i, point) in case.points.iter().enumerate() {
+        let sure = |l: &[f64; 3]| {
+            let (margin, logit) = field.margin(Case::wide(*point), *l);
+            margin > MARGIN && logit.abs() < 60.0
+        };
+        if !lights.iter().all(sure) {
+            case.coverage[i] = 0.0;
+        }
+    }
+    let found = case.backward(gpu, asked);
+    let mut rng = Pcg::new(2);
+    let fields: Vec<twin::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
+    let mut sum = row(&field.zeros(lights.len()));
+    // How large what is added up is, and how far it may be off.
+    let (mut size, mut off) = (sum.clone(), sum.clone());
+    for i in (0..case.points.len()).filter(|i| case.coverage[*i] >= 1e-3) {
+        let point = Case::wide(case.points[i]);
+        for j in 0..lights.len() {
+            let of = |field: &twin::Field| {
+                let mut into = field.zeros(lights.len());
+                field.visibility_bwd(point, &lights, j, asked.by_visibility(i, j), &mut into);
+                row(&into)
+            };
+            let pair = of(&field);
+            let mut most = vec![0.0_f64; pair.len()];
+            for other in &fields {
+                for (m, (a, b)) in most.iter_mut().zip(of(other).iter().zip(&pair)) {
+                    *m = m.max((a - b).abs());
+                }
+            }
+            // What is asked of a pair is a sum of three, which may cancel.
+            let asked_of = |c: usize| f64::from(asked.pixels[i][c]) * f64::from(asked.lights[j][c]);
+            let all: f64 = (0..3).map(|c| asked_of(c).abs()).sum();
+            let canceled = 1e-7 * all / asked.by_visibility(i, j).abs().max(1e-300);
+            for k in 0..pair.len() {
+                sum[k] += pair[k];
+                size[k] += pair[k].abs();
+                off[k] += most[k] + canceled * pair[k].abs();
+            }
+        }
+    }
+    let is: Vec<f32> = [found.mlp.as_slice(), &found.tables, &found.lights].concat();
+    prop_assert_eq!(is.len(), sum.len());
+    let tables = found.mlp.len()..found.mlp.len() + found.tables.len();
+    // Of whole numbers, each of which is rounded.
+    let quantum = 8.0 * (case.points.len() as f64) / f64::from(found.scale);
+    let largest = sum.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+    for (k, x) in is.iter().enumerate() {
+        let x = f64::from(*x) * if planted == Some(k) { 1.01 } else { 1.0 };
+        let t =
+            8.0 * off[k] + 2e-5 * size[k] + if tables.contains(&k) { quantum } else { 0.0 } + 1e-14 * largest + 1e-36;
+        prop_assert!((x - sum[k]).abs() <= t, "number {}: {} is not {}, to {}", k, x, sum[k], t);
+    }
+    Ok(size.iter().filter(|s| **s > 0.0).count())
+}
+
+#[test]
+fn what_points_see_agrees_with_the_twin() {
+    let gpu = Gpu::new();
+    runner(48).run(&drawn(), |d| check_values(&gpu, &d.case(), 1.0)).unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+fn gradients_of_fields_agree_with_the_twin() {
+    let gpu = Gpu::new();
+    let compared = std::cell::Cell::new((0, 0));
+    let all = runner(48).run(&drawn(), |d| {
+        let case = d.case();
+        let asked = d.asked(&case);
+        let n = check_gradients(&gpu, &case, &asked, None)?;
+        compared.set((compared.get().0 + 1, compared.get().1 + n));
+        Ok(())
+    });
+    all.unwrap_or_else(|e| panic!("{e}"));
+    let (cases, numbers) = compared.get();
+    println!("{cases} fields, {numbers} gradients that are not zero");
+    assert!(numbers > 500 * cases, "{numbers} of {cases} fields");
+}
+
+/// A hundredth is noticed, of values and of the largest gradient of each kind.
+#[test]
+fn checks_of_fields_can_fail() {
+    let gpu = Gpu::new();
+    let case = Case::random(FieldConfig::new(5, 8, 4, 40), 9, 2, 3);
+    assert!(check_values(&gpu, &case, 1.0).is_ok() && check_values(&gpu, &case, 1.001).is_err());
+    let mut asked = Asked::random(&case, 1.0, 9);
+    asked.options.regularized = false;
+    assert!(check_gradients(&gpu, &case, &asked, None).is_ok());
+    let expected = case.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
+    let largest = |v: &[f64]| (0..v.len()).max_by(|a, b| v[*a].abs().total_cmp(&v[*b].abs())).unwrap_or(0);
+    let (mlp, tables) = (expected.mlp.len(), expected.tables.len());
+    let lights = largest(expected.lights.as_flattened());
+    for k in [largest(&expected.mlp), mlp + largest(&expected.tables), mlp + tables + lights] {
+        assert!(check_gradients(&gpu, &case, &asked, Some(k)).is_err(), "number {k}");
+    }
+}
