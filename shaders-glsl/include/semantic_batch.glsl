@@ -7,7 +7,8 @@
 const uint ROWS = AUGMENTED + CLASSES;
 const uint BATCH = SUBGROUP * TILES;
 
-// Below this share of its parts' size a decoded vector is rounding noise: it has length and direction of nothing.
+// Below this share of its parts' size, those of every feature and the bias, a decoded vector is rounding noise: it has length
+// and direction of nothing.
 const float NOTHING = 1e-6; // squared
 
 float staged[TILES * SPREAD];  // as `f`; can be indexed by a variable, which leaves others in registers
@@ -92,9 +93,12 @@ void bring() {
 // Lengths, and `u`.
 void measure() {
     EACH_TILE(t) [[unroll]] for (uint k = 0u; k < SPREAD; k++) u[t * SPREAD + k] = 0.0;
+    float diagonal[HELD]; // squared lengths of the decoder's columns
+    EACH_HELD(h) diagonal[h] = 0.0;
     for (uint j = 0u; j < ACROSS; j++) {
         EACH_HELD(g) {
             fetch_row(g * ACROSS + j);
+            diagonal[g] = column() == j ? row[g] : diagonal[g];
             EACH_TILE(t) EACH_ITEM(n) {
                 uint at = t * SPREAD + n * HELD;
                 float s = subgroupShuffle(f[at + g], lane_of(j));
@@ -110,8 +114,10 @@ void measure() {
             EACH_HELD(h) u[t * SPREAD + n * HELD + h] = fma(s, row[h], u[t * SPREAD + n * HELD + h]);
         }
         DOT_ITEMS(square, f[AT_(t)], u[AT_(t)], t)
-        square = fma(bias[t], fma(last, bias[t], both), square);
-        float least = max(1e-16 * bias[t] * bias[t], NOTHING * (square - 2.0 * both * bias[t]));
+        DOT_ITEMS(parts, diagonal[h_] * f[AT_(t)], f[AT_(t)], t)
+        float bias_part = last * bias[t] * bias[t];
+        square = fma(bias[t], both, square + bias_part);
+        float least = max(1e-16 * bias[t] * bias[t], NOTHING * (parts + bias_part));
         inverse[t] = square > least ? 1.0 / sqrt(square) : 0.0;
     }
 }

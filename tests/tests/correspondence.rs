@@ -1,40 +1,16 @@
 //! The correspondence of a region between a training view and pseudo-views on a device against its reference.
 
-use sgs_engine::graph::Graph;
-use sgs_passes::loss::{
-    Head, Pictured, correspondence_bwd, correspondence_train_bwd, decoder_gradient, normalize_embeddings, pack_mask,
-    region, regions, semantic_prepare, semantic_sum,
-};
 use sgs_passes::reference::correspondence as twin;
 use sgs_passes::reference::correspondence::{Gradient, Picture, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic::Head as TwinHead;
-use sgs_passes::scene::{Decoder, EMBEDDING, FEATURES};
-use sgs_shaders::structs::{LossStats, Step};
+use sgs_passes::scene::FEATURES;
+use sgs_tests::regions::{Found, TEMPERATURE, WEIGHT, run};
+use sgs_tests::semantics::head;
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
-
-const CHANNELS: usize = 40;
-const FIRST: usize = 8;
-const MASK_OFFSET: usize = 2;
-const LARGEST: [u32; 2] = [37, 29];
-const WEIGHT: f64 = 0.375;
-const TEMPERATURE: f64 = 0.5;
-/// What is in the training view's gradient before.
-const BEFORE: f32 = 0.25;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
-}
-
-fn head(classes: usize, seed: u32) -> TwinHead {
-    let mut rng = Pcg::new(seed);
-    let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
-    TwinHead {
-        features: FEATURES,
-        embedding: EMBEDDING,
-        decoder: Decoder::initial(seed).into_iter().map(f64::from).collect(),
-        text: normalize_embeddings(&text).into_iter().map(f64::from).collect(),
-    }
 }
 
 /// A picture of features with something in common, and a mask of about that share of its pixels.
@@ -45,102 +21,6 @@ fn picture(size: [usize; 2], share: f64, seed: u32) -> ([usize; 2], Picture) {
     let pixels = size[0] * size[1];
     let image = (0..pixels * FEATURES).map(|i| f64::from((center[i % FEATURES] + rng.normal()) as f32)).collect();
     (size, Picture { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() })
-}
-
-struct Found {
-    train: Vec<f32>,
-    pseudo: Vec<Vec<f32>>,
-    decoder: Vec<f32>,
-    stats: LossStats,
-}
-
-fn run(gpu: &Gpu, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
-    let room = (LARGEST[0] * LARGEST[1]) as usize;
-    let mut g = Graph::new("correspondence");
-    let tuning = gpu.tuning();
-    let decoder = g.input("decoder", 4 * h.decoder.len() as u64);
-    let embeddings = g.input("embeddings", 4 * h.text.len() as u64);
-    let on_gpu = Head { decoder, embeddings, classes: h.classes() as u32 };
-    let prepared = semantic_prepare(&mut g, tuning, &on_gpu).unwrap();
-    let wide = |x: &[f64]| bytes(&x.iter().map(|&x| x as f32).collect::<Vec<f32>>());
-    let stats = g.external("stats", size_of::<LossStats>() as u64);
-    let mut inputs = vec![
-        (decoder, wide(&h.decoder)),
-        (embeddings, wide(&h.text)),
-        (stats, bytes(&[LossStats { total: 0.5, ..Default::default() }])),
-    ];
-    let shared = regions(&mut g, pictures.len() as u32 - 1);
-    let mut declared = Vec::new();
-    for (i, (size, p)) in pictures.iter().enumerate() {
-        let mut image = vec![f32::NAN; room * CHANNELS];
-        for pixel in 0..size[0] * size[1] {
-            for k in 0..FEATURES {
-                image[pixel * CHANNELS + FIRST + k] = p.image[pixel * FEATURES + k] as f32;
-            }
-        }
-        let mask = [vec![u32::MAX; MASK_OFFSET], pack_mask(&p.mask)].concat();
-        let floats = 4 * image.len() as u64;
-        let on_gpu_picture = Pictured {
-            step: g.uniform(format!("step{i}"), size_of::<Step>() as u64),
-            image: g.input(format!("image{i}"), floats),
-            channels: CHANNELS as u32,
-            first: FIRST as u32,
-            largest: LARGEST,
-            mask: g.input(format!("mask{i}"), 4 * mask.len() as u64),
-        };
-        let gradient = g.external(format!("gradient{i}"), floats);
-        let mut values = Step {
-            weight_correspondence: WEIGHT as f32,
-            inverse_temperature: (1.0 / TEMPERATURE) as f32,
-            mask_offset: MASK_OFFSET as u32,
-            ..Default::default()
-        };
-        values.camera.size = size.map(|n| n as u32);
-        inputs.push((on_gpu_picture.step, bytes(&[values])));
-        inputs.push((on_gpu_picture.image, bytes(&image)));
-        inputs.push((on_gpu_picture.mask, bytes(&mask)));
-        if i == 0 {
-            inputs.push((gradient, bytes(&vec![BEFORE; room * CHANNELS])));
-        }
-        region(&mut g, &on_gpu_picture, &on_gpu, &prepared, &shared, i as u32).unwrap();
-        declared.push((on_gpu_picture, gradient));
-    }
-    let (train, train_gradient) = declared[0];
-    let left = correspondence_bwd(&mut g, tuning, &declared[1..], &on_gpu, &prepared, &shared).unwrap();
-    correspondence_train_bwd(&mut g, tuning, &train, &shared, train_gradient).unwrap();
-    let gradient = g.external("decoder_gradient", 4 * h.decoder.len() as u64);
-    decoder_gradient(&mut g, tuning, &on_gpu, &prepared, None, gradient).unwrap();
-    semantic_sum(&mut g, tuning, train.step, None, Some((&left, &shared)), stats).unwrap();
-    let out = gpu.run(g, &inputs);
-    let mut found: Vec<Vec<f32>> = Vec::new();
-    for (i, ((size, picture), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
-        let mut features = Vec::new();
-        for (p, pixel) in out.get::<f32>(*buffer).chunks(CHANNELS).enumerate() {
-            let inside = p < size[0] * size[1];
-            let mine = inside && picture.mask[p];
-            for (c, x) in pixel.iter().enumerate() {
-                let untouched = if i == 0 { *x == BEFORE } else { x.to_bits() == u32::MAX };
-                let feature = (FIRST..FIRST + FEATURES).contains(&c);
-                assert!(mine && feature || untouched, "channel {c} of pixel {p} of picture {i} was written");
-            }
-            if inside {
-                // Nothing is asked of others: the reference says zero.
-                let gradient = |&x: &f32| {
-                    if !mine {
-                        0.0
-                    } else if i == 0 {
-                        x - BEFORE
-                    } else {
-                        x
-                    }
-                };
-                features.extend(pixel[FIRST..FIRST + FEATURES].iter().map(gradient));
-            }
-        }
-        found.push(features);
-    }
-    let train = found.remove(0);
-    Found { train, pseudo: found, decoder: out.get(gradient), stats: out.get::<LossStats>(stats)[0] }
 }
 
 fn tolerance(expected: &[f64]) -> Tolerance {

@@ -8,8 +8,8 @@
 //!   the samples that have one.
 //!
 //! Nothing 512 wide is formed but one product of the targets with A and one of the gradient: |v|² = f'ᵀ(AᵀA)f' and T v =
-//! (T A) f'. A decoded vector shorter than 1e-3 of its parts (or than 1e-8) has no direction: cosine and logits 0, no
-//! gradient. Features may have any size: they are divided by their largest first. A sample whose features are not finite
+//! (T A) f'. A decoded vector shorter than 1e-3 of its parts (those of every feature and the bias, as if none were
+//! along another), or than 1e-8, has no direction: cosine and logits 0, no gradient. Features may have any size: they are divided by their largest first. A sample whose features are not finite
 //! adds nothing and is counted.
 //!
 //! Promises: at wanted pixels every feature channel of the gradient is written, by a gather, without atomics, and nowhere
@@ -21,7 +21,7 @@
 //! from memory costs a subgroup as much as sixty multiply-adds.
 //!
 //! Cost, of M samples and C classes. `semantic_project`: 1024 + 144 bytes and 33 792 operations a sample, `semantic_outer`
-//! the same; `semantic_samples`: 912 bytes and about 6900 + 270 C operations; `semantic_gather`: 128 bytes a sample and a
+//! the same; `semantic_samples`: 912 bytes and about 7000 + 270 C operations; `semantic_gather`: 128 bytes a sample and a
 //! pixel that it touches, a bit a pixel. The memory is 272 bytes a sample and 72 KiB a run of samples, whatever the size
 //! of the picture.
 

@@ -1,6 +1,6 @@
 //! Twin of the correspondence loss of a region between a training view and pseudo-views.
 
-use super::semantic::{Head, classify, dot};
+use super::semantic::{Head, Rounding as PlaceRounding, dot};
 
 /// A picture's features, pixel by pixel, and where the region is in it.
 #[derive(Clone, Debug)]
@@ -36,6 +36,18 @@ pub struct Gradient {
     pub decoder: Vec<f64>,
 }
 
+/// What single precision rounds numbers by, in units of the last place: the size of what they are sums of.
+#[derive(Clone, Debug)]
+pub struct Rounding {
+    /// Of the means.
+    pub terms: Terms,
+    /// Of gradients.
+    pub gradient: Gradient,
+    /// Whether rounding cannot change which class most pixels of the training view have, or whether something decoded is
+    /// nothing.
+    pub sure: bool,
+}
+
 impl Picture {
     fn members(&self, features: usize) -> Vec<usize> {
         let finite = |p: usize| self.image[p * features..][..features].iter().all(|x| x.is_finite());
@@ -48,14 +60,32 @@ impl Picture {
         (0..features).map(|k| members.iter().map(|&p| self.image[p * features + k]).sum::<f64>() / n).collect()
     }
 
+    /// Means of the sizes.
+    fn size(&self, features: usize) -> Vec<f64> {
+        Picture { image: self.image.iter().map(|x| x.abs()).collect(), mask: self.mask.clone() }.mean(features)
+    }
+
     /// The class of most of its pixels, the first of equals.
     pub fn majority(&self, head: &Head) -> usize {
-        let mut counts = vec![0_usize; head.classes()];
+        self.majority_surely(head).0
+    }
+
+    /// The same, and whether single precision says so too.
+    fn majority_surely(&self, head: &Head) -> (usize, bool) {
+        let (mut counts, mut near) = (vec![0_usize; head.classes()], 0);
         for p in self.members(head.features) {
-            counts[classify(head, &self.image[p * head.features..][..head.features], 1.0).0] += 1;
+            let d = head.decode(&self.image[p * head.features..][..head.features]);
+            let products: Vec<f64> = head.text.chunks(head.embedding).map(|t| dot(t, &d.vector)).collect();
+            let best = (0..products.len()).fold(0, |best, c| if products[c] > products[best] { c } else { best });
+            let others = products.iter().enumerate().filter(|(c, _)| *c != best);
+            let second = others.fold(f64::NEG_INFINITY, |m, (_, &p)| m.max(p));
+            counts[best] += 1;
+            near += usize::from(products[best] - second <= 1e-6 * d.products.sqrt());
         }
         let most = counts.iter().max().copied().unwrap_or(0);
-        counts.iter().position(|&n| n == most).unwrap_or(0)
+        let label = counts.iter().position(|&n| n == most).unwrap_or(0);
+        let second = (0..counts.len()).filter(|&c| c != label).map(|c| counts[c]).max().unwrap_or(0);
+        (label, near == 0 || counts.len() == 1 || most > second + 2 * near)
     }
 }
 
@@ -67,6 +97,18 @@ pub fn correspondence(
     weight: f64,
     temperature: f64,
 ) -> (Terms, Gradient) {
+    let (terms, gradient, _) = correspondence_rounding(head, train, pseudo, weight, temperature);
+    (terms, gradient)
+}
+
+/// The same, and what single precision rounds it by.
+pub fn correspondence_rounding(
+    head: &Head,
+    train: &Picture,
+    pseudo: &[Picture],
+    weight: f64,
+    temperature: f64,
+) -> (Terms, Gradient, Rounding) {
     let n = head.features;
     let mut terms = Terms::default();
     let mut gradient = Gradient {
@@ -74,7 +116,10 @@ pub fn correspondence(
         pseudo: pseudo.iter().map(|p| vec![0.0; p.image.len()]).collect(),
         decoder: vec![0.0; head.decoder.len()],
     };
-    let (mine, label) = (train.members(n), train.majority(head));
+    let mut rounding = Rounding { terms, gradient: gradient.clone(), sure: true };
+    let mut places = PlaceRounding::new(head, 0);
+    let mine = train.members(n);
+    let (label, sure) = train.majority_surely(head);
     let share = 1.0 / pseudo.len().max(1) as f64;
     for (i, picture) in pseudo.iter().enumerate() {
         let theirs = picture.members(n);
@@ -86,8 +131,17 @@ pub fn correspondence(
         let distance = dot(&apart, &apart).sqrt();
         terms.distance += share * distance;
         let toward = |k: usize| if distance > 0.0 { weight * share * apart[k] / distance } else { 0.0 };
+        // A difference of means is off by these, each and all of it.
+        let sizes: Vec<f64> = picture.size(n).iter().zip(train.size(n)).map(|(a, b)| a + b).collect();
+        let size = dot(&sizes, &sizes).sqrt();
+        rounding.terms.distance += share * size;
+        let off = |k: usize| {
+            let each = (sizes[k] + size * (toward(k) / weight / share).abs()) / distance.max(f64::MIN_POSITIVE);
+            if distance > 0.0 { weight * share * each } else { 0.0 }
+        };
         for &p in &mine {
             (0..n).for_each(|k| gradient.train[p * n + k] -= toward(k) / mine.len() as f64);
+            (0..n).for_each(|k| rounding.gradient.train[p * n + k] += off(k) / mine.len() as f64);
         }
         let count = theirs.len() as f64;
         for &p in &theirs {
@@ -98,9 +152,15 @@ pub fn correspondence(
             let by_unit: Vec<f64> = by_unit.iter().map(|g| weight * share / count * g).collect();
             let by_features = head.back(&d, f, &by_unit, &mut gradient.decoder);
             (0..n).for_each(|k| gradient.pseudo[i][p * n + k] = by_features[k] + toward(k) / count);
+            let before = places.terms.class;
+            let sizes = places.add(head, &d, f, (&[], 0.0), (weight * share / count, temperature));
+            rounding.terms.class += share / count * (places.terms.class - before);
+            (0..n).for_each(|k| rounding.gradient.pseudo[i][p * n + k] = sizes[k] + off(k) / count);
         }
     }
-    (terms, gradient)
+    rounding.gradient.decoder = places.gradient.decoder;
+    rounding.sure = terms.pairs == 0 || sure && places.sure;
+    (terms, gradient, rounding)
 }
 
 #[cfg(test)]

@@ -63,6 +63,76 @@ pub(super) struct Decoded {
     pub vector: Vec<f64>,
     /// One over its length; 0 where it is nothing.
     pub inverse: f64,
+    /// Whether single precision says the same of it being nothing.
+    pub sure: bool,
+    /// Products of all its parts: what single precision rounds the square of its length by, in units of the last place.
+    pub products: f64,
+}
+
+/// What single precision rounds numbers by, in units of the last place: the size of what they are sums of, as the kernels do
+/// them, which work with inner products of the decoder's columns.
+#[derive(Clone, Debug)]
+pub struct Rounding {
+    /// Of the means.
+    pub terms: Terms,
+    /// Of gradients.
+    pub gradient: Gradient,
+    /// Whether no decoded vector's length is so near to nothing that rounding decides.
+    pub sure: bool,
+    /// Lengths of the decoder's columns, the bias last.
+    columns: Vec<f64>,
+    /// Largest of every column of the texts.
+    widest: Vec<f64>,
+}
+
+impl Rounding {
+    pub(super) fn new(head: &Head, image: usize) -> Rounding {
+        let mut columns = vec![0.0; head.features + 1];
+        for row in head.decoder.chunks(head.features + 1) {
+            columns.iter_mut().zip(row).for_each(|(c, x)| *c += x * x);
+        }
+        let mut widest = vec![0.0_f64; head.embedding];
+        for text in head.text.chunks(head.embedding) {
+            widest.iter_mut().zip(text).for_each(|(w, t)| *w = w.max(t.abs()));
+        }
+        Rounding {
+            terms: Terms::default(),
+            gradient: Gradient { image: vec![0.0; image], decoder: vec![0.0; head.decoder.len()] },
+            sure: true,
+            columns: columns.into_iter().map(f64::sqrt).collect(),
+            widest,
+        }
+    }
+
+    /// Adds what one decoded place comes to. `target` and its pull are those of the cosine, `class` and the temperature of the
+    /// cross-entropy; both may be zero. Returns what the gradient by its features is made of.
+    pub(super) fn add(
+        &mut self,
+        head: &Head,
+        d: &Decoded,
+        f: &[f64],
+        (target, cosine): (&[f64], f64),
+        (class, temperature): (f64, f64),
+    ) -> Vec<f64> {
+        self.sure &= d.sure;
+        let all = || f.iter().copied().chain([1.0]);
+        let condition = (d.products * d.inverse * d.inverse).max(1.0);
+        // A logit is off by its size in units of the last place, and a probability by as much of itself.
+        let class = 2.0 * class / temperature * (1.0 + 1.0 / temperature);
+        let length = dot(target, target).sqrt().max(f64::MIN_POSITIVE);
+        self.terms.cosine += if cosine > 0.0 { condition } else { 0.0 };
+        self.terms.class += if class > 0.0 { condition * (1.0 + 1.0 / temperature) } else { 0.0 };
+        for j in 0..head.embedding {
+            let row = &head.decoder[j * (head.features + 1)..][..=head.features];
+            let decoded = row.iter().zip(all()).map(|(w, f)| (w * f).powi(2)).sum::<f64>().sqrt() * d.inverse;
+            let pull = cosine * (target.get(j).map_or(0.0, |t| t.abs() / length) + decoded)
+                + class * (self.widest[j] + decoded);
+            let to = &mut self.gradient.decoder[j * (head.features + 1)..][..=head.features];
+            to.iter_mut().zip(all()).for_each(|(to, f)| *to += d.inverse * condition * pull * f.abs());
+        }
+        let pull = d.inverse * condition * (cosine + class);
+        self.columns[..head.features].iter().map(|c| pull * c).collect()
+    }
 }
 
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -81,13 +151,25 @@ impl Head {
     }
 
     pub(super) fn decode(&self, f: &[f64]) -> Decoded {
-        let parts: Vec<(f64, f64)> = (0..self.embedding).map(|j| (dot(self.row(j).0, f), self.row(j).1)).collect();
-        let vector: Vec<f64> = parts.iter().map(|(w, b)| w + b).collect();
-        let scale: f64 = parts.iter().map(|(w, b)| w * w + b * b).sum();
+        // Squares of what every feature and the bias come to.
+        let mut parts = vec![0.0; self.features + 1];
+        let decoded = |j: usize| {
+            let (row, bias) = self.row(j);
+            let products = row.iter().zip(f).map(|(w, f)| w * f).chain([bias]);
+            parts.iter_mut().zip(products).fold(0.0, |sum, (part, x)| {
+                *part += x * x;
+                sum + x
+            })
+        };
+        let vector: Vec<f64> = (0..self.embedding).map(decoded).collect();
         let square = dot(&vector, &vector);
         // As in the kernel: shorter than 1e-3 of its parts, or than 1e-8, is nothing.
-        let inverse = if square > (1e-6 * scale).max(1e-16) { 1.0 / square.sqrt() } else { 0.0 };
-        Decoded { vector, inverse }
+        let least = (1e-6 * parts.iter().sum::<f64>()).max(1e-16);
+        let inverse = if square > least { 1.0 / square.sqrt() } else { 0.0 };
+        // The kernel's square is a sum of products of the parts, and off by some units of their last place.
+        let products = parts.iter().map(|p| p.sqrt()).sum::<f64>().powi(2);
+        let sure = (square - least).abs() > 3e-7 * products;
+        Decoded { vector, inverse, sure, products }
     }
 
     /// Logits of all classes.
@@ -173,6 +255,22 @@ impl View {
 
 /// The loss and its gradient. Samples whose features are not finite add nothing.
 pub fn semantic_loss(head: &Head, view: &View, weights: &Weights) -> (Terms, Gradient) {
+    semantic_loss_into(head, view, weights, None)
+}
+
+/// The same, and what single precision rounds it by.
+pub fn semantic_loss_rounding(head: &Head, view: &View, weights: &Weights) -> (Terms, Gradient, Rounding) {
+    let mut rounding = Rounding::new(head, view.image.len());
+    let (terms, gradient) = semantic_loss_into(head, view, weights, Some(&mut rounding));
+    (terms, gradient, rounding)
+}
+
+fn semantic_loss_into(
+    head: &Head,
+    view: &View,
+    weights: &Weights,
+    mut rounding: Option<&mut Rounding>,
+) -> (Terms, Gradient) {
     let mut terms = Terms::default();
     let mut gradient = Gradient { image: vec![0.0; view.image.len()], decoder: vec![0.0; head.decoder.len()] };
     let [valid, labeled] = view.counts(head).map(|n| n.max(1) as f64);
@@ -186,7 +284,8 @@ pub fn semantic_loss(head: &Head, view: &View, weights: &Weights) -> (Terms, Gra
         let length = dot(target, target).sqrt();
         terms.cosine += (1.0 - dot(target, &d.vector) * d.inverse / length) / valid;
         let mut by_unit: Vec<f64> = target.iter().map(|t| -weights.cosine / valid * t / length).collect();
-        if let Some(label) = view.labels[i].filter(|&l| l < head.classes()) {
+        let label = view.labels[i].filter(|&l| l < head.classes());
+        if let Some(label) = label {
             let (entropy, by) = head.cross_entropy(&d, label, weights.temperature);
             terms.class += entropy / labeled;
             by_unit.iter_mut().zip(by).for_each(|(b, g)| *b += weights.class / labeled * g);
@@ -197,6 +296,18 @@ pub fn semantic_loss(head: &Head, view: &View, weights: &Weights) -> (Terms, Gra
                 gradient.image[p * head.features + k] += w * by_features[k];
             }
         }
+        if let Some(rounding) = rounding.as_deref_mut() {
+            let class = if label.is_some() { weights.class / labeled } else { 0.0 };
+            let sizes = rounding.add(head, &d, &f, (target, weights.cosine / valid), (class, weights.temperature));
+            for (p, w) in view.taps(i) {
+                let to = &mut rounding.gradient.image[p * head.features..][..head.features];
+                to.iter_mut().zip(&sizes).for_each(|(to, s)| *to += w * s);
+            }
+        }
+    }
+    if let Some(rounding) = rounding {
+        rounding.terms.cosine /= valid;
+        rounding.terms.class /= labeled;
     }
     (terms, gradient)
 }

@@ -16,15 +16,6 @@ pub struct Choice {
     pub backward: BackwardKernel,
     /// Whether Adam moves Gaussians that a step did not see.
     pub dense_adam: bool,
-    /// Whether settings can ask for it.
-    settable: bool,
-}
-
-impl Choice {
-    /// What a training is asked for, if settings can ask for it: sizes of tiles are nobody's choice but the device's.
-    pub fn accuracy(&self) -> Option<Accuracy> {
-        self.settable.then_some(self.tuning.accuracy)
-    }
 }
 
 /// `exact` first, then every choice alone, then the presets; those of features where there are some.
@@ -38,7 +29,6 @@ pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
             tuning: own.with(a),
             backward: BackwardKernel::Pixel,
             dense_adam: false,
-            settable: true,
         });
     };
     add("exact", "`--accuracy exact`", exact);
@@ -70,8 +60,8 @@ pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
     let [width, height] = own.tile;
     for rows in [height / 2, height * 2] {
         let tuning = Tuning { tile: [width, rows], ..own };
-        let (name, setting) = (format!("tiles of {width}x{rows}"), "for this command".to_owned());
-        all.push(Choice { name, setting, tuning, backward: BackwardKernel::Pixel, dense_adam: false, settable: false });
+        let (name, setting) = (format!("tiles of {width}x{rows}"), format!("`train.tile_rows={rows}`"));
+        all.push(Choice { name, setting, tuning, backward: BackwardKernel::Pixel, dense_adam: false });
     }
     all.push(Choice {
         name: "backward by splats".to_owned(),
@@ -79,7 +69,6 @@ pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
         tuning: own,
         backward: BackwardKernel::Splat,
         dense_adam: false,
-        settable: true,
     });
     all.push(Choice {
         name: "backward by atomics".to_owned(),
@@ -87,7 +76,6 @@ pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
         tuning: own,
         backward: BackwardKernel::Atomic,
         dense_adam: false,
-        settable: true,
     });
     all.push(Choice {
         name: "Adam of all".to_owned(),
@@ -95,7 +83,6 @@ pub fn choices(own: Tuning, semantics: bool) -> Vec<Choice> {
         tuning: own,
         backward: BackwardKernel::Pixel,
         dense_adam: true,
-        settable: true,
     });
     all
 }

@@ -14,7 +14,7 @@ use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings};
 use anyhow::{Context, ensure};
 use sgs_engine::Device;
-use sgs_passes::Matrices;
+use sgs_passes::{Matrices, Tuning};
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
 use sgs_train::{Intrinsic, Probe, Settings, Shading, accuracy_named, displayed, overlay, shaded_scene};
@@ -81,6 +81,10 @@ fn choices(base: &Settings, device: &Device) -> anyhow::Result<Vec<Choice>> {
     ];
     if Matrices::for_device(device.info()).is_ok() {
         all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"])?);
+    }
+    let rows = Tuning::for_device(device.info()).tile[1];
+    for (name, rows) in [("tiles of half the rows", rows / 2), ("tiles of twice the rows", rows * 2)] {
+        all.push(own(name, &[&format!("train.tile_rows={rows}")])?);
     }
     all.extend([Choice::level("balanced")?, Choice::level("fast")?]);
     let mut draft = Choice::level("fast")?;

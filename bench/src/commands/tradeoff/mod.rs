@@ -335,7 +335,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
         let scene = Scene::open(path, &workload.settings.scene_options())?;
         for (point, choice) in points.iter_mut().zip(&made) {
-            point.quality = quality::trained(device, &scene, choice, steps, a.semantics)?;
+            point.quality = Some(quality::trained(device, &scene, choice, steps, a.semantics)?);
         }
     }
     Ok(points)

@@ -15,16 +15,17 @@ pub struct Quality {
     pub normals: Option<f64>,
 }
 
-/// Trains from the scene's points, with classes or without. None where no setting makes the choice.
+/// Trains from the scene's points, with classes or without.
 pub fn trained(
     device: &Device,
     scene: &Scene,
     choice: &Choice,
     steps: u32,
     semantics: bool,
-) -> anyhow::Result<Option<Quality>> {
-    let Some(accuracy) = choice.accuracy() else { return Ok(None) };
-    let mut settings = Settings { scene: scene.root.clone(), accuracy, ..Settings::default() };
+) -> anyhow::Result<Quality> {
+    let tuning = choice.tuning;
+    let mut settings = Settings { scene: scene.root.clone(), accuracy: tuning.accuracy, ..Settings::default() };
+    settings.train.tile_rows = tuning.tile[1];
     let g = &mut settings.geometry;
     (g.steps, g.semantics, g.dense_adam) = (steps, semantics, choice.dense_adam);
     g.backward = match choice.backward {
@@ -42,5 +43,5 @@ pub fn trained(
     gaussians.upload(device, &gaussian_data(&splats, model))?;
     let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
     let mean = evaluate(device, scene, &gaussians, views, settings.geometry.background, |_, _| Ok(()))?.mean;
-    Ok(Some(Quality { psnr: mean.nvs.psnr, normals: mean.normal_mae_deg }))
+    Ok(Quality { psnr: mean.nvs.psnr, normals: mean.normal_mae_deg })
 }

@@ -40,7 +40,8 @@ pub struct Options {
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
     #[arg(long, value_name = "NAME")]
     pub preset: Option<String>,
-    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/TRADEOFF.md); sets all of accuracy.*.
+    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/TRADEOFF.md); sets all of accuracy.*, and how
+    /// often surroundings move and visibility is taught.
     #[arg(long, value_name = "NAME")]
     pub accuracy: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.

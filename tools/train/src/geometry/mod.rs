@@ -166,7 +166,7 @@ impl Geometry {
         let all_bands = Model { sh_degree: sh_degree.max(g.sh_degree.most()), ..model };
         let most = most_by_binding(device, all_bands);
         let wanted = most.min(g.densify.max_gaussians);
-        let tuning = Tuning::for_device(device.info()).with(settings.accuracy);
+        let tuning = settings.tuning(device.info());
         let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         // Regions are carried to pseudo-views by depth.
         let depth = depth || (wants_views && maps.is_some());

@@ -186,7 +186,7 @@ impl Intrinsic {
             Metallic::On => true,
             Metallic::Off => false,
         };
-        let tuning = Tuning::for_device(device.info()).with(settings.accuracy);
+        let tuning = settings.tuning(device.info());
         if settings.accuracy.visibility_operands == 16
             && let Err(why) = Matrices::for_device(device.info())
         {

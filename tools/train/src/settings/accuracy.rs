@@ -18,7 +18,7 @@ struct Level {
 const LEVELS: [Level; 3] = [
     Level { name: "exact", accuracy: Accuracy::EXACT, every: 1, sample: 1 },
     Level { name: "balanced", accuracy: Accuracy::BALANCED, every: 4, sample: 4 },
-    Level { name: "fast", accuracy: Accuracy::FAST, every: 8, sample: 16 },
+    Level { name: "fast", accuracy: Accuracy::FAST, every: 4, sample: 4 },
 ];
 
 /// `exact`, `balanced` or `fast`, as settings: `[accuracy]`, and how often surroundings move and visibility is taught.
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(of("exact"), Settings::default());
         let (balanced, fast) = (of("balanced"), of("fast"));
         assert_eq!((balanced.accuracy, fast.accuracy), (Accuracy::BALANCED, Accuracy::FAST));
-        assert_eq!((fast.intrinsic.environment.every, fast.intrinsic.visibility.sample), (8, 16));
+        assert_eq!((fast.intrinsic.environment.every, fast.intrinsic.visibility.sample), (4, 4));
         // What is learned is of the same sizes.
         let same = |mut s: Settings| {
             (s.accuracy, s.intrinsic.environment.every, s.intrinsic.visibility.sample) = (Accuracy::EXACT, 1, 1);

@@ -57,7 +57,7 @@ pub struct Settings {
     pub noise: NoiseSettings,
     /// A network that is asked while training.
     pub provider: ProviderSettings,
-    /// What becomes of a training that goes wrong.
+    /// What both stages have in common.
     pub train: TrainSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
@@ -379,6 +379,7 @@ impl Settings {
             return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
         }
         accuracy::check(&self.accuracy)?;
+        self.train.check()?;
         for (name, value) in
             [("start_seconds", self.provider.start_seconds), ("answer_seconds", self.provider.answer_seconds)]
         {
