@@ -6,7 +6,7 @@ use crate::beside::{Beside, check_size};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{
-    Encoding, Image, linear_to_srgb, read_raster, resize, srgb_to_linear, undistort, undistort_coverage,
+    Encoding, Image, linear_to_srgb, read_raster, resized, srgb_to_linear, undistort, undistort_coverage,
 };
 use crate::maps::{self, Meaning};
 use crate::reader::Frame;
@@ -111,7 +111,7 @@ impl View {
             return None;
         }
         let stored = undistort_coverage(&self.stored_camera, &self.distortion);
-        let mut scaled = resize(&stored, self.camera.width, self.camera.height);
+        let mut scaled = resized(stored, self.camera.width, self.camera.height);
         scaled.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
         Some(scaled)
     }
@@ -224,8 +224,11 @@ impl View {
 
     /// Undistorts and scales linear values.
     fn bring(&self, image: Image) -> Image {
-        let straight = undistort(&image, &self.stored_camera, &self.distortion);
-        resize(&straight, self.camera.width, self.camera.height)
+        let straight = match self.distortion.is_none() {
+            true => image,
+            false => undistort(&image, &self.stored_camera, &self.distortion),
+        };
+        resized(straight, self.camera.width, self.camera.height)
     }
 }
 

@@ -24,6 +24,7 @@ pub use npy::NpyArray;
 pub(crate) use npy::tests::npy as npy_for_tests;
 pub use npy_write::{write_npy_f16, write_npy_f32};
 pub use png::{encode_jpeg, encode_png, read_ids, write_ids, write_png};
+pub(crate) use resize::resized;
 pub use resize::{resize, resize_valid};
 pub use undistort::{undistort, undistort_coverage};
 

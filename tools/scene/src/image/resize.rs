@@ -35,13 +35,17 @@ impl Axis {
     }
 }
 
+/// As [`resize`], of an image that nobody needs any more: one of that size already is not copied.
+pub(crate) fn resized(image: Image, width: u32, height: u32) -> Image {
+    if (width, height) == (image.width, image.height) { image } else { resize(&image, width, height) }
+}
+
 /// The image at `width`×`height`. An empty image, or one whose values do not fit its size, gives zeros.
 pub fn resize(image: &Image, width: u32, height: u32) -> Image {
-    let mut out = Image::new(width, height, image.channels);
     if (width, height) == (image.width, image.height) {
-        out.data.clone_from(&image.data);
-        return out;
+        return image.clone();
     }
+    let mut out = Image::new(width, height, image.channels);
     if out.data.is_empty() || image.check().is_err() {
         return out;
     }
