@@ -464,4 +464,17 @@ mod tests {
         assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));
         roxmltree::Document::parse(&text).unwrap();
     }
+
+    /// Two points side by side keep the order of their names.
+    #[test]
+    fn names_stand_as_points_do() {
+        let mark = |name: &str, error: f64| Mark { name: name.to_owned(), time: 1.0, error, front: false };
+        let text = plot::svg(&[mark("exact", 1e-4), mark("lower", 1e-2), mark("upper", 1.2e-2)], "", "").unwrap();
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let at = |name: &str| {
+            let node = document.descendants().find(|n| n.has_tag_name("text") && n.text().map(str::trim) == Some(name));
+            node.unwrap().attribute("y").unwrap().parse::<f64>().unwrap()
+        };
+        assert!(at("upper") + 11.0 < at("lower"), "{} and {}", at("upper"), at("lower"));
+    }
 }
