@@ -25,3 +25,8 @@ pub fn signed(low: f64, high: f64) -> impl Strategy<Value = f64> {
 pub fn log_uniform(rng: &mut Pcg, [low, high]: [f64; 2]) -> f64 {
     10_f64.powf(rng.range(low, high))
 }
+
+/// Two powers of ten, between which numbers that come in bulk are drawn.
+pub fn powers(low: f64, high: f64) -> impl Strategy<Value = [f64; 2]> {
+    [low..high, low..high].prop_map(|[a, b]| [a.min(b), a.max(b)])
+}

@@ -2,14 +2,13 @@
 
 use half::f16;
 use sgs_engine::graph::Graph;
-use sgs_passes::loss::{
-    Head, NO_LABEL, Relevance, SemanticLabels, normalize_embeddings, semantic_labels, semantic_prepare,
-};
+use sgs_passes::loss::{Head, NO_LABEL, Relevance, SemanticLabels, semantic_labels, semantic_prepare};
 use sgs_passes::reference::adam as adam_twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic as twin;
 use sgs_passes::scene::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 use sgs_shaders::structs::{SemanticTarget, Step, Work};
+use sgs_tests::semantics::head;
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
 /// Pixels behind this view's.
@@ -19,18 +18,6 @@ const FIRST: usize = 4;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
-}
-
-/// A decoder as it starts, and texts.
-fn head(classes: usize, seed: u32) -> twin::Head {
-    let mut rng = Pcg::new(seed);
-    let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
-    twin::Head {
-        features: FEATURES,
-        embedding: EMBEDDING,
-        decoder: Decoder::initial(seed).into_iter().map(f64::from).collect(),
-        text: normalize_embeddings(&text).into_iter().map(f64::from).collect(),
-    }
 }
 
 #[test]

@@ -12,7 +12,7 @@ use sgs_passes::reference::photometric as color;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
 use sgs_tests::Gpu;
-use sgs_tests::drawn::{log_uniform, runner, spread};
+use sgs_tests::drawn::{log_uniform, powers, runner, spread};
 use sgs_tests::materials::{self, Asked, Painted};
 use sgs_tests::photographs::{WEIGHTS, run_photometric};
 use sgs_tests::surfaces::{self, narrow};
@@ -133,10 +133,6 @@ struct Surfaces {
     spread: [f64; 2],
     length: [f64; 2],
     seed: u32,
-}
-
-fn powers(low: f64, high: f64) -> impl Strategy<Value = [f64; 2]> {
-    [low..high, low..high].prop_map(|[a, b]| [a.min(b), a.max(b)])
 }
 
 prop_compose! {

@@ -7,7 +7,7 @@ use sgs_passes::reference::correspondence::{self, Picture};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic::{self as twin, Gradient, Head, Terms, View, Weights};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, FEATURES};
-use sgs_tests::drawn::{log_uniform, runner, spread};
+use sgs_tests::drawn::{log_uniform, powers, runner, spread};
 use sgs_tests::surfaces::narrow;
 use sgs_tests::{Gpu, regions, semantics};
 use std::cell::Cell;
@@ -57,10 +57,6 @@ impl Decoder {
 fn moved(head: &Head, rng: &mut Pcg) -> Head {
     let decoder = head.decoder.iter().map(|w| w * (1.0 + MOVE * rng.range(-1.0, 1.0))).collect();
     Head { decoder, ..head.clone() }
-}
-
-fn powers(low: f64, high: f64) -> impl Strategy<Value = [f64; 2]> {
-    [low..high, low..high].prop_map(|[a, b]| [a.min(b), a.max(b)])
 }
 
 /// A view and its map of targets.

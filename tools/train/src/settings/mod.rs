@@ -380,13 +380,7 @@ impl Settings {
         }
         accuracy::check(&self.accuracy)?;
         self.train.check()?;
-        for (name, value) in
-            [("start_seconds", self.provider.start_seconds), ("answer_seconds", self.provider.answer_seconds)]
-        {
-            if !(value > 0.0 && value.is_finite()) {
-                return fail(format!("provider.{name} is {value}, but must be a finite number above 0."));
-            }
-        }
+        self.provider.check()?;
         self.noise.check()?;
         if g.sh_degree.most() > MOST_BANDS {
             return fail(format!("geometry.sh_degree is {}, but must be 0 to 3 or \"auto\".", g.sh_degree));

@@ -1,5 +1,6 @@
 //! Which network is asked while training, and how long to wait for it.
 
+use crate::error::TrainError;
 use serde::{Deserialize, Serialize};
 use sgs_provider::{Fallback, ProviderOptions};
 
@@ -27,5 +28,18 @@ impl Default for ProviderSettings {
             start_seconds: o.start_seconds,
             answer_seconds: o.answer_seconds,
         }
+    }
+}
+
+impl ProviderSettings {
+    /// What cannot be meant.
+    pub(super) fn check(&self) -> crate::Result<()> {
+        for (name, value) in [("start_seconds", self.start_seconds), ("answer_seconds", self.answer_seconds)] {
+            if !(value > 0.0 && value.is_finite()) {
+                let what = format!("provider.{name} is {value}, but must be a finite number above 0.");
+                return Err(TrainError::Setting(what));
+            }
+        }
+        Ok(())
     }
 }
