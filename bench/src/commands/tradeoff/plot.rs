@@ -52,10 +52,10 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     chart.draw_series(LineSeries::new(front, BLUE.mix(0.5).stroke_width(2)))?;
     let mut names: Vec<(i32, i32, i32)> = Vec::new();
-    // From above, so that of two names the upper one is that of the upper point.
-    let mut down: Vec<&Mark> = points.iter().collect();
-    down.sort_by_key(|p| chart.backend_coord(&at(p)).1);
-    for p in down {
+    // So that of two names the upper one is that of the upper point.
+    let mut from_above: Vec<&Mark> = points.iter().collect();
+    from_above.sort_by_key(|p| chart.backend_coord(&at(p)).1);
+    for p in from_above {
         let style = if p.front { BLUE.filled() } else { BLACK.mix(0.5).stroke_width(1) };
         chart.draw_series([Circle::new(at(p), 5, style)])?;
         // Names move down until they lie on no other's: 6 pixels a letter, 12 a line.
