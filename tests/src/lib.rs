@@ -10,6 +10,7 @@ pub mod environment;
 pub mod feature_view;
 pub mod field;
 pub mod foreign;
+pub mod gbuffer;
 pub mod gpu;
 pub mod gradients;
 pub mod intrinsic;

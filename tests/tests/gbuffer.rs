@@ -1,188 +1,29 @@
 //! Surfaces and the sparse matrix of a view against the twin; materials through it, and their gradients.
 
-use sgs_engine::graph::{Buffer, Graph};
-use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::{Blended as TwinBlended, render};
 use sgs_passes::reference::gbuffer::{Materials, gbuffer as twin_gbuffer, stored_rows, weights as twin_weights};
 use sgs_passes::reference::project::{Camera, Gaussians, project as twin_project};
-use sgs_passes::scene::{Gaussians as GpuGaussians, Model};
-use sgs_passes::shade::{
-    GBUFFER_CHANNELS, PixelMaterials, RawMaterials, Room, Surfaces, Weights, gbuffer, materials, materials_bwd,
-    unpacked_weights, values, weight_words, weights,
-};
-use sgs_passes::splat::{Blended, Screen, blend, intersect, project};
+use sgs_tests::gbuffer::{Case, run};
 use sgs_tests::{Gpu, scenes};
-
-const ROOM: u32 = 1 << 17;
-
-struct Found {
-    points: Vec<[f32; 3]>,
-    normals: Vec<[f32; 3]>,
-    coverage: Vec<f32>,
-    row_starts: Vec<u32>,
-    columns: Vec<u32>,
-    weights: Vec<f32>,
-    column_starts: Vec<u32>,
-    rows: Vec<u32>,
-    row_weights: Vec<f32>,
-    flags: u32,
-    wanted: u32,
-    materials: Vec<[f32; 4]>,
-    metallic: Vec<f32>,
-    grad_albedo: Vec<f32>,
-    grad_roughness: Vec<f32>,
-    grad_metallic: Vec<f32>,
-}
-
-fn bytes<T: bytemuck::Pod>(values: &[T]) -> Vec<u8> {
-    bytemuck::cast_slice(values).to_vec()
-}
-
-fn single(values: &[f64]) -> Vec<u8> {
-    bytes(&values.iter().map(|v| *v as f32).collect::<Vec<f32>>())
-}
-
-/// Everything at once: `gradient` is of the five materials of every pixel.
-fn run(
-    gpu: &Gpu,
-    scene: &Gaussians,
-    camera: &Camera,
-    raw: &Materials,
-    gradient: &[[f64; 5]],
-    room: u32,
-    bits: u32,
-) -> Found {
-    let (t, pixels) = (gpu.tuning(), u64::from(camera.size[0]) * u64::from(camera.size[1]));
-    let n = scene.len() as u32;
-    let mut g = Graph::new("gbuffer");
-    let step = g.uniform("step", size_of::<Step>() as u64);
-    let screen = Screen { step, largest: camera.size, tile: t.tile };
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
-    let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();
-    let handles = gaussians.declare(&mut g, false);
-    let visible = project(&mut g, &t, &screen, &handles, GBUFFER_CHANNELS).unwrap();
-    let flags = g.external("flags", 4);
-    let wanted = g.external("wanted", 4);
-    let entries = intersect(&mut g, &t, &screen, &visible, ROOM, flags).unwrap();
-    let blended =
-        Blended { image: g.transient("image", 20 * pixels), transmittance: g.transient("transmittance", 4 * pixels) };
-    blend(&mut g, &t, &screen, &visible, &entries, &blended).unwrap();
-    let surfaces = Surfaces {
-        points: g.external("points", 12 * pixels),
-        normals: g.external("normals_seen", 12 * pixels),
-        coverage: g.external("coverage", 4 * pixels),
-    };
-    gbuffer(&mut g, &t, &screen, &blended, &surfaces).unwrap();
-    let mut words = |name: &str, count: u64| g.external(name, 4 * count);
-    let matrix = Weights {
-        row_starts: words("row_starts", pixels + 1),
-        columns: words("columns", room.into()),
-        weights: words("weights", weight_words(room, bits)),
-        column_starts: words("column_starts", u64::from(n) + 1),
-        rows: words("rows", room.into()),
-        row_weights: words("row_weights", weight_words(room, bits)),
-        bits,
-    };
-    let space = Room { capacity: room, gaussians: n, flags, wanted };
-    weights(&mut g, &t, &screen, &visible, &entries, surfaces.coverage, &space, &matrix).unwrap();
-    let metals = !raw.metallic.is_empty();
-    let floats = |g: &mut Graph, name: &str, width: u64| g.external(name, 4 * width * u64::from(n));
-    let given = RawMaterials {
-        albedo: floats(&mut g, "albedo", 3),
-        roughness: floats(&mut g, "roughness", 1),
-        metallic: metals.then(|| floats(&mut g, "metallic", 1)),
-    };
-    let picture = PixelMaterials {
-        materials: g.external("materials", 16 * pixels),
-        metallic: metals.then(|| g.external("metallic_seen", 4 * pixels)),
-    };
-    let active = values(&mut g, &t, &given, n).unwrap();
-    materials(&mut g, &t, &screen, &active, &matrix, &picture).unwrap();
-    let asked = PixelMaterials {
-        materials: g.external("materials_gradient", 16 * pixels),
-        metallic: metals.then(|| g.external("metallic_gradient", 4 * pixels)),
-    };
-    let grads = RawMaterials {
-        albedo: floats(&mut g, "grad_albedo", 3),
-        roughness: floats(&mut g, "grad_roughness", 1),
-        metallic: metals.then(|| floats(&mut g, "grad_metallic", 1)),
-    };
-    materials_bwd(&mut g, &t, &given, &matrix, n, &asked, false, &grads).unwrap();
-    let mut values = Step { camera: scenes::gpu_camera(camera), ..Default::default() };
-    values.camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
-    let data = scenes::data(scene);
-    let four: Vec<f32> = gradient.iter().flat_map(|v| [v[0], v[1], v[2], v[3]].map(|v| v as f32)).collect();
-    let one: Vec<f32> = gradient.iter().map(|v| v[4] as f32).collect();
-    let mut inputs: Vec<(Buffer, Vec<u8>)> = vec![
-        (step, bytes(&[values])),
-        (flags, bytes(&[0u32])),
-        (given.albedo, single(&raw.albedo)),
-        (given.roughness, single(&raw.roughness)),
-        (asked.materials, bytes(&four)),
-        (handles.work, bytes(&[n.div_ceil(256).max(1), 1, 1, n])),
-    ];
-    for group in model.groups() {
-        inputs.push((handles.group(group), bytes(data.group(group))));
-    }
-    if let (Some(metallic), Some(gradient)) = (given.metallic, asked.metallic) {
-        inputs.push((metallic, single(&raw.metallic)));
-        inputs.push((gradient, bytes(&one)));
-    }
-    let out = gpu.run(g, &inputs);
-    let of_words = |words: Vec<u32>| match bits {
-        16 => unpacked_weights(&words, room as usize),
-        _ => words.into_iter().map(f32::from_bits).collect(),
-    };
-    Found {
-        points: out.get(surfaces.points),
-        normals: out.get(surfaces.normals),
-        coverage: out.get(surfaces.coverage),
-        row_starts: out.get(matrix.row_starts),
-        columns: out.get(matrix.columns),
-        weights: of_words(out.get(matrix.weights)),
-        column_starts: out.get(matrix.column_starts),
-        rows: out.get(matrix.rows),
-        row_weights: of_words(out.get(matrix.row_weights)),
-        flags: out.get::<u32>(flags)[0],
-        wanted: out.get::<u32>(wanted)[0],
-        materials: out.get(picture.materials),
-        metallic: picture.metallic.map(|b| out.get(b)).unwrap_or_default(),
-        grad_albedo: out.get(grads.albedo),
-        grad_roughness: out.get(grads.roughness),
-        grad_metallic: grads.metallic.map(|b| out.get(b)).unwrap_or_default(),
-    }
-}
-
-fn random_materials(n: usize, metals: bool, reach: f64, seed: u64) -> Materials {
-    let mut r = scenes::Rng::new(seed);
-    let mut many = |count: usize| (0..count).map(|_| f64::from(r.between(-reach, reach) as f32)).collect::<Vec<_>>();
-    Materials { albedo: many(3 * n), roughness: many(n), metallic: if metals { many(n) } else { Vec::new() } }
-}
-
-fn random_gradient(pixels: usize, seed: u64) -> Vec<[f64; 5]> {
-    let mut r = scenes::Rng::new(seed);
-    (0..pixels).map(|_| [(); 5].map(|()| f64::from(r.between(-1.0, 1.0) as f32))).collect()
-}
 
 /// Checks everything that `run` found against the twin; `metals` and how far raw materials reach.
 fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64) {
     for bits in [32, 16] {
-        check_in(gpu, scene, camera, metals, reach, most_doubtful, bits);
+        let case = Case::new(scene.clone(), *camera, metals, reach);
+        check_in(gpu, &Case { bits, ..case }, most_doubtful);
     }
 }
 
 /// With weights in so many bits.
-fn check_in(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64, bits: u32) {
-    let n = scene.len();
-    let pixels = (camera.size[0] * camera.size[1]) as usize;
-    let raw = random_materials(n, metals, reach, 3);
-    let gradient = random_gradient(pixels, 5);
-    let found = run(gpu, scene, camera, &raw, &gradient, ROOM, bits);
+fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
+    let found = run(gpu, case);
     assert_eq!(found.flags, 0);
+    let Case { scene, camera, raw, gradient, bits, .. } = case;
+    let (n, pixels, metals) = (scene.len(), gradient.len(), !raw.metallic.is_empty());
     let truth: TwinBlended = render(scene, camera, 0, true, [0.0; 3]);
     let surfaces = twin_gbuffer(camera, &truth, 8);
     let mut rows = twin_weights(&twin_project(scene, camera, 0, true), camera.size);
-    if bits == 16 {
+    if *bits == 16 {
         rows = stored_rows(&rows);
     }
     let blended = raw.blend(&rows);
@@ -190,7 +31,7 @@ fn check_in(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: 
     assert_eq!(total, found.wanted);
     let mut doubtful = 0;
     for p in 0..pixels {
-        let (begin, end) = (found.row_starts[p] as usize, found.row_starts[p + 1] as usize);
+        let std::ops::Range { start: begin, end } = found.row(p);
         let sum: f64 = found.weights[begin..end].iter().map(|w| f64::from(*w)).sum();
         let covered = found.coverage[p] >= 1e-3;
         assert!(!covered || (sum - 1.0).abs() < 1e-4, "pixel {p}: weights add up to {sum}");
@@ -232,7 +73,7 @@ fn check_in(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: 
     // The transpose holds the same entries, column by column and by ascending pixels.
     let mut by_column: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
     for p in 0..pixels {
-        for e in found.row_starts[p] as usize..found.row_starts[p + 1] as usize {
+        for e in found.row(p) {
             by_column[found.columns[e] as usize].push((p as u32, found.weights[e]));
         }
     }
@@ -298,9 +139,8 @@ fn weights_in_16_bits_are_rounded_along_their_rows() {
     let gpu = Gpu::new();
     let scene = scenes::ordinary(900, 0, true, 61);
     let camera = scenes::camera([61, 37]);
-    let raw = random_materials(scene.len(), false, 1.0, 3);
-    let gradient = random_gradient(61 * 37, 5);
-    let [wide, narrow] = [32, 16].map(|bits| run(&gpu, &scene, &camera, &raw, &gradient, ROOM, bits));
+    let case = Case::new(scene, camera, false, 1.0);
+    let [wide, narrow] = [32, 16].map(|bits| run(&gpu, &Case { bits, ..case.clone() }));
     assert!(wide.row_starts == narrow.row_starts && wide.rows == narrow.rows);
     let count = wide.wanted as usize;
     assert!(count % 2 == 1 || count > 10_000, "{count}");
@@ -353,12 +193,11 @@ fn what_does_not_fit_is_counted_and_nothing_is_written_past_the_end() {
     let gpu = Gpu::new();
     let scene = scenes::ordinary(200, 0, true, 64);
     let camera = scenes::camera([64, 48]);
-    let raw = random_materials(scene.len(), false, 1.0, 3);
-    let gradient = random_gradient(64 * 48, 5);
-    let all = run(&gpu, &scene, &camera, &raw, &gradient, ROOM, 32);
-    let short = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted - 1, 32);
+    let case = Case::new(scene, camera, false, 1.0);
+    let all = run(&gpu, &case);
+    let short = run(&gpu, &Case { room: all.wanted - 1, ..case.clone() });
     assert_eq!((short.flags, short.wanted), (1, all.wanted));
-    let exact = run(&gpu, &scene, &camera, &raw, &gradient, all.wanted, 32);
+    let exact = run(&gpu, &Case { room: all.wanted, ..case });
     assert_eq!((exact.flags, exact.wanted), (0, all.wanted));
     assert_eq!(exact.grad_albedo, all.grad_albedo, "room changes nothing");
 }

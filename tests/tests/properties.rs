@@ -9,113 +9,14 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
-use sgs_tests::drawn::{runner, signed};
+use sgs_tests::drawn::runner;
+use sgs_tests::drawn::scenes::{blurred, few, rounded, scene};
 use sgs_tests::gradients::{Case, parameters};
 use sgs_tests::whole::{BACKGROUND, picture, steps};
 use sgs_tests::{Gpu, scenes};
 
 /// Largest difference where the twin is sure, of the largest color that there is.
 const LARGEST: f64 = 2e-3;
-
-/// A number of 32 bits, of either sign, log-uniform between two powers of ten.
-fn single(low: f64, high: f64) -> impl Strategy<Value = f64> {
-    signed(low, high).prop_map(|x| f64::from(x as f32))
-}
-
-#[derive(Clone, Debug)]
-struct One {
-    depth: f64,
-    across: [f64; 2],
-    log_scale: [f64; 3],
-    rotation: [f64; 4],
-    logit: f64,
-    color: [f64; 3],
-}
-
-prop_compose! {
-    fn gaussian()(
-        depth in -2.5..5.0_f64,
-        across in [-1.2..1.2_f64, -1.2..1.2_f64],
-        log_scale in [-20.0..18.0_f64, -20.0..18.0_f64, -20.0..18.0_f64],
-        rotation in [single(-20.0, 17.0), single(-20.0, 17.0), single(-20.0, 17.0), single(-20.0, 17.0)],
-        logit in -30.0..30.0_f64,
-        color in [-1.5..1.5_f64, -1.5..1.5_f64, -1.5..1.5_f64],
-    ) -> One {
-        One { depth: 10_f64.powf(depth), across, log_scale, rotation, logit, color }
-    }
-}
-
-prop_compose! {
-    fn scene()(
-        all in prop::collection::vec(gaussian(), 1..12),
-        size in [1..40_u32, 1..40_u32],
-        width in 1.0..170.0_f64,
-        turn in [-3.0..3.0_f64, -1.5..1.5_f64, -3.0..3.0_f64],
-        away in [single(-3.0, 2.0), single(-3.0, 2.0), single(-3.0, 2.0)],
-    ) -> (Gaussians, Camera) {
-        place(&all, size, width, turn, away)
-    }
-}
-
-prop_compose! {
-    /// As [`scene`], of a few Gaussians in small pictures, with more bands of harmonics.
-    fn few()(
-        all in prop::collection::vec(gaussian(), 1..4),
-        size in [1..20_u32, 1..20_u32],
-        width in 1.0..170.0_f64,
-        turn in [-3.0..3.0_f64, -1.5..1.5_f64, -3.0..3.0_f64],
-        away in [single(-3.0, 2.0), single(-3.0, 2.0), single(-3.0, 2.0)],
-        degree in 0..4_usize,
-        bands in prop::collection::vec(-1.0..1.0_f64, 3 * 3 * (3 + 5 + 7)),
-    ) -> (Gaussians, Camera) {
-        let (mut g, camera) = place(&all, size, width, turn, away);
-        let mut bands = bands.into_iter().map(|x| f64::from(x as f32));
-        for band in 1..=degree {
-            g.sh[band] = bands.by_ref().take(3 * (2 * band + 1) * g.len()).collect();
-        }
-        (g, camera)
-    }
-}
-
-/// A camera somewhere, turned somehow, and the Gaussians before it.
-fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]) -> (Gaussians, Camera) {
-    let single = |v: f64| f64::from(v as f32);
-    let focal = single(0.5 * f64::from(size[0]) / (0.5 * width.to_radians()).tan());
-    let rotation = DMat3::from_euler(glam::EulerRot::XYZ, turn[0], turn[1], turn[2]);
-    // As the GPU has it.
-    let rotation = DMat3::from_cols_array(&rotation.to_cols_array().map(single));
-    let half = 0.5 * f64::from(size[0].max(size[1])) / focal;
-    let camera = Camera {
-        rotation,
-        translation: DVec3::from_array(away.map(single)),
-        focal: DVec2::splat(focal),
-        center: DVec2::new(0.5 * f64::from(size[0]), 0.5 * f64::from(size[1])),
-        size,
-        near: f64::from(0.01_f32),
-    };
-    let mut g = Gaussians::default();
-    for one in all {
-        let seen = DVec3::new(one.across[0] * half * one.depth, one.across[1] * half * one.depth, one.depth);
-        let mean = rotation.inverse() * (seen - camera.translation);
-        g.means.extend(mean.to_array().map(single));
-        g.log_scales.extend(one.log_scale.map(single));
-        g.rotations.extend(one.rotation.map(single));
-        g.opacity_logits.push(single(one.logit));
-        g.sh[0].extend(one.color.map(single));
-    }
-    (g, camera)
-}
-
-/// Whether positions in single precision move a center by more than a thousandth of a pixel: then only double precision
-/// knows where it is.
-fn blurred(g: &Gaussians, camera: &Camera) -> bool {
-    g.means.chunks_exact(3).any(|m| {
-        let mean = DVec3::from_slice(m);
-        let depth = (camera.rotation * mean + camera.translation).z.max(camera.near);
-        let size = mean.length() + camera.translation.length();
-        camera.focal.x * f64::from(f32::EPSILON) * size / depth > 1e-3
-    })
-}
 
 #[test]
 fn pictures_agree_with_the_twin() {
@@ -231,22 +132,9 @@ fn pose_differences(case: &Case) -> Vec<Option<f64>> {
     (0..12).map(difference).collect()
 }
 
-/// The case as it might be after rounding in single precision: every number by some units of the last place, one way or the other.
-fn rounded(case: &Case, way: u64) -> Case {
-    let mut other = case.clone();
-    let mut random = scenes::Rng::new(way);
-    for (i, x) in other.gaussians.means.iter_mut().enumerate() {
-        let size = case.gaussians.means[3 * (i / 3)..][..3].iter().map(|x| x * x).sum::<f64>().sqrt();
-        *x += 2e-7 * (size + case.camera.translation.length()) * random.between(-1.0, 1.0);
-    }
-    for group in [Group::LogScales, Group::OpacityLogits] {
-        parameters(&mut other.gaussians, group).iter_mut().for_each(|x| *x += 2e-6 * random.between(-1.0, 1.0));
-    }
-    for quaternion in other.gaussians.rotations.chunks_exact_mut(4) {
-        let size = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
-        quaternion.iter_mut().for_each(|x| *x += 3e-7 * size * random.between(-1.0, 1.0));
-    }
-    other
+/// The case as it might be after rounding in single precision.
+fn after_rounding(case: &Case, way: u64) -> Case {
+    Case { gaussians: rounded(&case.gaussians, &case.camera, way), ..case.clone() }
 }
 
 /// Gradients of a scene of a few Gaussians; how many were compared, and how many lie at thresholds.
@@ -266,7 +154,7 @@ fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 
 fn compare(case: &Case, seen: f64, found: &[Vec<f32>], pose: &[f32]) -> Result<[usize; 2], TestCaseError> {
     prop_assert!(found.iter().flatten().chain(pose).all(|v| v.is_finite()));
     let expected = differences(case);
-    let others: Vec<_> = (0..4).map(|way| differences(&rounded(case, way))).collect();
+    let others: Vec<_> = (0..4).map(|way| differences(&after_rounding(case, way))).collect();
     let (mut compared, mut skipped) = (0, 0);
     let groups = GROUPS.iter().map(|group| (group.name(), &found[*group as usize]));
     for (k, (name, found)) in groups.map(|(name, found)| (name, &found[..])).chain([("pose", pose)]).enumerate() {

@@ -1,5 +1,7 @@
 //! Numbers drawn at random for properties: log-uniform ones, the same every time.
 
+pub mod scenes;
+
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sgs_passes::reference::rng::Pcg;
