@@ -14,16 +14,13 @@ use sgs_passes::reference::rng::Pcg;
 use sgs_tests::drawn::scenes::{blurred, rounded, scene};
 use sgs_tests::drawn::{log_uniform, runner};
 use sgs_tests::gbuffer::{Case, Found, ROOM, run};
+use sgs_tests::lit::narrow;
 use sgs_tests::{Gpu, scenes};
 
 /// Of what covers a pixel, beside what rounding of Gaussians does to it.
 const COVERAGE: f64 = 3e-6;
 /// What numbers of 32 bits leave of a sum of a few terms.
 const SUM: f64 = 1e-6;
-
-fn narrow(x: f64) -> f64 {
-    f64::from(x as f32)
-}
 
 prop_compose! {
     /// Normals, raw materials and gradients of either sign, between far powers of ten.
@@ -52,7 +49,7 @@ prop_compose! {
     }
 }
 
-/// By the twin, of every pixel but for the last.
+/// What the twin says of every pixel.
 struct Truth {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,

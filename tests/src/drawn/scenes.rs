@@ -13,7 +13,7 @@ fn single(low: f64, high: f64) -> impl Strategy<Value = f64> {
 
 /// A Gaussian by where the camera sees it.
 #[derive(Clone, Debug)]
-pub struct One {
+struct One {
     depth: f64,
     across: [f64; 2],
     log_scale: [f64; 3],
@@ -24,7 +24,7 @@ pub struct One {
 
 prop_compose! {
     /// Anywhere in the view or a little beside it, of any shape and opacity.
-    pub fn gaussian()(
+    fn gaussian()(
         depth in -2.5..5.0_f64,
         across in [-1.2..1.2_f64, -1.2..1.2_f64],
         log_scale in [-20.0..18.0_f64, -20.0..18.0_f64, -20.0..18.0_f64],
@@ -70,7 +70,7 @@ prop_compose! {
 }
 
 /// A camera somewhere, turned somehow, and the Gaussians before it.
-pub fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]) -> (Gaussians, Camera) {
+fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]) -> (Gaussians, Camera) {
     let single = |v: f64| f64::from(v as f32);
     let focal = single(0.5 * f64::from(size[0]) / (0.5 * width.to_radians()).tan());
     let rotation = DMat3::from_euler(glam::EulerRot::XYZ, turn[0], turn[1], turn[2]);
