@@ -31,6 +31,8 @@ pub enum Words {
     Provider,
     /// Files of runs.
     Run,
+    /// Requests for pages.
+    Http,
 }
 
 impl Words {
@@ -131,6 +133,8 @@ impl Words {
                 "\"sgs-geometry-1\"" "\"labels\":\"[]\"" "\"temperature\":\"0\"" "\"temperature\":\"nan\"" "\"levels\":\"16\""
                 "\"log2_table\":\"22\"" "\"coarsest\":\"2\"" "\"finest\":\"65536\"" "\"net\":\"alex\"" "\"net\":\"vgg\"" "\"decoder\""
                 "\"step\":\"4294967295\"" "\"capacity\":\"0\"" "\"watch\":\"" "ffffffffffffffff " "ffffffff " "\"roll_backs\":\"[]\""
+                "\"sgs-intrinsic-1\"" "\"splats\":\"2\"" "\"lobes\":\"33\"" "\"texels\":\"16\"" "\"pace\":\"8 4294967295 0\"" "\"decisions\":\"[]\""
+                "\"environment_after_4294967295\"" "\"relit_asked_at\"" "\"last_look\":\"-0\""
             ),
             Words::Light => words!(
                 "\"format\"" "\"sgs-lights-1\"" "\"normalizer\"" "\"lights\"" "\"position\"" "\"gain\"" "\"lobes\"" "\"axis\"" "\"sharpness\""
@@ -150,6 +154,10 @@ impl Words {
                 "\"step\":" "\"stage\":\"intrinsic\"" "\"loss\":" "\"test\"" "\"train\"" "\"mean\"" "\"views\"" "\"nvs\"" "\"psnr\"" "\"relit\""
                 "\"resumed_from\":0" "\"intrinsic\"" "\"steps_per_second\"" "\"gaussians\"" "\"traceEvents\"" "\"ph\":\"X\"" "\"dur\":" "\"name\":"
                 "\n" "\r\n" "\"seconds\"" "\"peak_device_bytes\"" "\"lpips\""
+            ),
+            Words::Http => words!(
+                "GET " "HEAD " "POST " "/ " "/live" "?pictures=1" " HTTP/1.1\r\n" " HTTP/1.0\r\n" "\r\n" "\r\n\r\n" "Host: 127.0.0.1:8117\r\n" "localhost:8117"
+                "localhost" ":8117" "Content-Length: " "Transfer-Encoding: chunked\r\n" "Expect: 100-continue\r\n" "Connection: " "a: b\r\n" "\n" "http://" "%00"
             ),
         }
     }

@@ -1,7 +1,8 @@
 //! Pages that show a run: one HTML file with everything in it.
 //!
 //! Functions from data to HTML: pictures and sliders ([`figure`]), tables ([`table`]), curves and bars ([`chart`]), the room
-//! with its lights ([`room`]), and the page around them ([`Page`]). Promises: nothing is fetched from anywhere, which the page
+//! with its lights ([`room`]), and the page around them ([`Page`]); and a server of such pages for
+//! this machine ([`serve`]). Promises: nothing is fetched from anywhere, which the page
 //! also forbids the browser; whatever comes from files is escaped; the page reads without its script, sliders apart. What is
 //! shown, and where it comes from, is the caller's business.
 
@@ -9,6 +10,7 @@ pub mod chart;
 pub mod figure;
 mod page;
 pub mod room;
+pub mod serve;
 pub mod table;
 mod text;
 

@@ -157,6 +157,9 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
         if parameters.group(group).iter().any(|v| !v.is_finite()) {
             return Err(file(path, format!("damaged: \"{}\" holds values that are not finite", group.name())));
         }
+        if let Some(wrong) = wrong_moments(moments.group(group)) {
+            return Err(file(path, format!("damaged: \"{}_moments\" holds {wrong}", group.name())));
+        }
     }
     let statistics = floats("statistics")?;
     // Without densification there are none.
@@ -169,7 +172,8 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
     };
     if let Some([parameters, moments]) = &decoder {
         let scalars = EMBEDDING * AUGMENTED;
-        if parameters.len() != scalars || moments.len() != 2 * scalars || parameters.iter().any(|v| !v.is_finite()) {
+        let whole = parameters.len() == scalars && moments.len() == 2 * scalars;
+        if !whole || parameters.iter().any(|v| !v.is_finite()) || wrong_moments(moments).is_some() {
             return Err(file(path, "damaged: \"decoder\" has another size or holds values that are not finite".into()));
         }
     }
@@ -178,6 +182,14 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
     let decisions = json(path, &meta, "decisions")?.unwrap_or_default();
     let growth = json(path, &meta, "growth")?.unwrap_or_default();
     Ok(State { step, capacity, parameters, moments, statistics, decoder, course, bands, decisions, growth, model })
+}
+
+/// What pairs hold that first and second moments cannot be. Gradients are bounded before they come to these, so that both are finite.
+pub(crate) fn wrong_moments(pairs: &[f32]) -> Option<&'static str> {
+    if pairs.iter().any(|v| !v.is_finite()) {
+        return Some("values that are not finite");
+    }
+    pairs.as_chunks().0.iter().any(|[_, second]| *second < 0.0).then_some("squares that are negative")
 }
 
 fn file(path: &Path, reason: String) -> TrainError {

@@ -1,9 +1,9 @@
 //! Ways for damaged files to readers that otherwise need a device to come to (`tests/fuzz`). Nobody else has a use for them.
 
-use crate::checkpoint;
+use crate::checkpoint::{self, Course};
 use crate::divergence::{Seen, Watch};
-use crate::error::Result;
-use crate::intrinsic::LightFile;
+use crate::error::{Result, TrainError};
+use crate::intrinsic::{LightFile, Saved};
 use crate::relight::{Edit, edited_light_of, true_edit_of, true_lights_of};
 use crate::shaded::Texels;
 use sgs_passes::scene::Model;
@@ -15,14 +15,48 @@ use std::path::Path;
 /// If it is damaged or of another model.
 pub fn checkpoint(path: &Path, sh_degree: u32, semantics: bool, any_degree: bool) -> Result<String> {
     let state = checkpoint::load(path, Model { sh_degree, normals: false, semantics }, any_degree)?;
+    let known = goes_on(&state.course, state.step);
+    Ok(format!("{} {known} {}", state.parameters.len().min(3), state.course.roll_backs.len().min(3)))
+}
+
+/// Reads the state of a training of materials of two splats with a light of one lobe and surroundings of one texel a side, and goes
+/// on watching from there; what it holds, in words.
+///
+/// # Errors
+/// If it is damaged or of another model.
+pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|e| TrainError::File { path: path.to_owned(), reason: e.to_string() })?;
+    let saved = Saved::read(path, &bytes)?;
+    let known = goes_on(&saved.course, saved.step);
+    for (name, count) in [("albedo", 6), ("roughness", 2), ("environment", 18)] {
+        saved.floats(name, count)?;
+        saved.moments(&format!("{name}_moments"), count)?;
+    }
+    let before = saved.before(18)?;
+    assert!(
+        before.iter().all(|(taken, texels)| *taken <= saved.step && texels.len() == 18),
+        "what was before is whole"
+    );
+    let asked = saved.words("relit_asked_at", 2).map_or(0, |words| words.len());
+    let decided = [saved.lobes, saved.levels, saved.texels, saved.pace.map(|[every, _, _]| every)].map(|n| n.is_some());
+    Ok(format!(
+        "{known} {} {} {decided:?} {asked} {}",
+        before.len().min(3),
+        saved.decisions.len().min(3),
+        saved.last.is_some()
+    ))
+}
+
+/// Watches from what a checkpoint says of how training goes. Whether that was known.
+fn goes_on(course: &Course, from: u32) -> bool {
     let mut watch = Watch::new(vec![0.1; 2]);
-    let known = watch.restore(&state.course.watch);
+    let known = watch.restore(&course.watch);
     for step in 1..200 {
-        let step = state.step.saturating_add(step);
+        let step = from.saturating_add(step);
         watch.see(&Seen { step, view: step as usize % 2, loss: 0.1, l1: 0.1, skipped: 0, of: 1, rates: 1.0 });
         watch.vouched_for();
     }
-    Ok(format!("{} {known} {}", state.parameters.len().min(3), state.course.roll_backs.len().min(3)))
+    known
 }
 
 /// What an edit makes of lights, and of surroundings of one color.

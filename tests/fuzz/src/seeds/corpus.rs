@@ -72,6 +72,12 @@ fn texts() -> Files {
         ("training", "whole.json", TRAINING),
         ("profile", "passes.json", PROFILE),
         ("run_log", "two_stages.jsonl", LOG),
+        ("page_request", "page.txt", "GET /live?pictures=3 HTTP/1.1\r\nHost: 127.0.0.1:8117\r\nAccept: */*\r\n\r\n"),
+        (
+            "page_request",
+            "body.txt",
+            "POST / HTTP/1.1\r\nHost: localhost:8117\r\nContent-Length: 99999999999999\r\n\r\n",
+        ),
         ("bytes", "short.txt", "4G"),
         ("bytes", "long.txt", " 1.5 KiB"),
         ("provider_command", "words.txt", "python3 -m sgs_priors --set 'a b' \"c\\\"d\" e\\ f"),
@@ -156,12 +162,14 @@ fn models() -> Files {
     files
 }
 
-/// A safetensors file.
-fn tensor_file(tensors: &[(&str, Vec<usize>, f32)], meta: &[(&str, &str)]) -> Vec<u8> {
+/// A safetensors file: floats, and so many words that are one.
+fn tensor_file(tensors: &[(&str, Vec<usize>, f32)], words: &[(&str, usize)], meta: &[(&str, &str)]) -> Vec<u8> {
+    let floats = tensors.iter().map(|(name, shape, v)| (*name, shape.clone(), v.to_bits(), Dtype::F32));
+    let all: Vec<_> = floats.chain(words.iter().map(|(name, count)| (*name, vec![*count], 1, Dtype::U32))).collect();
     let data: Vec<Vec<u8>> =
-        tensors.iter().map(|(_, shape, v)| v.to_le_bytes().repeat(shape.iter().product())).collect();
-    let views = tensors.iter().zip(&data).map(|((name, shape, _), data)| {
-        ((*name).to_owned(), TensorView::new(Dtype::F32, shape.clone(), data).expect("shapes fit"))
+        all.iter().map(|(_, shape, bits, _)| bits.to_le_bytes().repeat(shape.iter().product())).collect();
+    let views = all.iter().zip(&data).map(|((name, shape, _, kind), data)| {
+        ((*name).to_owned(), TensorView::new(*kind, shape.clone(), data).expect("shapes fit"))
     });
     let meta: HashMap<String, String> = meta.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
     safetensors::serialize(views, Some(meta)).expect("tensors are written")
@@ -209,11 +217,39 @@ fn tensors() -> Files {
         state.push((name.as_str(), vec![shape[0], shape[1], 2], 0.0));
     }
     state.push(("statistics", vec![2, 3], 0.0));
+    let state = tensor_file(&state, &[], &meta);
+    let decisions = "[{\"step\":0,\"what\":\"lights\",\"on\":true,\"reason\":\"there are lamps\",\"setting\":\"intrinsic.lights.count\"},\
+                     {\"step\":20,\"what\":\"pace\",\"on\":false,\"reason\":\"8 steps\",\"measured\":0.01,\"asked\":0.02,\"setting\":\"x\"}]";
+    let meta = [
+        ("format", "sgs-intrinsic-1"),
+        ("step", "40"),
+        ("splats", "2"),
+        ("watch", watch),
+        ("roll_backs", roll_backs),
+        ("decisions", decisions),
+        ("lobes", "6"),
+        ("levels", "4"),
+        ("texels", "16"),
+        ("pace", "8 20 20"),
+        ("last_look", "0.015625"),
+    ];
+    let mut materials: Vec<(&str, Vec<usize>, f32)> = Vec::new();
+    for (name, moments, count) in [
+        ("albedo", "albedo_moments", 6),
+        ("roughness", "roughness_moments", 2),
+        ("environment", "environment_moments", 18),
+    ] {
+        materials.push((name, vec![count], 0.5));
+        materials.push((moments, vec![2 * count], 0.0));
+    }
+    materials.extend([("light_gains", vec![1], 1.0), ("environment_gathered", vec![18], 0.0)]);
+    materials.extend([("environment_after_32", vec![18], 0.5), ("environment_after_36", vec![18], 0.5)]);
     vec![
         ("head", "two.safetensors", read(head)),
         ("visibility", "small.safetensors", read(field)),
         ("lpips", "alex.safetensors", lpips),
-        ("checkpoint", "plain.safetensors", tensor_file(&state, &meta)),
+        ("checkpoint", "plain.safetensors", state),
+        ("intrinsic_checkpoint", "automatic.safetensors", tensor_file(&materials, &[("relit_asked_at", 2)], &meta)),
     ]
 }
 

@@ -3,7 +3,7 @@
 use super::said;
 use crate::place::Place;
 use crate::seeds;
-use sgs_report::{chart, table};
+use sgs_report::{chart, serve, table};
 use sgs_train::ablate::{Goal, Measures, State};
 use sgs_train::{RunDirectory, Settings, TrainError, overlay, parse_bytes};
 use std::io::Write;
@@ -100,4 +100,25 @@ pub(crate) fn bytes(bytes: &[u8]) -> String {
         assert!((1..=i64::MAX as u64).contains(&n), "sizes are sizes");
         "read".into()
     })
+}
+
+/// Requests for the page of a training.
+pub(crate) fn request(bytes: &[u8]) -> String {
+    const PORT: u16 = 8117;
+    let pages = |path: &str, query: &str| {
+        (path == "/live").then(|| serve::Content { kind: "text/plain", body: format!("{} bytes", query.len()) })
+    };
+    let Some(answer) = serve::respond(bytes, PORT, pages) else {
+        assert_eq!(serve::respond(&bytes[..bytes.len() / 2], PORT, pages), None, "half of what is not whole is none");
+        return "more".into();
+    };
+    let text = String::from_utf8(answer).expect("answers are text");
+    let (head, body) = text.split_once("\r\n\r\n").expect("answers have an end");
+    let length: Option<usize> = head.lines().find_map(|l| l.strip_prefix("Content-Length: ")?.parse().ok());
+    assert!(head.starts_with("HTTP/1.1 ") && length.is_some(), "it is an answer");
+    assert!(body.is_empty() || length == Some(body.len()), "the length is said");
+    let named = |name: &[u8]| bytes.windows(name.len()).any(|w| w.eq_ignore_ascii_case(name));
+    let ours = named(b"127.0.0.1:") || named(b"localhost:");
+    assert!(ours || !head.contains("200 OK"), "nobody is answered who asked for another host");
+    format!("{} {}", head.lines().next().unwrap_or_default(), body.len().min(30))
 }

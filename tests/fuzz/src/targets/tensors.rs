@@ -41,3 +41,9 @@ pub(crate) fn checkpoint(bytes: &[u8]) -> String {
     let words = |degree, semantics, any| said(fuzzed::checkpoint(&path, degree, semantics, any), |said| said);
     words(0, false, false) + &words(0, false, true) + &words(1, true, false)
 }
+
+/// The state of a training of materials, likewise.
+pub(crate) fn intrinsic_checkpoint(bytes: &[u8]) -> String {
+    let place = Place::of("intrinsic_checkpoint", |_| ());
+    said(fuzzed::intrinsic_checkpoint(&place.put("intrinsic.safetensors", bytes)), |said| said)
+}

@@ -11,11 +11,11 @@ pub use server::Port;
 
 use board::{Board, Shot, WIDTH};
 use pace::Pace;
-use server::Serving;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::splat::Channels;
+use sgs_report::serve::Serving;
 use sgs_scene::{Camera, Image, Scene, resize};
 use sgs_train::{Geometry, Intrinsic, Shading, displayed, render_view, shaded_scene};
 use std::path::Path;

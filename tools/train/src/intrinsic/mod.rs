@@ -14,6 +14,7 @@ mod modeled;
 mod needs;
 mod probe;
 mod relit;
+mod saved;
 mod seldom;
 mod start;
 mod state;
@@ -24,6 +25,7 @@ pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub(crate) use files::{MOST as MOST_LIGHTS, raw_lobe};
 pub use needs::IntrinsicNeeds;
 pub use probe::Probe;
+pub(crate) use saved::Saved;
 pub(crate) use values::field_box;
 
 use crate::convert::gaussian_data;

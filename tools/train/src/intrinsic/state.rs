@@ -1,5 +1,9 @@
 //! Checkpoints of the intrinsic stage, and what it leaves.
 
+use super::automatic::Remembered;
+use super::saved::{
+    ASKED_AT, BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, PACE, Saved, TEXELS,
+};
 use super::{Intrinsic, LightFile, write_lights};
 use crate::checkpoint::Course;
 use crate::divergence::HALF;
@@ -10,7 +14,6 @@ use crate::settings::VisibilityKind;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
 use crate::visibility::VisibilityFile;
-use safetensors::{Dtype, SafeTensors};
 use sgs_engine::DeviceBuffer;
 use sgs_passes::pipeline::IntrinsicStatus;
 use sgs_passes::shade::environment::latlong;
@@ -18,38 +21,17 @@ use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What steps have asked of the surroundings since these moved.
-const GATHERED: &str = "environment_gathered";
-
-const FORMAT: &str = "sgs-intrinsic-1";
-
-/// Tensors of what is said of views under other lights, and of the steps at which that was.
-const ESTIMATES: &str = "relit_estimates";
-const ASKED_AT: &str = "relit_asked_at";
-
-/// What was decided about the model.
-const DECISIONS: &str = "decisions";
-
-/// How many levels the visibility field has, where that may be decided.
-const LEVELS: &str = "levels";
-
-/// How many texels surroundings have along an edge, where that may be decided.
-const TEXELS: &str = "texels";
-
-/// Surroundings as they were after some step, which follows.
-const BEFORE: &str = "environment_after_";
-
-/// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
-const PACE: &str = "pace";
-
-/// The error of shaded pictures when they were last looked at.
-const LAST: &str = "last_look";
-
-/// How many lobes lights have, where that may be decided.
-const LOBES: &str = "lobes";
-
-/// Tensors of the visibility field.
-const FIELD: [&str; 4] = ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
+/// What a checkpoint holds, in the sizes of the stage that goes on from it.
+struct Values {
+    /// In the order of [`sgs_passes::pipeline::IntrinsicParameters::all`], with their moments.
+    parameters: Vec<[Vec<f32>; 2]>,
+    gains: Vec<f32>,
+    /// In the order of [`FIELD`].
+    field: Option<[Vec<f32>; 4]>,
+    gathered: Option<Vec<f32>>,
+    before: Vec<Remembered>,
+    estimates: Option<(Vec<Vec<u32>>, Vec<u32>)>,
+}
 
 impl Intrinsic {
     /// Writes everything that resuming needs.
@@ -63,7 +45,7 @@ impl Intrinsic {
             values.push((format!("{}_moments", p.name()), p.download_moments(&self.device)?));
         }
         let gains = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
-        values.push(("light_gains".to_owned(), gains));
+        values.push((GAINS.to_owned(), gains));
         if let Some(field) = &self.parameters.visibility {
             let [tables, mlp] = field.download(&self.device)?;
             let [table_moments, mlp_moments] = field.download_moments(&self.device)?;
@@ -121,156 +103,129 @@ impl Intrinsic {
     /// If the file is damaged or belongs to other settings or splats.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
         let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
-        let (_, header) =
-            SafeTensors::read_metadata(&bytes).map_err(|e| file(path, format!("not a checkpoint: {e}")))?;
-        let meta = header.metadata().clone().unwrap_or_default();
-        if meta.get("format").map(String::as_str) != Some(FORMAT) {
-            return Err(file(path, "not a checkpoint of the intrinsic stage".into()));
+        let saved = Saved::read(path, &bytes)?;
+        if saved.splats as usize != self.splats.len() {
+            let (has, are) = (saved.splats, self.splats.len());
+            return Err(saved.refused(format!("it is of {has} splats, but there are {are}")));
         }
-        let number = |name: &str| -> Result<u32> {
-            let value = meta.get(name).and_then(|s| s.parse().ok());
-            value.ok_or_else(|| file(path, format!("the checkpoint does not say its {name}")))
-        };
-        let (step, splats) = (number("step")?, number("splats")?);
-        if splats as usize != self.splats.len() {
-            return Err(file(path, format!("it is of {splats} splats, but there are {}", self.splats.len())));
-        }
-        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| file(path, format!("damaged: {e}")))?;
-        let floats = |name: &str, count: usize| -> Result<Vec<f32>> {
-            let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
-            if t.dtype() != Dtype::F32 || t.data().len() != 4 * count {
-                return Err(file(path, format!("\"{name}\" does not hold {count} 32-bit floats")));
-            }
-            let values: Vec<f32> =
-                t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-            if values.iter().any(|v| !v.is_finite()) {
-                return Err(file(path, format!("damaged: \"{name}\" holds values that are not finite")));
-            }
-            Ok(values)
-        };
         if self.automatic.is_some() {
-            let text = meta.get(DECISIONS).map_or("[]", String::as_str);
-            let wrong = |e: serde_json::Error| file(path, format!("damaged: \"{DECISIONS}\": {e}"));
-            if !self.take_decisions(serde_json::from_str(text).map_err(wrong)?)? {
-                return Err(file(path, "it has parts that have been left out since".into()));
-            }
+            self.take_over(&saved)?;
         }
-        if let Some(lobes) = meta.get(LOBES).filter(|_| self.automatic.is_some() && self.options.lights.is_some()) {
-            let lobes: u32 = lobes
-                .parse()
-                .ok()
-                .filter(|n| (1..=32).contains(n))
-                .ok_or_else(|| file(path, format!("damaged: \"{lobes}\" is no number of lobes")))?;
-            if lobes != self.lobes() {
-                let floats = self.light_model.lights * lobes * self.light_model.row();
-                self.set_lobes(lobes, &vec![0.0; floats as usize])?;
-            }
+        // But for what has been decided, everything is read before anything is changed.
+        let values = self.values_of(&saved)?;
+        self.put(values)?;
+        if let Some(a) = &mut self.automatic {
+            a.last = saved.last;
+        }
+        self.submitted = saved.step;
+        self.done = saved.step;
+        self.watch.restore(&saved.course.watch);
+        // What is counted on the device counts from the start again; graphs are made when they are due.
+        self.status = IntrinsicStatus::new(&self.device)?;
+        self.set_rates(HALF.powi(saved.course.roll_backs.len() as i32));
+        self.roll_backs = saved.course.roll_backs;
+        self.keep_environment()
+    }
+
+    /// Makes of the model what was decided by then.
+    fn take_over(&mut self, saved: &Saved) -> Result<()> {
+        if !self.take_decisions(saved.decisions.clone())? {
+            return Err(saved.refused("it has parts that have been left out since".into()));
+        }
+        if let Some(lobes) = saved.lobes.filter(|lobes| self.options.lights.is_some() && *lobes != self.lobes()) {
+            let floats = self.light_model.lights * lobes * self.light_model.row();
+            self.set_lobes(lobes, &vec![0.0; floats as usize])?;
         }
         let most = self.parameters.visibility.as_ref().map(|f| f.config().of);
-        if let (Some(text), Some(most), true) = (meta.get(LEVELS), most, self.automatic.is_some()) {
-            let levels: u32 = text
-                .parse()
-                .ok()
-                .filter(|n| (1..=most).contains(n))
-                .ok_or_else(|| file(path, format!("damaged: \"{text}\" is no number of levels")))?;
+        if let (Some(levels), Some(most)) = (saved.levels, most) {
+            if levels > most {
+                return Err(saved.refused(format!("damaged: there are {levels} levels, of {most}")));
+            }
             if Some(levels) != self.levels() {
                 self.set_levels(levels)?;
             }
         }
-        if let Some(text) = meta.get(TEXELS).filter(|_| self.automatic.is_some()) {
-            let most = self.settings.intrinsic.environment.resolution;
-            let size = text.parse().ok().filter(|n: &u32| n.is_power_of_two() && (16..=most).contains(n));
-            let damaged = || file(path, format!("damaged: surroundings cannot have \"{text}\" texels along an edge"));
-            self.set_texels(size.ok_or_else(damaged)?)?;
-        }
-        if let Some(text) = meta.get(PACE).filter(|_| self.automatic.is_some()) {
-            let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();
-            let Some(&[every @ 1..=64, since, moves]) = numbers.as_deref() else {
-                return Err(file(path, format!("damaged: \"{text}\" does not say how often surroundings move")));
-            };
-            if since > step || moves > since {
-                return Err(file(path, format!("damaged: surroundings cannot move as in \"{text}\"")));
+        if let Some(size) = saved.texels {
+            if size > self.settings.intrinsic.environment.resolution {
+                return Err(saved.no_texels(size));
             }
-            self.set_pace(every, since, moves)?;
+            self.set_texels(size)?;
         }
-        // But for what has been decided, everything is read before anything is changed.
-        let course = Course::read(path, &meta)?;
-        let mut read = Vec::new();
+        match saved.pace {
+            Some([every, since, moves]) => self.set_pace(every, since, moves),
+            None => Ok(()),
+        }
+    }
+
+    /// What a checkpoint holds of the model as it is.
+    fn values_of(&self, saved: &Saved) -> Result<Values> {
+        let mut parameters = Vec::new();
         for p in self.parameters.all() {
             let count = p.floats() as usize;
-            read.push((floats(p.name(), count)?, floats(&format!("{}_moments", p.name()), 2 * count)?));
-        }
-        let gains = floats("light_gains", self.light_model.lights as usize)?;
-        // Where texels moved with every step, nothing is left over.
-        let gathered = match &self.seldom {
-            Some(s) if tensors.tensor(GATHERED).is_ok() => Some(floats(GATHERED, s.kept().floats())?),
-            Some(s) => Some(vec![0.0; s.kept().floats()]),
-            None => None,
-        };
-        let last = meta.get(LAST).and_then(|text| text.parse::<f64>().ok()).filter(|last| *last >= 0.0);
-        let mut before = Vec::new();
-        if let (Some(texels), true) = (&self.parameters.environment, self.automatic.is_some()) {
-            for name in tensors.names() {
-                if let Some(taken) = name.strip_prefix(BEFORE).and_then(|n| n.parse().ok()) {
-                    before.push((taken, floats(name, texels.floats() as usize)?));
-                }
-            }
-        }
-        // Of a run without a provider there is nothing, and everything is asked anew.
-        let mut estimates = None;
-        if let (Some(relit), true) = (&self.relit, tensors.tensor(ASKED_AT).is_ok()) {
-            let words = |name: &str, count: usize| -> Result<Vec<u32>> {
-                let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
-                if t.dtype() != Dtype::U32 || t.data().len() != 4 * count {
-                    return Err(file(path, format!("\"{name}\" does not hold {count} 32-bit words")));
-                }
-                Ok(t.data().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
-            };
-            let of = |(i, b): (usize, &DeviceBuffer)| words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
-            let all = relit.estimates.iter().enumerate().map(of).collect::<Result<Vec<_>>>()?;
-            estimates = Some((all, words(ASKED_AT, relit.asked_at.len())?));
+            parameters.push([saved.floats(p.name(), count)?, saved.moments(&format!("{}_moments", p.name()), count)?]);
         }
         let field = match &self.parameters.visibility {
             Some(f) => {
                 let (table, mlp) = (2 * f.config().entries() as usize, f.config().weights());
-                let sizes = [table, mlp, 2 * table, 2 * mlp];
-                let read =
-                    FIELD.iter().zip(sizes).map(|(name, size)| floats(name, size)).collect::<Result<Vec<_>>>()?;
-                Some((f, read))
+                let [tables, layers, table_moments, mlp_moments] = FIELD;
+                Some([
+                    saved.floats(tables, table)?,
+                    saved.floats(layers, mlp)?,
+                    saved.moments(table_moments, table)?,
+                    saved.moments(mlp_moments, mlp)?,
+                ])
             }
             None => None,
         };
-        if let Some((f, read)) = &field {
-            f.upload(&self.device, &read[0], &read[1])?;
-            f.upload_moments(&self.device, [&read[2], &read[3]])?;
+        // Where texels moved with every step, nothing is left over.
+        let gathered = match &self.seldom {
+            Some(s) if saved.has(GATHERED) => Some(saved.floats(GATHERED, s.kept().floats())?),
+            Some(s) => Some(vec![0.0; s.kept().floats()]),
+            None => None,
+        };
+        let before = match &self.parameters.environment {
+            Some(texels) if self.automatic.is_some() => saved.before(texels.floats() as usize)?,
+            _ => Vec::new(),
+        };
+        // Of a run without a provider there is nothing, and everything is asked anew.
+        let estimates = match &self.relit {
+            Some(relit) if saved.has(ASKED_AT) => {
+                let words =
+                    |(i, b): (usize, &DeviceBuffer)| saved.words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
+                let all = relit.estimates.iter().enumerate().map(words).collect::<Result<Vec<_>>>()?;
+                Some((all, saved.words(ASKED_AT, relit.asked_at.len())?))
+            }
+            _ => None,
+        };
+        let gains = saved.floats(GAINS, self.light_model.lights as usize)?;
+        Ok(Values { parameters, gains, field, gathered, before, estimates })
+    }
+
+    /// Brings to the device what a checkpoint holds.
+    fn put(&mut self, values: Values) -> Result<()> {
+        if let (Some(f), Some([tables, mlp, table_moments, mlp_moments])) = (&self.parameters.visibility, &values.field)
+        {
+            f.upload(&self.device, tables, mlp)?;
+            f.upload_moments(&self.device, [table_moments, mlp_moments])?;
         }
-        for (p, (values, moments)) in self.parameters.all().into_iter().zip(&read) {
+        for (p, [values, moments]) in self.parameters.all().into_iter().zip(&values.parameters) {
             p.upload(&self.device, values)?;
             p.upload_moments(&self.device, moments)?;
         }
-        self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
-        if let (Some(relit), Some((all, asked_at))) = (&mut self.relit, estimates) {
+        self.device.upload(&self.gains, 0, bytemuck::cast_slice(&values.gains))?;
+        if let (Some(relit), Some((all, asked_at))) = (&mut self.relit, values.estimates) {
             for (buffer, words) in relit.estimates.iter().zip(&all) {
                 self.device.upload(buffer, 0, bytemuck::cast_slice(words))?;
             }
             relit.asked_at = asked_at;
         }
-        if let (Some(s), Some(gathered)) = (&self.seldom, &gathered) {
+        if let (Some(s), Some(gathered)) = (&self.seldom, &values.gathered) {
             s.kept().upload(&self.device, gathered)?;
         }
         if let Some(a) = &mut self.automatic {
-            before.sort_by_key(|b| b.0);
-            a.before = before;
-            a.last = last;
+            a.before = values.before;
         }
-        self.submitted = step;
-        self.done = step;
-        self.watch.restore(&course.watch);
-        // What is counted on the device counts from the start again; graphs are made when they are due.
-        self.status = IntrinsicStatus::new(&self.device)?;
-        self.set_rates(HALF.powi(course.roll_backs.len() as i32));
-        self.roll_backs = course.roll_backs;
-        self.keep_environment()
+        Ok(())
     }
 
     /// The splats with their materials.

@@ -1,0 +1,345 @@
+//! Pages for this machine while something goes on.
+//!
+//! Promises: listens on 127.0.0.1 and nowhere else; answers nobody who asked for another host's name, as a page elsewhere
+//! would have a browser do; changes nothing. Whatever requests say, no more than 16 KiB of each are read, for 5 seconds, of 16 at a
+//! time; and neither they nor whoever takes answers slowly keep others waiting, or the end.
+
+use httparse::{EMPTY_HEADER, Error, Request, Status};
+use std::fmt::Write as _;
+use std::io::{ErrorKind, Read, Result, Write as _};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// Most bytes of a request that are read before it is refused.
+const MOST_BYTES: usize = 16 << 10;
+
+/// Most headers of a request.
+const MOST_HEADERS: usize = 64;
+
+/// Most requests at a time.
+const AT_ONCE: usize = 16;
+
+/// How long a request may take to come.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long an answer may take to be taken.
+const TAKEN: Duration = Duration::from_secs(60);
+
+/// How long it is waited for somebody who has been answered and still talks. The connection would end with the answer unread.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// What there is at a path.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Content {
+    /// Its media type.
+    pub kind: &'static str,
+    /// It.
+    pub body: String,
+}
+
+/// A port that is taken before anything begins.
+#[derive(Debug)]
+pub struct Port(TcpListener, SocketAddr);
+
+impl Port {
+    /// Takes a port; 0 is any that is free.
+    ///
+    /// # Errors
+    /// If it is not to be had; [`ErrorKind::AddrInUse`] if it is another's.
+    pub fn take(port: u16) -> Result<Port> {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+        let address = listener.local_addr()?;
+        Ok(Port(listener, address))
+    }
+
+    /// Where pages are.
+    pub fn address(&self) -> String {
+        format!("http://{}/", self.1)
+    }
+
+    /// Begins to answer with what there is at a path with a query. That is asked for by one at a time.
+    ///
+    /// # Errors
+    /// If there can be no thread for it.
+    pub fn serve(self, pages: impl Fn(&str, &str) -> Option<Content> + Send + 'static) -> Result<Serving> {
+        let Port(listener, address) = self;
+        let over = Arc::new(AtomicBool::new(false));
+        let ends = over.clone();
+        let pages = Arc::new(Mutex::new(pages));
+        let seat = Arc::new(());
+        let thread = thread::Builder::new().name("pages".into()).spawn(move || {
+            for stream in listener.incoming() {
+                if ends.load(Ordering::Acquire) {
+                    return;
+                }
+                let Ok(stream) = stream else {
+                    // There may be no room for another file.
+                    thread::sleep(Duration::from_millis(50));
+                    continue;
+                };
+                if Arc::strong_count(&seat) > AT_ONCE {
+                    continue;
+                }
+                let (seat, pages) = (seat.clone(), pages.clone());
+                let attend = move || {
+                    let pages =
+                        |path: &str, query: &str| pages.lock().unwrap_or_else(PoisonError::into_inner)(path, query);
+                    // Whoever has gone away meanwhile misses nothing.
+                    let _gone = attend(stream, address.port(), pages);
+                    drop(seat);
+                };
+                // Without room for a thread somebody goes without an answer.
+                let _unattended = thread::Builder::new().name("page".into()).spawn(attend);
+            }
+        })?;
+        Ok(Serving { over, address, thread: Some(thread) })
+    }
+}
+
+/// Pages are served as long as it is there.
+#[derive(Debug)]
+pub struct Serving {
+    over: Arc<AtomicBool>,
+    address: SocketAddr,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Release);
+        // It waits for somebody to come.
+        let came = TcpStream::connect_timeout(&self.address, PATIENCE).is_ok();
+        if let Some(thread) = self.thread.take().filter(|_| came) {
+            let _ended = thread.join();
+        }
+    }
+}
+
+/// Reads a request and answers it.
+fn attend(mut stream: TcpStream, port: u16, pages: impl Fn(&str, &str) -> Option<Content>) -> Result<()> {
+    let mut buffer = [0; 4096];
+    let mut request = Vec::new();
+    let until = Instant::now() + PATIENCE;
+    let answer = loop {
+        match read(&mut stream, &mut buffer, until)? {
+            0 => return Ok(()),
+            count => request.extend_from_slice(&buffer[..count]),
+        }
+        if let Some(answer) = respond(&request, port, &pages) {
+            break answer;
+        }
+    };
+    let until = Instant::now() + TAKEN;
+    let mut rest = &answer[..];
+    while !rest.is_empty() {
+        stream.set_write_timeout(Some(left(until)?))?;
+        match stream.write(rest) {
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+            Ok(0) => return Ok(()),
+            Ok(count) => rest = &rest[count..],
+        }
+    }
+    stream.shutdown(std::net::Shutdown::Write)?;
+    let until = Instant::now() + FAREWELL;
+    while read(&mut stream, &mut buffer, until)? > 0 {}
+    Ok(())
+}
+
+fn read(stream: &mut TcpStream, buffer: &mut [u8], until: Instant) -> Result<usize> {
+    loop {
+        stream.set_read_timeout(Some(left(until)?))?;
+        match stream.read(buffer) {
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            read => return read,
+        }
+    }
+}
+
+/// How long it is until then.
+fn left(until: Instant) -> Result<Duration> {
+    let left = until.saturating_duration_since(Instant::now());
+    if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left) }
+}
+
+/// The answer to what has come of a request to this port so far, none if it is not whole. Bodies of requests are nothing to anybody.
+pub fn respond(request: &[u8], port: u16, pages: impl Fn(&str, &str) -> Option<Content>) -> Option<Vec<u8>> {
+    let mut headers = [EMPTY_HEADER; MOST_HEADERS];
+    let mut asked = Request::new(&mut headers);
+    let plain = |text: &str| Content { kind: "text/plain", body: format!("{text}\n") };
+    let refused = |status: &str, text: &str| Some(said(status, &plain(text), true));
+    match asked.parse(request) {
+        Ok(Status::Complete(_)) => {}
+        Ok(Status::Partial) if request.len() < MOST_BYTES => return None,
+        Ok(Status::Partial) | Err(Error::TooManyHeaders) => {
+            return refused("431 Request Header Fields Too Large", "This is more than anybody has to say here.");
+        }
+        Err(_) => return refused("400 Bad Request", "This is not understood."),
+    }
+    let (method, target) = (asked.method.unwrap_or_default(), asked.path.unwrap_or_default());
+    let mut hosts = asked.headers.iter().filter(|h| h.name.eq_ignore_ascii_case("host"));
+    let ours = hosts.next().is_some_and(|h| is_ours(h.value, port)) && hosts.next().is_none();
+    if !ours {
+        return refused("403 Forbidden", "This page is for this machine alone.");
+    }
+    if !["GET", "HEAD"].contains(&method) {
+        return refused("405 Method Not Allowed", "There is nothing to be changed here.");
+    }
+    let (path, query) = target.split_once('?').unwrap_or((target, ""));
+    let (status, content) = match pages(path, query) {
+        Some(content) => ("200 OK", content),
+        None => ("404 Not Found", plain("There is nothing here.")),
+    };
+    Some(said(status, &content, method == "GET"))
+}
+
+/// Whether a request means this machine by its own name.
+fn is_ours(host: &[u8], port: u16) -> bool {
+    let host = std::str::from_utf8(host).ok();
+    let Some((name, given)) = host.and_then(|h| h.rsplit_once(':')) else { return false };
+    ["127.0.0.1", "localhost"].contains(&name) && given.parse() == Ok(port)
+}
+
+/// An answer, after which the connection ends.
+fn said(status: &str, content: &Content, whole: bool) -> Vec<u8> {
+    let mut text = format!("HTTP/1.1 {status}\r\n");
+    let length = content.body.len().to_string();
+    for (name, value) in [
+        ("Content-Type", content.kind),
+        ("Content-Length", &length),
+        ("Cache-Control", "no-store"),
+        ("X-Content-Type-Options", "nosniff"),
+        ("Connection", "close"),
+    ] {
+        let _ = write!(text, "{name}: {value}\r\n");
+    }
+    if status.starts_with("405") {
+        text += "Allow: GET, HEAD\r\n";
+    }
+    text += "\r\n";
+    if whole {
+        text += &content.body;
+    }
+    text.into_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pages(path: &str, query: &str) -> Option<Content> {
+        match path {
+            "/" => Some(Content { kind: "text/html; charset=utf-8", body: format!("<!doctype html>{query}") }),
+            "/large" => Some(Content { kind: "text/plain", body: "0123456789abcdef".repeat(1 << 20) }),
+            _ => None,
+        }
+    }
+
+    fn connect(port: u16) -> TcpStream {
+        TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("a connection")
+    }
+
+    /// What is answered to a text, with the connection held open on this side.
+    fn ask(port: u16, text: &str) -> String {
+        let mut stream = connect(port);
+        stream.write_all(text.as_bytes()).expect("it listens");
+        let mut said = String::new();
+        stream.read_to_string(&mut said).expect("an answer");
+        said
+    }
+
+    fn get(port: u16, path: &str, more: &str) -> String {
+        format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{more}\r\n")
+    }
+
+    /// A port that is served, and its number.
+    fn served() -> (Serving, u16) {
+        let port = Port::take(0).expect("a port");
+        let number = port.1.port();
+        assert!(port.1.ip().is_loopback() && port.address() == format!("http://127.0.0.1:{number}/"));
+        (port.serve(pages).expect("it serves"), number)
+    }
+
+    #[test]
+    fn it_answers_this_machine_alone_and_ends() {
+        let (serving, port) = served();
+        assert_eq!(Port::take(port).expect_err("it is taken").kind(), ErrorKind::AddrInUse);
+        let whole = ask(port, &get(port, "/?a=1", ""));
+        assert!(whole.starts_with("HTTP/1.1 200 OK\r\n") && whole.ends_with("\r\n\r\n<!doctype html>a=1"), "{whole}");
+        assert!(whole.contains("Content-Length: 18\r\n") && whole.contains("no-store") && whole.contains("nosniff"));
+        assert!(ask(port, &get(port, "/none", "")).contains("404"));
+        let with = |host: &str| ask(port, &format!("GET / HTTP/1.1\r\n{host}\r\n"));
+        assert!(with(&format!("hOST: localhost:{port}\r\n")).contains("200 OK"));
+        let elsewhere = [
+            "Host: elsewhere.example\r\n".to_owned(),
+            format!("Host: elsewhere.example:{port}\r\n"),
+            format!("Host: localhost:{port}\r\nHost: elsewhere.example\r\n"),
+            format!("Host: localhost:{}\r\n", port ^ 1),
+            "Host: \u{e9}\r\n".to_owned(),
+            "Host: localhost\r\n".to_owned(),
+            String::new(),
+        ];
+        for host in elsewhere {
+            assert!(with(&host).contains("403"), "{host}");
+        }
+        let head = ask(port, &get(port, "/", "").replace("GET", "HEAD"));
+        assert!(head.contains("200 OK") && head.contains("Content-Length: 15") && head.ends_with("\r\n\r\n"), "{head}");
+        let post = ask(port, &get(port, "/", "").replace("GET", "POST"));
+        assert!(post.contains("405") && post.contains("Allow: GET, HEAD"), "{post}");
+        drop(serving);
+        assert!(Port::take(port).is_ok(), "the port is still taken");
+    }
+
+    #[test]
+    fn nothing_that_a_request_says_does_harm() {
+        let (serving, port) = served();
+        let lives = || assert!(ask(port, &get(port, "/", "")).contains("200 OK"), "it answers nobody any more");
+        // Bodies that never come, of sizes that nobody has.
+        for length in ["5", "4096", "99999999999999", "18446744073709551615", "-1", "x"] {
+            let said = ask(port, &get(port, "/", &format!("Content-Length: {length}\r\n")));
+            assert!(said.contains("200 OK"), "{length}: {said}");
+        }
+        let chunked = get(port, "/", "Transfer-Encoding: chunked\r\n") + "ffffffffffffffff\r\n";
+        assert!(ask(port, &chunked).contains("200 OK"));
+        assert!(ask(port, &get(port, "/", "Expect: 100-continue\r\n")).contains("200 OK"));
+        lives();
+        // What is no request, or too much of one.
+        assert!(ask(port, "\u{0}\u{1}\u{2}\r\n\r\n").contains("400"));
+        assert!(ask(port, "GET /\u{0} HTTP/1.1\r\n\r\n").contains("400"));
+        assert!(ask(port, "GET / HTTP/9.9\r\n\r\n").contains("400"));
+        assert!(ask(port, &get(port, &"/a".repeat(MOST_BYTES), "")).contains("431"));
+        assert!(ask(port, &"GET ".repeat(MOST_BYTES)).contains("400"));
+        assert!(ask(port, &get(port, "/", &"a: b\r\n".repeat(MOST_HEADERS))).contains("431"));
+        lives();
+        // Those who say nothing, or take nothing: some wait no longer than they may, and the end waits for none.
+        let mut slow = connect(port);
+        slow.write_all(get(port, "/large", "").as_bytes()).expect("it listens");
+        let mut silent: Vec<TcpStream> = (1..AT_ONCE).map(|_| connect(port)).collect();
+        let mut refused = connect(port);
+        assert!(matches!(refused.read(&mut [0]), Ok(0) | Err(_)), "there is room for one too many");
+        silent.truncate(3);
+        thread::sleep(Duration::from_millis(200));
+        lives();
+        let begun = Instant::now();
+        drop(serving);
+        assert!(begun.elapsed() < PATIENCE / 2, "it waited for somebody");
+        assert!(Port::take(port).is_ok(), "the port is still taken");
+        // What has begun is ended.
+        let mut large = String::new();
+        slow.read_to_string(&mut large).expect("an answer");
+        assert!(large.len() > 16 << 20 && large.ends_with("89abcdef"), "{} bytes", large.len());
+    }
+
+    #[test]
+    fn whoever_says_nothing_is_sent_away() {
+        let (_serving, port) = served();
+        let begun = Instant::now();
+        let mut stream = connect(port);
+        stream.write_all(b"GET / HT").expect("it listens");
+        assert_eq!(stream.read(&mut [0]).ok(), Some(0));
+        assert!((PATIENCE..3 * PATIENCE).contains(&begun.elapsed()), "{:?}", begun.elapsed());
+    }
+}
