@@ -265,6 +265,34 @@ fn the_cache_on_disk_may_fail() {
     }
 }
 
+/// Drivers believe what they are given: what a crash or a disk has made of the file does not come to them.
+#[test]
+fn a_damaged_cache_on_disk_is_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let (faults, objects) = (Faults::default(), Objects::default());
+    let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
+    let run = || {
+        let device = Device::open(&options).unwrap();
+        assert_eq!(workload(&device).unwrap(), expected());
+        assert_eq!(device.messages().take(), Vec::<String>::new());
+        drop(device);
+        let mut files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
+        assert_eq!(files.len(), 1, "{files:?}");
+        files.remove(0)
+    };
+    let file = run();
+    let whole = std::fs::read(&file).unwrap();
+    assert_eq!(run(), file);
+    let middle = whole.len() / 2;
+    let turned = [&whole[..middle], &[!whole[middle]], &whole[middle + 1..]].concat();
+    for damaged in [&[][..], &whole[..middle], &turned, &whole[12..]] {
+        std::fs::write(&file, damaged).unwrap();
+        run();
+        let again = std::fs::read(&file).unwrap();
+        assert!(again.starts_with(b"SGSPIPE1") && again != damaged, "it was not written again");
+    }
+}
+
 #[test]
 fn what_is_left_behind_shows() {
     let (faults, objects) = (Faults::default(), Objects::default());

@@ -3,6 +3,7 @@
 //! Promises: everything made from it keeps it alive; work is ordered by one timeline semaphore; nothing waits for the
 //! whole device. Leaves the order of passes to the graph.
 
+mod cache;
 pub mod external;
 pub mod fault;
 mod instance;

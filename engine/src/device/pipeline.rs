@@ -1,8 +1,8 @@
 //! Compute pipelines, made once for each kernel and specialization, and their cache on disk.
 
-use super::DeviceInfo;
 use super::fault::Gate;
 use super::objects::ObjectKind;
+use super::{DeviceInfo, cache};
 use crate::error::Result;
 use crate::shader::{BindingKind, Shader};
 use ash::vk;
@@ -36,16 +36,11 @@ pub(crate) struct Pipelines {
 
 impl Pipelines {
     pub fn new(device: &ash::Device, gate: &Gate, info: &DeviceInfo, folder: Option<PathBuf>) -> Result<Pipelines> {
-        // The driver checks the header of the data itself; the file is named after device and driver so that
-        // several devices keep theirs.
-        let path = folder.map(|f| {
-            let clean =
-                |s: &str| s.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect::<String>();
-            f.join(format!("{}-{}.bin", clean(&info.name), clean(&info.driver)))
-        });
-        let data = path.as_ref().and_then(|p| std::fs::read(p).ok()).unwrap_or_default();
+        let path = folder.map(|f| cache::file(&f, info));
+        let data = path.as_deref().map(cache::read).unwrap_or_default();
         let create = vk::PipelineCacheCreateInfo::default().initial_data(&data);
-        // SAFETY: the device is alive; invalid initial data is ignored by the driver as the specification demands.
+        // SAFETY: the device is alive; the data are what a driver once gave, by their checksum, and one that is not theirs ignores them,
+        // by their header.
         let cache = gate.make(ObjectKind::PipelineCache, "vkCreatePipelineCache", "kernels", || unsafe {
             device.create_pipeline_cache(&create, None)
         })?;
@@ -83,16 +78,7 @@ impl Pipelines {
             let data = gate
                 .call("vkGetPipelineCacheData", "kernels", || unsafe { device.get_pipeline_cache_data(self.cache) });
             if let Ok(data) = data {
-                // Losing the cache costs time, never a result, so failures are not errors.
-                let temporary = path.with_extension(format!("{}.tmp", std::process::id()));
-                let written = path
-                    .parent()
-                    .map_or(Ok(()), std::fs::create_dir_all)
-                    .and_then(|()| std::fs::write(&temporary, data))
-                    .and_then(|()| std::fs::rename(&temporary, path));
-                if let Err(error) = written {
-                    tracing::debug!(%error, "pipeline cache not written");
-                }
+                cache::write(path, &data);
             }
         }
         for (_, p) in made.drain() {
