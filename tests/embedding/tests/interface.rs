@@ -287,6 +287,12 @@ fn values_that_cannot_be_are_refused() {
         context.refused(draw(&|c, _| c.focal[1] = -1.0, 48), ARGUMENT, "focal");
         context.refused(draw(&|c, _| c.world_to_camera[7] = f32::NAN, 48), ARGUMENT, "not finite");
         context.refused(draw(&|c, _| c.world_to_camera = [0.0; 12], 48), ARGUMENT, "no rotation");
+        let sheared = [1.0, 0.0, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0];
+        context.refused(draw(&|c, _| c.world_to_camera = sheared, 48), ARGUMENT, "no rotation");
+        let far = [0.8, 0.6, 0.0, 3e38, -0.6, 0.8, 0.0, 3e38, 0.0, 0.0, 1.0, 4.0];
+        context.refused(draw(&|c, _| c.world_to_camera = far, 48), ARGUMENT, "beyond all numbers");
+        let mirror = [-1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0];
+        context.ok(draw(&|c, _| c.world_to_camera = mirror, 48));
         let mut view = 5;
         let shape = sized!(SgsViewInfo { width: 4, height: 4, format: 37, final_layout: 1 });
         let mut make = |change: &dyn Fn(&mut SgsViewInfo)| {

@@ -49,12 +49,15 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     }
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     let (rows, near) = ([row(0), row(1), row(2)], if c.near_plane > 0.0 { c.near_plane } else { 0.01 });
-    // A rotation has unit rows; anything else would put the splats' colors and shapes wrong without a word.
-    let length = |r: &[f32; 4]| r[..3].iter().map(|v| v * v).sum::<f32>();
-    if rows.iter().any(|r| (length(r) - 1.0).abs() > 1e-2) {
+    // A rotation, or a mirror, has unit rows at right angles; anything else would put the splats' colors and shapes wrong without a word.
+    let dot = |i: usize, j: usize| (0..3).map(|k| rows[i][k] * rows[j][k]).sum::<f32>();
+    if (0..3).any(|i| (dot(i, i) - 1.0).abs() > 1e-2 || dot(i, (i + 1) % 3).abs() > 1e-2) {
         return wrong("SgsCamera.world_to_camera has no rotation in its first three columns.");
     }
     let position = [0, 1, 2].map(|k| -rows.iter().map(|r| r[k] * r[3]).sum::<f32>());
+    if position.iter().any(|v| !v.is_finite()) {
+        return wrong("SgsCamera.world_to_camera stands beyond all numbers.");
+    }
     Ok(Camera {
         world_to_camera: rows,
         position,

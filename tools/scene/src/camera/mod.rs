@@ -91,6 +91,12 @@ impl Camera {
         if !(cx.is_finite() && cy.is_finite()) {
             return Some(format!("the principal point is ({cx}, {cy}); both must be finite numbers"));
         }
+        let few = 1.0 / FARTHEST;
+        if [fx, fy].iter().any(|f| !(few..=FARTHEST).contains(f)) || cx.abs().max(cy.abs()) > FARTHEST {
+            return Some(format!(
+                "the focal lengths are {fx:e} and {fy:e} pixels, the principal point is ({cx:e}, {cy:e}); single precision ends before"
+            ));
+        }
         if !(self.rotation.is_finite() && self.translation.is_finite()) {
             return Some("the pose holds values that are not finite; correct or remove it".into());
         }
@@ -169,6 +175,9 @@ pub(crate) mod tests {
         assert!(describe(|c| c.fx = 0.0).contains("focal lengths are 0"));
         assert!(describe(|c| c.fy = f64::NAN).contains("NaN"));
         assert!(describe(|c| c.cx = f64::INFINITY).contains("principal point is (inf"));
+        assert!(describe(|c| c.fx = 1e300).contains("focal lengths are 1e300"));
+        assert!(describe(|c| c.fy = 1e-300).contains("and 1e-300 pixels"));
+        assert!(describe(|c| c.cy = -1e300).contains("-1e300); single precision ends before"));
         assert!(describe(|c| c.translation.y = f64::NAN).contains("pose"));
         assert!(describe(|c| c.translation.x = 1e300).contains("stands 1e300 units from the origin"));
         assert!(describe(|c| c.rotation.x_axis.y = f64::NAN).contains("pose"));
