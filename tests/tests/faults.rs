@@ -265,7 +265,7 @@ fn the_cache_on_disk_may_fail() {
     }
 }
 
-/// Drivers believe what they are given: what a crash or a disk has made of the file does not come to them.
+/// Whatever a crash or a disk has made of the file, kernels are made, and it is whole again.
 #[test]
 fn a_damaged_cache_on_disk_is_none() {
     let folder = tempfile::tempdir().unwrap();

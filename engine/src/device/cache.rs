@@ -67,4 +67,21 @@ mod tests {
         assert_eq!(opened(&[&whole[..], &[0]].concat()), None);
         assert_eq!(opened(&data), None, "as it was without a checksum");
     }
+
+    #[test]
+    fn what_comes_from_the_disk_is_what_went_there_or_nothing() {
+        let path = std::env::temp_dir().join(format!("sgs-cache-{}", std::process::id())).join("device.bin");
+        let data: Vec<u8> = (0..200).collect();
+        write(&path, &data);
+        assert_eq!(read(&path), data);
+        let whole = std::fs::read(&path).expect("it is there");
+        for damaged in [&[][..], &whole[..whole.len() - 1], &whole[1..], &data] {
+            std::fs::write(&path, damaged).expect("it is written");
+            assert_eq!(read(&path), [0; 0]);
+        }
+        write(&path, &data[..7]);
+        assert_eq!(read(&path), data[..7]);
+        std::fs::remove_dir_all(path.parent().expect("a folder")).expect("it goes");
+        assert_eq!(read(&path), [0; 0]);
+    }
 }

@@ -289,8 +289,9 @@ fn values_that_cannot_be_are_refused() {
         context.refused(draw(&|c, _| c.world_to_camera = [0.0; 12], 48), ARGUMENT, "no rotation");
         let sheared = [1.0, 0.0, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0];
         context.refused(draw(&|c, _| c.world_to_camera = sheared, 48), ARGUMENT, "no rotation");
-        let far = [0.8, 0.6, 0.0, 3e38, -0.6, 0.8, 0.0, 3e38, 0.0, 0.0, 1.0, 4.0];
-        context.refused(draw(&|c, _| c.world_to_camera = far, 48), ARGUMENT, "beyond all numbers");
+        context.refused(draw(&|c, _| c.world_to_camera[3] = 3e38, 48), ARGUMENT, "beyond 1e15");
+        context.refused(draw(&|c, _| c.center[0] = -1e16, 48), ARGUMENT, "beyond 1e15");
+        context.refused(draw(&|c, _| c.focal[0] = 1e-40, 48), ARGUMENT, "below 1e-15");
         let mirror = [-1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0];
         context.ok(draw(&|c, _| c.world_to_camera = mirror, 48));
         let mut view = 5;

@@ -81,7 +81,7 @@ fn every_target_has_files_that_it_reads() {
         said("visibility", "small.safetensors") == "read" && said("checkpoint", "plain.safetensors").starts_with('2')
     );
     let materials = said("intrinsic_checkpoint", "automatic.safetensors");
-    assert_eq!(materials, "true 2 2 [true, true, true, true] 2 true");
+    assert_eq!(materials, "true 2 2 [true, true, true, true] 2 true true");
     assert_eq!(said("page_request", "page.txt"), "HTTP/1.1 200 OK 8");
     for name in ["masks", "regions", "normals", "semantics", "text", "materials"] {
         let answer = if name == "semantics" { "features" } else { name };

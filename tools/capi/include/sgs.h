@@ -282,7 +282,7 @@ typedef struct {
   float focal[2];
   // The principal point in pixels.
   float center[2];
-  // From the world to the camera, three rows of four.
+  // From the world to the camera, three rows of four: a rotation or a mirror, and a translation.
   float world_to_camera[12];
 } SgsCamera;
 

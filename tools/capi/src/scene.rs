@@ -33,12 +33,15 @@ impl SceneObject {
     }
 }
 
+/// The largest number that a camera may have.
+const MOST: f32 = 1e15;
+
 /// A camera as kernels take it.
 pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     let wrong = |text: &str| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
     let m = &c.world_to_camera;
     let numbers = c.focal.iter().chain(&c.center).chain(m).chain([&c.near_plane]);
-    if numbers.into_iter().any(|v| !v.is_finite()) {
+    if numbers.clone().any(|v| !v.is_finite()) {
         return wrong("SgsCamera holds numbers that are not finite.");
     }
     if c.width == 0 || c.height == 0 || c.width > 65_536 || c.height > 65_536 {
@@ -46,6 +49,10 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     }
     if c.focal.iter().any(|f| *f <= 0.0) || c.near_plane < 0.0 {
         return wrong("SgsCamera.focal must be positive, and near_plane not negative.");
+    }
+    // Squares of such numbers still fit, as with cameras from files.
+    if numbers.clone().any(|v| v.abs() > MOST) || c.focal.iter().any(|f| *f < 1.0 / MOST) {
+        return wrong("SgsCamera holds numbers beyond 1e15, or a focal length below 1e-15.");
     }
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     let (rows, near) = ([row(0), row(1), row(2)], if c.near_plane > 0.0 { c.near_plane } else { 0.01 });
@@ -55,9 +62,6 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
         return wrong("SgsCamera.world_to_camera has no rotation in its first three columns.");
     }
     let position = [0, 1, 2].map(|k| -rows.iter().map(|r| r[k] * r[3]).sum::<f32>());
-    if position.iter().any(|v| !v.is_finite()) {
-        return wrong("SgsCamera.world_to_camera stands beyond all numbers.");
-    }
     Ok(Camera {
         world_to_camera: rows,
         position,

@@ -256,7 +256,7 @@ pub struct SgsCamera {
     pub focal: [f32; 2],
     /// The principal point in pixels.
     pub center: [f32; 2],
-    /// From the world to the camera, three rows of four.
+    /// From the world to the camera, three rows of four: a rotation or a mirror, and a translation.
     pub world_to_camera: [f32; 12],
 }
 

@@ -1,5 +1,6 @@
 // A page that a server keeps up to date: parts are taken over as they change, sliders stay where they are.
 let pictures = 0;
+let unanswered = 0;
 function take(id, html) {
   const part = document.querySelector("#" + id + " .live");
   if (!part || part.dataset.html === html) return;
@@ -19,10 +20,14 @@ async function look() {
       const now = await answer.json();
       for (const [id, html] of Object.entries(now.parts)) take(id, html);
       pictures = now.pictures;
+      unanswered = 0;
     }
     setTimeout(look, 2000);
   } catch {
-    document.body.classList.add("ended");
+    // A busy server turns some away.
+    unanswered += 1;
+    if (unanswered < 3) setTimeout(look, 2000);
+    else document.body.classList.add("ended");
   }
 }
 look();

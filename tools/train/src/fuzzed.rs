@@ -37,10 +37,20 @@ pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
         before.iter().all(|(taken, texels)| *taken <= saved.step && texels.len() == 18),
         "what was before is whole"
     );
-    let asked = saved.words("relit_asked_at", 2).map_or(0, |words| words.len());
+    let gathered = saved.has("environment_gathered");
+    if gathered {
+        saved.floats("environment_gathered", 18)?;
+    }
+    saved.floats("light_gains", 1)?;
+    let mut asked = 0;
+    if saved.has("relit_asked_at") {
+        asked = saved.asked_at(2)?.len();
+        assert!(saved.asked_at(2)?.iter().all(|step| step.checked_sub(1).is_none_or(|before| before <= saved.step)));
+        saved.words("relit_estimates0", 4)?;
+    }
     let decided = [saved.lobes, saved.levels, saved.texels, saved.pace.map(|[every, _, _]| every)].map(|n| n.is_some());
     Ok(format!(
-        "{known} {} {} {decided:?} {asked} {}",
+        "{known} {} {} {decided:?} {asked} {gathered} {}",
         before.len().min(3),
         saved.decisions.len().min(3),
         saved.last.is_some()

@@ -249,7 +249,11 @@ fn tensors() -> Files {
         ("visibility", "small.safetensors", read(field)),
         ("lpips", "alex.safetensors", lpips),
         ("checkpoint", "plain.safetensors", state),
-        ("intrinsic_checkpoint", "automatic.safetensors", tensor_file(&materials, &[("relit_asked_at", 2)], &meta)),
+        (
+            "intrinsic_checkpoint",
+            "automatic.safetensors",
+            tensor_file(&materials, &[("relit_asked_at", 2), ("relit_estimates0", 4)], &meta),
+        ),
     ]
 }
 

@@ -117,8 +117,9 @@ pub(crate) fn request(bytes: &[u8]) -> String {
     let length: Option<usize> = head.lines().find_map(|l| l.strip_prefix("Content-Length: ")?.parse().ok());
     assert!(head.starts_with("HTTP/1.1 ") && length.is_some(), "it is an answer");
     assert!(body.is_empty() || length == Some(body.len()), "the length is said");
-    let named = |name: &[u8]| bytes.windows(name.len()).any(|w| w.eq_ignore_ascii_case(name));
-    let ours = named(b"127.0.0.1:") || named(b"localhost:");
+    let lines = bytes.split(|b| *b == b'\n').map(|line| line.trim_ascii().to_ascii_lowercase());
+    let hosts: Vec<_> = lines.filter_map(|l| l.strip_prefix(b"host:").map(|h| h.trim_ascii().to_vec())).collect();
+    let ours = hosts.first().is_some_and(|h| h.starts_with(b"127.0.0.1:") || h.starts_with(b"localhost:"));
     assert!(ours || !head.contains("200 OK"), "nobody is answered who asked for another host");
     format!("{} {}", head.lines().next().unwrap_or_default(), body.len().min(30))
 }

@@ -13,7 +13,8 @@ pub use distortion::Distortion;
 /// The largest image side that is believed; anything above is a damaged file, not a photograph.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;
 
-/// The farthest that a camera may stand from the origin; squares of such distances still fit a 32-bit float.
+/// The farthest that a camera may stand from the origin, and the most pixels that a focal length and a principal point may have; squares
+/// of such numbers still fit a 32-bit float.
 const FARTHEST: f64 = 1e15;
 
 /// A pinhole camera with its pose.
@@ -94,7 +95,7 @@ impl Camera {
         let few = 1.0 / FARTHEST;
         if [fx, fy].iter().any(|f| !(few..=FARTHEST).contains(f)) || cx.abs().max(cy.abs()) > FARTHEST {
             return Some(format!(
-                "the focal lengths are {fx:e} and {fy:e} pixels, the principal point is ({cx:e}, {cy:e}); single precision ends before"
+                "the focal lengths are {fx:e} and {fy:e} pixels, the principal point is ({cx:e}, {cy:e}); nothing is computed with such numbers"
             ));
         }
         if !(self.rotation.is_finite() && self.translation.is_finite()) {
@@ -177,7 +178,7 @@ pub(crate) mod tests {
         assert!(describe(|c| c.cx = f64::INFINITY).contains("principal point is (inf"));
         assert!(describe(|c| c.fx = 1e300).contains("focal lengths are 1e300"));
         assert!(describe(|c| c.fy = 1e-300).contains("and 1e-300 pixels"));
-        assert!(describe(|c| c.cy = -1e300).contains("-1e300); single precision ends before"));
+        assert!(describe(|c| c.cy = -1e300).contains("-1e300); nothing is computed"));
         assert!(describe(|c| c.translation.y = f64::NAN).contains("pose"));
         assert!(describe(|c| c.translation.x = 1e300).contains("stands 1e300 units from the origin"));
         assert!(describe(|c| c.rotation.x_axis.y = f64::NAN).contains("pose"));

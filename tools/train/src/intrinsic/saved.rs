@@ -100,6 +100,10 @@ impl<'a> Saved<'a> {
             let wrong = || refused(format!("damaged: \"{text}\" is no number of {name}"));
             value.map(Some).ok_or_else(wrong)
         };
+        let decisions: Vec<Decision> = decisions;
+        if let Some(later) = decisions.iter().find(|d| d.step > step) {
+            return Err(refused(format!("damaged: after step {step} nothing was decided at step {}", later.step)));
+        }
         let (lobes, levels) = (within(LOBES, 1..=32)?, within(LEVELS, 1..=u32::MAX)?);
         let texels = match meta.get(TEXELS) {
             None => None,
@@ -119,7 +123,7 @@ impl<'a> Saved<'a> {
             levels,
             texels,
             pace: pace(&meta, step).map_err(refused)?,
-            last: meta.get(LAST).and_then(|text| text.parse().ok()).filter(|last| *last >= 0.0),
+            last: last(&meta).map_err(refused)?,
         })
     }
 
@@ -160,6 +164,18 @@ impl<'a> Saved<'a> {
     pub fn words(&self, name: &str, count: usize) -> Result<Vec<u32>> {
         let data = self.data(name, count, Dtype::U32)?;
         Ok(data.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
+    }
+
+    /// Before which step each of so many views was asked about under other lights; 0 is never.
+    ///
+    /// # Errors
+    /// If there are not so many, or some are after the next step.
+    pub fn asked_at(&self, views: usize) -> Result<Vec<u32>> {
+        let steps = self.words(ASKED_AT, views)?;
+        match steps.iter().find(|step| **step > self.step.saturating_add(1)) {
+            None => Ok(steps),
+            Some(later) => Err(self.refused(format!("damaged: \"{ASKED_AT}\" tells of step {later}"))),
+        }
     }
 
     /// Surroundings as they were after earlier steps, by these, of so many values each.
@@ -210,6 +226,13 @@ fn pace(meta: &HashMap<String, String>, step: u32) -> std::result::Result<Option
     }
 }
 
+/// The error when it was last looked at.
+fn last(meta: &HashMap<String, String>) -> std::result::Result<Option<f64>, String> {
+    let Some(text) = meta.get(LAST) else { return Ok(None) };
+    let value = text.parse().ok().filter(|last: &f64| *last >= 0.0 && last.is_finite());
+    value.map(Some).ok_or_else(|| format!("damaged: \"{text}\" is no error of pictures"))
+}
+
 fn no_texels(path: &Path, size: &str) -> TrainError {
     file(path, format!("damaged: surroundings cannot have \"{size}\" texels along an edge"))
 }
@@ -244,7 +267,7 @@ mod tests {
         let meta: HashMap<_, _> = said.iter().chain(meta).map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
         let tensors: HashMap<_, _> = held.iter().chain(tensors).copied().collect();
         let floats = tensors.iter().map(|(name, v)| (*name, Numbers::Floats(Floats(v, vec![v.len()]))));
-        let words = [(ASKED_AT, Numbers::Words(&[7, 8], vec![2]))];
+        let words = [(ASKED_AT, Numbers::Words(&[41, 0], vec![2]))];
         serialize(floats.chain(words), meta).unwrap()
     }
 
@@ -257,7 +280,7 @@ mod tests {
         assert_eq!((saved.pace, saved.course.roll_backs.len()), (Some([8, 20, 20]), 0));
         assert_eq!(saved.floats("albedo", 3).unwrap(), [0.25, -1.0, 2.0]);
         assert_eq!(saved.moments("albedo_moments", 3).unwrap(), [0.0, 1.0, -1.0, 0.0, 3.0, 2.0]);
-        assert_eq!(saved.words(ASKED_AT, 2).unwrap(), [7, 8]);
+        assert_eq!(saved.asked_at(2).unwrap(), [41, 0]);
         assert_eq!(saved.before(3).unwrap(), [(36, vec![2.0; 3]), (40, vec![1.0; 3])]);
         assert!(saved.has("albedo") && !saved.has("roughness"));
     }
@@ -273,12 +296,14 @@ mod tests {
             };
             let values = [saved.floats("albedo", 3), saved.moments("albedo_moments", 3)];
             let errors = values.into_iter().filter_map(|v| v.err()).chain(saved.before(3).err());
+            let errors = errors.chain(saved.asked_at(2).err());
             errors.map(|e| e.to_string()).collect::<Vec<_>>().join(" ")
         };
         assert_eq!(refused(&[], &[]), "");
         for (name, value, what) in [
             ("format", "sgs-geometry-1", "not a checkpoint of the intrinsic stage"),
             ("step", "-1", "does not say its step"),
+            ("step", "39", "tells of step 41"),
             ("splats", "", "does not say its splats"),
             (LOBES, "0", "\"0\" is no number of lobes"),
             (LOBES, "33", "\"33\" is no number of lobes"),
@@ -290,6 +315,14 @@ mod tests {
             (PACE, "8 20 21", "cannot move as in \"8 20 21\""),
             (PACE, "8 20", "\"8 20\" does not say how often"),
             (DECISIONS, "{}", "damaged: \"decisions\""),
+            (
+                DECISIONS,
+                "[{\"step\":41,\"what\":\"lights\",\"on\":false,\"reason\":\"\",\"setting\":\"\"}]",
+                "nothing was decided at step 41",
+            ),
+            (LAST, "inf", "\"inf\" is no error"),
+            (LAST, "-1", "\"-1\" is no error"),
+            (LAST, "", "\"\" is no error"),
             ("roll_backs", "[1]", "damaged: \"roll_backs\""),
         ] {
             let said = refused(&[(name, value)], &[]);

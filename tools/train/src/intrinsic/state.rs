@@ -56,7 +56,7 @@ impl Intrinsic {
         if let Some(s) = &self.seldom {
             values.push((GATHERED.to_owned(), s.kept().download(&self.device)?));
         }
-        for (step, texels) in self.remembered() {
+        for (step, texels) in self.remembered().iter().filter(|(step, _)| *step <= self.done) {
             values.push((format!("{BEFORE}{step}"), texels.clone()));
         }
         // What has been said of views, and when: asking again would be about other parameters.
@@ -77,7 +77,7 @@ impl Intrinsic {
         ]);
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         if let Some(a) = &self.automatic {
-            if let Some(last) = a.last {
+            if let Some(last) = a.last.filter(|last| last.is_finite()) {
                 // Rust writes as many digits as it takes to read the same number.
                 meta.insert(LAST.to_owned(), last.to_string());
             }
@@ -193,7 +193,7 @@ impl Intrinsic {
                 let words =
                     |(i, b): (usize, &DeviceBuffer)| saved.words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
                 let all = relit.estimates.iter().enumerate().map(words).collect::<Result<Vec<_>>>()?;
-                Some((all, saved.words(ASKED_AT, relit.asked_at.len())?))
+                Some((all, saved.asked_at(relit.asked_at.len())?))
             }
             _ => None,
         };

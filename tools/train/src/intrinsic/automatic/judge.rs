@@ -71,25 +71,32 @@ struct Changes {
 impl Intrinsic {
     /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
     pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
-        let decided = match self.worthless(step) {
+        let (decided, changes) = match self.worthless(step) {
             Err(e) if e.is_out_of_memory() => {
                 tracing::info!("after step {step} there is no memory to see what could be left out");
                 return Ok(());
             }
             other => other?,
         };
-        for decision in decided {
-            tracing::info!("{decision}");
-            if let Some(a) = &mut self.automatic {
+        let resized = changes.texels.is_some();
+        // Looking has changed nothing. From here on an error ends the training: it would go on with half a model.
+        self.change(step, changes)?;
+        if let Some(a) = &mut self.automatic {
+            if resized {
+                // Of a cube that is no more.
+                a.before.clear();
+            }
+            for decision in decided {
+                tracing::info!("{decision}");
                 a.decisions.push(decision);
             }
         }
         Ok(())
     }
 
-    fn worthless(&mut self, step: u32) -> Result<Vec<Decision>> {
+    fn worthless(&mut self, step: u32) -> Result<(Vec<Decision>, Changes)> {
         let (asked, watched) = (*self.automatic_settings(), self.automatic.take());
-        let Some(mut watched) = watched else { return Ok(Vec::new()) };
+        let Some(mut watched) = watched else { return Ok(Default::default()) };
         let found = match watched.own {
             Some(own) => Ok(own),
             None => self.own(&watched.views),
@@ -121,7 +128,14 @@ impl Intrinsic {
         Ok(sum)
     }
 
-    fn found(&mut self, step: u32, a: &AutomaticSettings, watched: &mut Automatic, own: f64) -> Result<Vec<Decision>> {
+    /// What is decided, and what is to be done about it.
+    fn found(
+        &mut self,
+        step: u32,
+        a: &AutomaticSettings,
+        watched: &mut Automatic,
+        own: f64,
+    ) -> Result<(Vec<Decision>, Changes)> {
         let Automatic { views, before, last, .. } = watched;
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
@@ -138,7 +152,8 @@ impl Intrinsic {
                 "shaded pictures are {short:.1} dB short of the splats' own colors (asked: {ready}): nothing is judged yet"
             );
             let (what, asked) = ("all parts".to_owned(), Some(f64::from(ready)));
-            return Ok(vec![Decision { step, what, on: true, reason, measured: Some(short), asked, setting }]);
+            let waits = Decision { step, what, on: true, reason, measured: Some(short), asked, setting };
+            return Ok((vec![waits], Changes::default()));
         }
         tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
         // Pictures that have become worse are swinging.
@@ -149,13 +164,7 @@ impl Intrinsic {
             );
         }
         let changes = self.judged(a, &mut seen, settled)?;
-        let (decisions, resized) = (seen.decisions, changes.texels.is_some());
-        self.change(step, changes)?;
-        if resized {
-            // Of a cube that is no more.
-            watched.before.clear();
-        }
-        Ok(decisions)
+        Ok((seen.decisions, changes))
     }
 
     /// What can go. Nothing has changed yet.
