@@ -13,7 +13,7 @@ use ::exr::meta::attribute::Text;
 use ::exr::meta::header::LayerAttributes;
 use ::exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
-use super::{Image, dwa, file};
+use super::{Image, blocks, dwa, file};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError, io_error};
 
@@ -38,9 +38,19 @@ fn rank(name: &str) -> usize {
 /// Bytes of pixels that a byte of the file holds at most: the best of its compressions is deflate, of three bytes in four.
 const RATIO: u64 = 1400;
 
-/// The size, the number of channels and whether blocks have sizes of their own, from the header alone. The file is long enough for
-/// that size.
-fn header(path: &Path) -> Result<(u32, u32, usize, bool)> {
+/// What headers say.
+struct Headers {
+    /// Columns and rows.
+    size: (u32, u32),
+    channels: usize,
+    /// Blocks have sizes of their own ([`dwa`]).
+    sized: bool,
+    /// Blocks may be longer than the file ([`blocks`]).
+    long: bool,
+}
+
+/// What headers say of the first layer; the file is long enough for its size.
+fn header(path: &Path) -> Result<Headers> {
     let file = File::open(path).map_err(io_error("read", path))?;
     let length = file.metadata().map_err(io_error("read", path))?.len();
     let meta = MetaData::read_from_unbuffered(file, false).map_err(|e| unreadable(path, &e))?;
@@ -71,21 +81,30 @@ fn header(path: &Path) -> Result<(u32, u32, usize, bool)> {
     file::check_size(path, width, height)?;
     let bytes: u64 = layer.channels.list.iter().map(|c| c.sample_type.bytes_per_sample() as u64).sum();
     let pixels = u64::from(width) * u64::from(height);
-    file::check_held(path, (width, height), pixels.saturating_mul(bytes), length.saturating_mul(RATIO))?;
-    Ok((width, height, layer.channels.list.len(), meta.headers.iter().any(dwa::applies)))
+    let held = length.saturating_mul(RATIO);
+    file::check_held(path, (width, height), pixels.saturating_mul(bytes), held)?;
+    Ok(Headers {
+        size: (width, height),
+        channels: layer.channels.list.len(),
+        sized: meta.headers.iter().any(dwa::applies),
+        long: meta.headers.iter().any(|h| blocks::applies(h, held)),
+    })
 }
 
 /// The width and height that the header gives.
 pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
-    header(path).map(|(width, height, ..)| (width, height))
+    header(path).map(|headers| headers.size)
 }
 
 /// Reads all channels of the first layer as 32-bit floats.
 pub fn read_exr(path: &Path) -> Result<ExrImage> {
-    let (width, height, channels, sized) = header(path)?;
+    let Headers { size: (width, height), channels, sized, long } = header(path)?;
     if u64::from(width) * u64::from(height) * channels as u64 > file::MAX_PIXELS * 4 {
         let problem = format!("{width}×{height} pixels with {channels} channels are more than an image may have");
         return Err(SceneError::image(path, problem));
+    }
+    if long {
+        blocks::check(path)?;
     }
     if sized {
         dwa::check(path)?;

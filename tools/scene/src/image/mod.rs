@@ -4,6 +4,7 @@
 //! which of the two it takes and gives. Files: [`read_exr`], [`write_exr`], [`write_png`], and PNG and JPEG through
 //! [`View::load_image`](crate::View::load_image).
 
+mod blocks;
 mod color;
 mod dwa;
 mod environment;
