@@ -6,7 +6,7 @@ use crate::types::*;
 use sgs_passes::pipeline::{Camera, Renderer};
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::Channels;
-use sgs_scene::Splats;
+use sgs_scene::{MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, Splats};
 use std::ffi::c_char;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -33,9 +33,6 @@ impl SceneObject {
     }
 }
 
-/// The largest number that a camera may have.
-const MOST: f32 = 1e15;
-
 /// A camera as kernels take it.
 pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     let wrong = |text: &str| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
@@ -44,14 +41,14 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     if numbers.clone().any(|v| !v.is_finite()) {
         return wrong("SgsCamera holds numbers that are not finite.");
     }
-    if c.width == 0 || c.height == 0 || c.width > 65_536 || c.height > 65_536 {
+    if c.width == 0 || c.height == 0 || c.width > MAX_IMAGE_SIDE || c.height > MAX_IMAGE_SIDE {
         return wrong("SgsCamera.width and height must be between 1 and 65536.");
     }
     if c.focal.iter().any(|f| *f <= 0.0) || c.near_plane < 0.0 {
         return wrong("SgsCamera.focal must be positive, and near_plane not negative.");
     }
-    // Squares of such numbers still fit, as with cameras from files.
-    if numbers.clone().any(|v| v.abs() > MOST) || c.focal.iter().any(|f| *f < 1.0 / MOST) {
+    let most = MAX_CAMERA_NUMBER as f32;
+    if numbers.clone().any(|v| v.abs() > most) || c.focal.iter().any(|f| *f < 1.0 / most) {
         return wrong("SgsCamera holds numbers beyond 1e15, or a focal length below 1e-15.");
     }
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];

@@ -30,7 +30,7 @@ mod split;
 mod view;
 
 pub use atomic::atomic_write;
-pub use camera::{Camera, Distortion, MAX_IMAGE_SIDE};
+pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE};
 pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
 pub use gltf::{GltfScene, Placement, PointLight, write_gltf};

@@ -3,9 +3,10 @@
 //! Promises: the file is written beside and renamed into place, so that a full disk or a kill loses no earlier one.
 
 use crate::divergence::RollBack;
-use crate::error::{Result, TrainError};
+use crate::error::Result;
 use crate::floats::Floats;
 use crate::geometry::{Bands, Decision, Growth};
+use crate::run::error;
 use safetensors::{Dtype, SafeTensors};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use std::collections::HashMap;
@@ -59,9 +60,13 @@ impl Course {
 }
 
 /// What metadata hold as JSON, if they do.
-fn json<T: serde::de::DeserializeOwned>(path: &Path, meta: &HashMap<String, String>, name: &str) -> Result<Option<T>> {
+pub(crate) fn json<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    meta: &HashMap<String, String>,
+    name: &str,
+) -> Result<Option<T>> {
     let read = |text: &String| serde_json::from_str(text);
-    meta.get(name).map(read).transpose().map_err(|e| file(path, format!("damaged: \"{name}\": {e}")))
+    meta.get(name).map(read).transpose().map_err(|e| error(path, format!("damaged: \"{name}\": {e}")))
 }
 
 impl State {
@@ -99,29 +104,29 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
     }
     meta.insert("growth".to_owned(), serde_json::to_string(&state.growth).unwrap_or_default());
     let tensors = state.tensors(state.model);
-    let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
+    let bytes = crate::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
     Ok(())
 }
 
 /// Reads a checkpoint of a model; with `any_degree` of whatever bands of spherical harmonics there are.
 pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<State> {
-    let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
-    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| file(path, format!("not a checkpoint: {e}")))?;
+    let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| error(path, format!("not a checkpoint: {e}")))?;
     let meta = header.metadata().clone().unwrap_or_default();
     if meta.get("format").map(String::as_str) != Some("sgs-geometry-1") {
-        return Err(file(path, "not a checkpoint of the geometry stage".into()));
+        return Err(error(path, "not a checkpoint of the geometry stage".into()));
     }
     let number = |name: &str| -> Result<u32> {
         let value = meta.get(name).and_then(|s| s.parse().ok());
-        value.ok_or_else(|| file(path, format!("the checkpoint does not say its {name}")))
+        value.ok_or_else(|| error(path, format!("the checkpoint does not say its {name}")))
     };
     let (step, capacity) = (number("step")?, number("capacity")?);
-    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| file(path, format!("damaged: {e}")))?;
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| error(path, format!("damaged: {e}")))?;
     let floats = |name: &str| -> Result<Vec<f32>> {
-        let t = tensors.tensor(name).map_err(|_| file(path, format!("the checkpoint has no \"{name}\"")))?;
+        let t = tensors.tensor(name).map_err(|_| error(path, format!("the checkpoint has no \"{name}\"")))?;
         if t.dtype() != Dtype::F32 {
-            return Err(file(path, format!("\"{name}\" does not hold 32-bit floats")));
+            return Err(error(path, format!("\"{name}\" does not hold 32-bit floats")));
         }
         Ok(t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
     };
@@ -139,7 +144,7 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
                 if present { "has" } else { "lacks" },
                 group.name()
             );
-            return Err(file(path, reason));
+            return Err(error(path, reason));
         }
         if present {
             parameters.groups[group as usize] = floats(group.name())?;
@@ -150,21 +155,21 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
     for group in model.groups() {
         let scalars = count * group.width() as usize;
         if parameters.group(group).len() != scalars || moments.group(group).len() != 2 * scalars {
-            return Err(file(path, format!("\"{}\" does not fit {count} Gaussians", group.name())));
+            return Err(error(path, format!("\"{}\" does not fit {count} Gaussians", group.name())));
         }
     }
     for group in model.groups() {
         if parameters.group(group).iter().any(|v| !v.is_finite()) {
-            return Err(file(path, format!("damaged: \"{}\" holds values that are not finite", group.name())));
+            return Err(error(path, format!("damaged: \"{}\" holds values that are not finite", group.name())));
         }
         if let Some(wrong) = wrong_moments(moments.group(group)) {
-            return Err(file(path, format!("damaged: \"{}_moments\" holds {wrong}", group.name())));
+            return Err(error(path, format!("damaged: \"{}_moments\" holds {wrong}", group.name())));
         }
     }
     let statistics = floats("statistics")?;
     // Without densification there are none.
     if !statistics.is_empty() && statistics.len() != count * STATISTICS as usize {
-        return Err(file(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
+        return Err(error(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
     }
     let decoder = match model.semantics {
         true => Some([floats("decoder")?, floats("decoder_moments")?]),
@@ -174,7 +179,10 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
         let scalars = EMBEDDING * AUGMENTED;
         let whole = parameters.len() == scalars && moments.len() == 2 * scalars;
         if !whole || parameters.iter().any(|v| !v.is_finite()) || wrong_moments(moments).is_some() {
-            return Err(file(path, "damaged: \"decoder\" has another size or holds values that are not finite".into()));
+            return Err(error(
+                path,
+                "damaged: \"decoder\" has another size or holds values that are not finite".into(),
+            ));
         }
     }
     let course = Course::read(path, &meta)?;
@@ -190,8 +198,4 @@ pub(crate) fn wrong_moments(pairs: &[f32]) -> Option<&'static str> {
         return Some("values that are not finite");
     }
     pairs.as_chunks().0.iter().any(|[_, second]| *second < 0.0).then_some("squares that are negative")
-}
-
-fn file(path: &Path, reason: String) -> TrainError {
-    TrainError::File { path: path.to_owned(), reason }
 }

@@ -2,9 +2,10 @@
 
 use crate::checkpoint::{self, Course};
 use crate::divergence::{Seen, Watch};
-use crate::error::{Result, TrainError};
+use crate::error::Result;
 use crate::intrinsic::{LightFile, Saved};
 use crate::relight::{Edit, edited_light_of, true_edit_of, true_lights_of};
+use crate::run::error;
 use crate::shaded::Texels;
 use sgs_passes::scene::Model;
 use std::path::Path;
@@ -25,7 +26,7 @@ pub fn checkpoint(path: &Path, sh_degree: u32, semantics: bool, any_degree: bool
 /// # Errors
 /// If it is damaged or of another model.
 pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
-    let bytes = std::fs::read(path).map_err(|e| TrainError::File { path: path.to_owned(), reason: e.to_string() })?;
+    let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
     let saved = Saved::read(path, &bytes)?;
     let known = goes_on(&saved.course, saved.step);
     for (name, count) in [("albedo", 6), ("roughness", 2), ("environment", 18)] {
@@ -42,17 +43,18 @@ pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
         saved.floats("environment_gathered", 18)?;
     }
     saved.floats("light_gains", 1)?;
-    let mut asked = 0;
+    let mut asked = Vec::new();
     if saved.has("relit_asked_at") {
-        asked = saved.asked_at(2)?.len();
-        assert!(saved.asked_at(2)?.iter().all(|step| step.checked_sub(1).is_none_or(|before| before <= saved.step)));
+        asked = saved.asked_at(2)?;
+        assert!(asked.iter().all(|step| step.saturating_sub(1) <= saved.step), "what was asked has been");
         saved.words("relit_estimates0", 4)?;
     }
     let decided = [saved.lobes, saved.levels, saved.texels, saved.pace.map(|[every, _, _]| every)].map(|n| n.is_some());
     Ok(format!(
-        "{known} {} {} {decided:?} {asked} {gathered} {}",
+        "{known} {} {} {decided:?} {} {gathered} {}",
         before.len().min(3),
         saved.decisions.len().min(3),
+        asked.len(),
         saved.last.is_some()
     ))
 }

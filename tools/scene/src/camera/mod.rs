@@ -15,7 +15,7 @@ pub const MAX_IMAGE_SIDE: u32 = 65_536;
 
 /// The farthest that a camera may stand from the origin, and the most pixels that a focal length and a principal point may have; squares
 /// of such numbers still fit a 32-bit float.
-const FARTHEST: f64 = 1e15;
+pub const MAX_CAMERA_NUMBER: f64 = 1e15;
 
 /// A pinhole camera with its pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,8 +92,9 @@ impl Camera {
         if !(cx.is_finite() && cy.is_finite()) {
             return Some(format!("the principal point is ({cx}, {cy}); both must be finite numbers"));
         }
-        let few = 1.0 / FARTHEST;
-        if [fx, fy].iter().any(|f| !(few..=FARTHEST).contains(f)) || cx.abs().max(cy.abs()) > FARTHEST {
+        let few = 1.0 / MAX_CAMERA_NUMBER;
+        if [fx, fy].iter().any(|f| !(few..=MAX_CAMERA_NUMBER).contains(f)) || cx.abs().max(cy.abs()) > MAX_CAMERA_NUMBER
+        {
             return Some(format!(
                 "the focal lengths are {fx:e} and {fy:e} pixels, the principal point is ({cx:e}, {cy:e}); nothing is computed with such numbers"
             ));
@@ -102,7 +103,7 @@ impl Camera {
             return Some("the pose holds values that are not finite; correct or remove it".into());
         }
         let distance = self.translation.abs().max_element();
-        if distance > FARTHEST {
+        if distance > MAX_CAMERA_NUMBER {
             return Some(format!(
                 "the camera stands {distance:e} units from the origin, where single precision ends; rescale the scene"
             ));

@@ -3,9 +3,10 @@
 //! Promises: no device has a part in it; what no stage could have written is refused.
 
 use super::automatic::Remembered;
-use crate::checkpoint::{Course, wrong_moments};
+use crate::checkpoint::{Course, json, wrong_moments};
 use crate::error::{Result, TrainError};
 use crate::geometry::Decision;
+use crate::run::error;
 use safetensors::{Dtype, SafeTensors};
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
@@ -79,7 +80,7 @@ impl<'a> Saved<'a> {
     /// # Errors
     /// If it is damaged, or of something else.
     pub fn read(path: &'a Path, bytes: &'a [u8]) -> Result<Saved<'a>> {
-        let refused = |reason: String| file(path, reason);
+        let refused = |reason: String| error(path, reason);
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| refused(format!("not a checkpoint: {e}")))?;
         let meta = header.metadata().clone().unwrap_or_default();
         if meta.get("format").map(String::as_str) != Some(FORMAT) {
@@ -91,19 +92,16 @@ impl<'a> Saved<'a> {
         };
         let (step, splats) = (number("step")?, number("splats")?);
         let tensors = SafeTensors::deserialize(bytes).map_err(|e| refused(format!("damaged: {e}")))?;
-        let decisions = meta.get(DECISIONS).map_or("[]", String::as_str);
-        let decisions = serde_json::from_str(decisions)
-            .map_err(|e: serde_json::Error| refused(format!("damaged: \"{DECISIONS}\": {e}")))?;
+        let decisions: Vec<Decision> = json(path, &meta, DECISIONS)?.unwrap_or_default();
+        if let Some(later) = decisions.iter().find(|d| d.step > step) {
+            return Err(refused(format!("damaged: after step {step} nothing was decided at step {}", later.step)));
+        }
         let within = |name: &str, range: RangeInclusive<u32>| -> Result<Option<u32>> {
             let Some(text) = meta.get(name) else { return Ok(None) };
             let value = text.parse().ok().filter(|n| range.contains(n));
             let wrong = || refused(format!("damaged: \"{text}\" is no number of {name}"));
             value.map(Some).ok_or_else(wrong)
         };
-        let decisions: Vec<Decision> = decisions;
-        if let Some(later) = decisions.iter().find(|d| d.step > step) {
-            return Err(refused(format!("damaged: after step {step} nothing was decided at step {}", later.step)));
-        }
         let (lobes, levels) = (within(LOBES, 1..=32)?, within(LEVELS, 1..=u32::MAX)?);
         let texels = match meta.get(TEXELS) {
             None => None,
@@ -196,7 +194,7 @@ impl<'a> Saved<'a> {
 
     /// An error about the file.
     pub fn refused(&self, reason: String) -> TrainError {
-        file(self.path, reason)
+        error(self.path, reason)
     }
 
     /// That surroundings cannot have so many texels along an edge.
@@ -234,11 +232,7 @@ fn last(meta: &HashMap<String, String>) -> std::result::Result<Option<f64>, Stri
 }
 
 fn no_texels(path: &Path, size: &str) -> TrainError {
-    file(path, format!("damaged: surroundings cannot have \"{size}\" texels along an edge"))
-}
-
-fn file(path: &Path, reason: String) -> TrainError {
-    TrainError::File { path: path.to_owned(), reason }
+    error(path, format!("damaged: surroundings cannot have \"{size}\" texels along an edge"))
 }
 
 #[cfg(test)]

@@ -7,9 +7,9 @@ use super::saved::{
 use super::{Intrinsic, LightFile, write_lights};
 use crate::checkpoint::Course;
 use crate::divergence::HALF;
-use crate::error::{Result, TrainError};
+use crate::error::Result;
 use crate::floats::{Floats, Numbers};
-use crate::run::RunDirectory;
+use crate::run::{RunDirectory, error, remove};
 use crate::settings::VisibilityKind;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
@@ -92,7 +92,7 @@ impl Intrinsic {
             meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
             meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         }
-        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| file(path, e.to_string()))?;
+        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
     }
@@ -102,7 +102,7 @@ impl Intrinsic {
     /// # Errors
     /// If the file is damaged or belongs to other settings or splats.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
-        let bytes = std::fs::read(path).map_err(|e| file(path, e.to_string()))?;
+        let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
         let saved = Saved::read(path, &bytes)?;
         if saved.splats as usize != self.splats.len() {
             let (has, are) = (saved.splats, self.splats.len());
@@ -314,16 +314,4 @@ impl Intrinsic {
         }
         Ok(())
     }
-}
-
-/// What an earlier run may have left.
-fn remove(path: &Path) -> Result<()> {
-    match std::fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(file(path, format!("cannot be removed: {e}"))),
-        _ => Ok(()),
-    }
-}
-
-fn file(path: &Path, reason: String) -> TrainError {
-    TrainError::File { path: path.to_owned(), reason }
 }
