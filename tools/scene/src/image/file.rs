@@ -10,7 +10,7 @@ use std::path::Path;
 
 use ::image::{DynamicImage, ImageFormat, ImageReader, Limits};
 
-use super::{Image, exr};
+use super::{Image, exr, jpeg};
 use crate::camera::MAX_IMAGE_SIDE;
 use crate::error::{Result, SceneError, io_error};
 
@@ -19,8 +19,6 @@ pub(super) const MAX_PIXELS: u64 = 1 << 28;
 
 /// What a byte of a PNG file holds at most: deflate has two bits for 258 bytes at best.
 const PNG_RATIO: u64 = 1032;
-/// Pixels of a JPEG file that a byte holds at most: a bit for a block of 64, and as much again for odd samplings.
-const JPEG_RATIO: u64 = 1024;
 
 /// What the values of a file mean for colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,15 +34,16 @@ pub(crate) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];
 
 enum Kind {
     Exr,
-    Other(ImageFormat),
+    Png,
+    Jpeg,
 }
 
 fn kind_of(path: &Path) -> Result<Kind> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     match extension.as_str() {
         "exr" => Ok(Kind::Exr),
-        "png" => Ok(Kind::Other(ImageFormat::Png)),
-        "jpg" | "jpeg" => Ok(Kind::Other(ImageFormat::Jpeg)),
+        "png" => Ok(Kind::Png),
+        "jpg" | "jpeg" => Ok(Kind::Jpeg),
         _ => Err(SceneError::image(path, format!("the extension \"{extension}\" is none of png, jpg, jpeg, exr"))),
     }
 }
@@ -54,7 +53,8 @@ fn kind_of(path: &Path) -> Result<Kind> {
 pub(crate) fn read_raster(path: &Path) -> Result<(Image, Encoding)> {
     match kind_of(path)? {
         Kind::Exr => Ok((exr::read_exr(path)?.image, Encoding::Linear)),
-        Kind::Other(format) => Ok((to_image(decode(path, format)?), Encoding::Srgb)),
+        Kind::Png => Ok((to_image(decode_png(path)?), Encoding::Srgb)),
+        Kind::Jpeg => Ok((jpeg::read(path)?, Encoding::Srgb)),
     }
 }
 
@@ -62,11 +62,8 @@ pub(crate) fn read_raster(path: &Path) -> Result<(Image, Encoding)> {
 pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     match kind_of(path)? {
         Kind::Exr => exr::read_size(path),
-        Kind::Other(format) => {
-            let (width, height) = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
-            check_file(path, format, (width, height))?;
-            Ok((width, height))
-        }
+        Kind::Png => png_size(path),
+        Kind::Jpeg => jpeg::read_size(path),
     }
 }
 
@@ -93,15 +90,12 @@ pub(super) fn check_held(path: &Path, (width, height): (u32, u32), bytes: u64, h
     Err(SceneError::image(path, problem))
 }
 
-/// Refuses a PNG or JPEG whose header gives an impossible size, or one that the file is too short for.
-fn check_file(path: &Path, format: ImageFormat, (width, height): (u32, u32)) -> Result<()> {
+/// The size that a PNG's header gives, which is one that the file can hold.
+fn png_size(path: &Path) -> Result<(u32, u32)> {
+    let (width, height) = open_png(path)?.into_dimensions().map_err(|e| undecodable(path, &e))?;
     check_size(path, width, height)?;
     let mut file = File::open(path).map_err(io_error("read", path))?;
     let length = file.metadata().map_err(io_error("read", path))?.len();
-    let pixels = u64::from(width) * u64::from(height);
-    if format != ImageFormat::Png {
-        return check_held(path, (width, height), pixels, length.saturating_mul(JPEG_RATIO));
-    }
     // Bits of a sample and kind of color, behind the width and height of the first chunk.
     let mut kind = [0; 2];
     file.seek(SeekFrom::Start(24)).and_then(|_| file.read_exact(&mut kind)).map_err(io_error("read", path))?;
@@ -111,13 +105,14 @@ fn check_file(path: &Path, format: ImageFormat, (width, height): (u32, u32)) -> 
         6 => 4,
         _ => 1,
     };
-    let bytes = pixels * u64::from(kind[0].max(1)) * samples / 8;
-    check_held(path, (width, height), bytes, length.saturating_mul(PNG_RATIO))
+    let bytes = u64::from(width) * u64::from(height) * u64::from(kind[0].max(1)) * samples / 8;
+    check_held(path, (width, height), bytes, length.saturating_mul(PNG_RATIO))?;
+    Ok((width, height))
 }
 
-fn open(path: &Path, format: ImageFormat) -> Result<ImageReader<BufReader<File>>> {
+fn open_png(path: &Path) -> Result<ImageReader<BufReader<File>>> {
     let file = File::open(path).map_err(io_error("read", path))?;
-    let mut reader = ImageReader::with_format(BufReader::new(file), format);
+    let mut reader = ImageReader::with_format(BufReader::new(file), ImageFormat::Png);
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_IMAGE_SIDE);
     limits.max_image_height = Some(MAX_IMAGE_SIDE);
@@ -126,17 +121,15 @@ fn open(path: &Path, format: ImageFormat) -> Result<ImageReader<BufReader<File>>
     Ok(reader)
 }
 
-fn undecodable(path: &Path, format: ImageFormat, error: &::image::ImageError) -> SceneError {
-    let name = if format == ImageFormat::Png { "PNG" } else { "JPEG" };
-    SceneError::image(path, format!("the file cannot be read as {name} ({error}); copy or export it again"))
+fn undecodable(path: &Path, error: &::image::ImageError) -> SceneError {
+    SceneError::image(path, format!("the file cannot be read as PNG ({error}); copy or export it again"))
 }
 
-/// Decodes a PNG or JPEG file.
-pub(super) fn decode(path: &Path, format: ImageFormat) -> Result<DynamicImage> {
+/// Decodes a PNG file.
+pub(super) fn decode_png(path: &Path) -> Result<DynamicImage> {
     // The size is checked before the decoder allocates for it.
-    let size = open(path, format)?.into_dimensions().map_err(|e| undecodable(path, format, &e))?;
-    check_file(path, format, size)?;
-    open(path, format)?.decode().map_err(|e| undecodable(path, format, &e))
+    png_size(path)?;
+    open_png(path)?.decode().map_err(|e| undecodable(path, &e))
 }
 
 fn to_image(decoded: DynamicImage) -> Image {
@@ -175,7 +168,7 @@ mod tests {
         let whole = std::fs::read(&path).unwrap();
         std::fs::write(&path, &whole[..whole.len() / 4]).unwrap();
         let error = read_raster(&path).unwrap_err().to_string();
-        assert!(error.contains("a.JPG: the file cannot be read as JPEG ("), "{error}");
+        assert!(error.contains("a.JPG: the JPEG file ends before its picture does"), "{error}");
         for i in 0..whole.len() {
             let mut damaged = whole.clone();
             damaged[i] ^= 0xa5;

@@ -10,6 +10,7 @@ mod dwa;
 mod environment;
 mod exr;
 mod file;
+mod jpeg;
 mod npy;
 mod npy_write;
 mod png;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::codecs::png::PngEncoder;
-use ::image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
+use ::image::{DynamicImage, ExtendedColorType, ImageEncoder};
 
 use super::{Image, file};
 use crate::atomic::atomic_write;
@@ -83,7 +83,7 @@ pub fn write_ids(path: &Path, width: u32, height: u32, ids: &[u16]) -> Result<()
 
 /// The width, height and whole numbers of a gray PNG with 8 or 16 bits.
 pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
-    match file::decode(path, ImageFormat::Png)? {
+    match file::decode_png(path)? {
         DynamicImage::ImageLuma8(image) => {
             Ok((image.width(), image.height(), image.into_raw().into_iter().map(u16::from).collect()))
         }

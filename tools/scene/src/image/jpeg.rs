@@ -1,0 +1,215 @@
+//! JPEG files.
+//!
+//! Not by the decoder of the crate `image`: in version 0.25 that takes a file which was cut off for whole, its rest gray, and components in scans of
+//! their own for others, without a word (`docs/adr/0024-jpeg.md`).
+
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Result as IoResult, Seek, SeekFrom};
+use std::path::Path;
+
+use jpeg_decoder::{CodingProcess, Decoder, Error, ImageInfo, PixelFormat};
+
+use super::{Image, file};
+use crate::error::{Result, SceneError, io_error};
+
+/// Pixels of a file that a byte holds at most: a bit for a block of 64, and as much again for odd samplings.
+const RATIO: u64 = 1024;
+
+/// The width and height that the file's header gives.
+pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
+    open(path).map(|(_, info)| size(&info))
+}
+
+/// The image, gray or RGB, in `[0, 1]`.
+pub(super) fn read(path: &Path) -> Result<Image> {
+    let (mut decoder, info) = open(path)?;
+    let (width, height) = size(&info);
+    let channels = if info.pixel_format == PixelFormat::L8 { 1 } else { 3 };
+    let bytes = decoder.decode().map_err(|e| undecodable(path, e))?;
+    let data = bytes.into_iter().map(|v| f32::from(v) / 255.0).collect();
+    let image = Image { width, height, channels, data };
+    image.check()?;
+    Ok(image)
+}
+
+/// The file with its header read, which is one that its length can hold.
+fn open(path: &Path) -> Result<(Decoder<BufReader<File>>, ImageInfo)> {
+    let file = File::open(path).map_err(io_error("read", path))?;
+    let length = file.metadata().map_err(io_error("read", path))?.len();
+    let mut reader = BufReader::new(file);
+    let mixed = mixed_samplings(&mut reader);
+    reader.rewind().map_err(io_error("read", path))?;
+    let mut decoder = Decoder::new(reader);
+    decoder.read_info().map_err(|e| undecodable(path, e))?;
+    let Some(info) = decoder.info() else {
+        return Err(SceneError::image(path, "the JPEG file has no picture"));
+    };
+    let (width, height) = size(&info);
+    file::check_size(path, width, height)?;
+    file::check_held(path, (width, height), u64::from(width) * u64::from(height), length.saturating_mul(RATIO))?;
+    if info.coding_process == CodingProcess::Lossless {
+        return Err(SceneError::image(path, "the JPEG file is a lossless one, which is not read; export it as PNG"));
+    }
+    if mixed.map_err(|e| undecodable(path, e.into()))? {
+        let problem = "the JPEG file samples its components in three rates, which is not read; export it again";
+        return Err(SceneError::image(path, problem));
+    }
+    match info.pixel_format {
+        PixelFormat::L8 | PixelFormat::RGB24 => Ok((decoder, info)),
+        PixelFormat::CMYK32 => {
+            Err(SceneError::image(path, "the JPEG file holds inks (CMYK) instead of light; export it as RGB"))
+        }
+        PixelFormat::L16 => {
+            Err(SceneError::image(path, "the JPEG file has samples of more than 8 bits; export it as PNG"))
+        }
+    }
+}
+
+/// Whether the first frame has a component that is sampled more often than once and less often than another one along an axis: in a scan of
+/// its own, the decoder reads too many blocks of it.
+fn mixed_samplings(reader: &mut (impl Read + Seek)) -> IoResult<bool> {
+    loop {
+        while byte(reader)? != 0xff {}
+        let marker = loop {
+            match byte(reader)? {
+                0xff => continue,
+                marker => break marker,
+            }
+        };
+        // Those without a segment: zeros behind data, restarts, the beginning and the end.
+        if matches!(marker, 0 | 1 | 0xd0..=0xd9) {
+            continue;
+        }
+        let length = u16::from_be_bytes([byte(reader)?, byte(reader)?]);
+        if !matches!(marker, 0xc0..=0xcf) || matches!(marker, 0xc4 | 0xc8 | 0xcc) {
+            reader.seek(SeekFrom::Current(i64::from(length.saturating_sub(2))))?;
+            continue;
+        }
+        // Bits, height and width, before the number of components; of each its name, samplings and table.
+        reader.seek(SeekFrom::Current(5))?;
+        let mut samplings = Vec::new();
+        for _ in 0..byte(reader)? {
+            byte(reader)?;
+            let both = byte(reader)?;
+            samplings.push([both >> 4, both & 15]);
+            byte(reader)?;
+        }
+        return Ok((0..2).any(|axis| {
+            let most = samplings.iter().map(|s| s[axis]).max();
+            samplings.iter().any(|s| s[axis] > 1 && Some(s[axis]) < most)
+        }));
+    }
+}
+
+fn byte(reader: &mut impl Read) -> IoResult<u8> {
+    let mut byte = [0];
+    reader.read_exact(&mut byte).map(|()| byte[0])
+}
+
+fn size(info: &ImageInfo) -> (u32, u32) {
+    (info.width.into(), info.height.into())
+}
+
+fn undecodable(path: &Path, error: Error) -> SceneError {
+    match error {
+        Error::Io(e) if e.kind() == ErrorKind::UnexpectedEof => {
+            SceneError::image(path, "the JPEG file ends before its picture does; copy it again")
+        }
+        Error::Io(e) => io_error("read", path)(e),
+        other => SceneError::image(path, format!("the file cannot be read as JPEG ({other}); copy or export it again")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One picture, as many programs may have written it, in samplings and scans of all kinds (by `cjpeg` of libjpeg-turbo).
+    const WRITTEN: [(&str, &[u8]); 9] = [
+        ("together", include_bytes!("../../tests/jpeg/together.jpg")),
+        ("apart", include_bytes!("../../tests/jpeg/apart.jpg")),
+        ("two_scans", include_bytes!("../../tests/jpeg/two_scans.jpg")),
+        ("upright", include_bytes!("../../tests/jpeg/upright.jpg")),
+        ("colors_finer", include_bytes!("../../tests/jpeg/colors_finer.jpg")),
+        ("progressive", include_bytes!("../../tests/jpeg/progressive.jpg")),
+        ("restarts", include_bytes!("../../tests/jpeg/restarts.jpg")),
+        ("rgb", include_bytes!("../../tests/jpeg/rgb.jpg")),
+        ("gray", include_bytes!("../../tests/jpeg/gray.jpg")),
+    ];
+
+    fn of(bytes: &[u8], read: impl Fn(&Path) -> Result<Image>) -> Result<Image> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.jpg");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path)
+    }
+
+    /// What the picture was before it was written.
+    fn pixel(x: usize, y: usize) -> [f32; 3] {
+        [40 + 5 * x, 60 + 8 * y, 200 - 3 * x - 3 * y].map(|v| v as f32 / 255.0)
+    }
+
+    #[test]
+    fn a_picture_is_the_same_however_it_was_written() {
+        for (name, bytes) in WRITTEN {
+            let image = of(bytes, read).unwrap();
+            let channels = if name == "gray" { 1 } else { 3 };
+            assert_eq!((image.width, image.height, image.channels), (37, 23, channels), "{name}");
+            assert_eq!(of(bytes, |path| read_size(path).map(|_| Image::new(1, 1, 1))).unwrap().width, 1);
+            let (mut sum, mut worst) = (0.0, 0.0_f32);
+            for (i, found) in image.data.chunks(channels as usize).enumerate() {
+                let [r, g, b] = pixel(i % 37, i / 37);
+                let wanted = if channels == 1 { vec![0.299 * r + 0.587 * g + 0.114 * b] } else { vec![r, g, b] };
+                for (found, wanted) in found.iter().zip(wanted) {
+                    sum += (found - wanted).abs() * 255.0;
+                    worst = worst.max((found - wanted).abs() * 255.0);
+                }
+            }
+            let mean = sum / image.data.len() as f32;
+            println!("{name}: off by {mean:.2} of 255 in the mean, by {worst:.1} at most");
+            // Colors that are kept once for 2 × 2 pixels slope by 5 and 8 a pixel.
+            assert!(mean < 1.0 && worst < 8.0, "{name}: {mean} {worst}");
+        }
+    }
+
+    #[test]
+    fn a_picture_that_was_cut_off_is_refused_wherever_that_was() {
+        for (name, bytes) in WRITTEN {
+            for length in 0..bytes.len() {
+                let error = of(&bytes[..length], read).map(|_| ()).unwrap_err().to_string();
+                assert!(
+                    error.contains("a.jpg: the JPEG file ends before its picture does; copy it again"),
+                    "{name} {length}: {error}"
+                );
+            }
+            // What comes behind a picture is none of its business.
+            assert!(of(&[bytes, &[0xff, 0xd8, 1, 2]].concat(), read).is_ok(), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_photograph_is_refused() {
+        let error = |bytes: &[u8]| {
+            let size = |path: &Path| read_size(path).map(|_| Image::new(1, 1, 1));
+            let (size, error) = (of(bytes, size).map(|_| ()), of(bytes, read).map(|_| ()).unwrap_err().to_string());
+            (size.map_err(|e| e.to_string().split_once("a.jpg").unwrap().1.to_owned()), error)
+        };
+        let (size, inks) = error(include_bytes!("../../tests/jpeg/inks.jpg"));
+        assert!(inks.contains("the JPEG file holds inks (CMYK) instead of light; export it as RGB"), "{inks}");
+        assert!(inks.ends_with(&size.unwrap_err()), "{inks}");
+        let arithmetic = error(include_bytes!("../../tests/jpeg/arithmetic.jpg")).1;
+        assert!(arithmetic.contains("cannot be read as JPEG (unsupported JPEG feature: "), "{arithmetic}");
+        let rates = error(include_bytes!("../../tests/jpeg/three_rates.jpg")).1;
+        assert!(rates.contains("samples its components in three rates, which is not read; export it again"), "{rates}");
+        // The kind of a frame stands in its marker: here a sequential one, made lossless.
+        let mut lossless = WRITTEN[8].1.to_vec();
+        let at = lossless.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+        lossless[at + 1] = 0xc3;
+        assert!(error(&lossless).1.contains("the JPEG file is a lossless one, which is not read; export it as PNG"));
+        let png = error(&[0x89, b'P', b'N', b'G', 13, 10, 26, 10]).1;
+        assert!(
+            png.contains("the file cannot be read as JPEG (") && png.ends_with("; copy or export it again"),
+            "{png}"
+        );
+    }
+}
