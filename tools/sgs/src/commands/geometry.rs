@@ -65,7 +65,7 @@ pub fn train_into(
     mut watch: Option<&mut Watch>,
 ) -> anyhow::Result<Ended> {
     let run = RunDirectory::create(output)?;
-    let mut training = Geometry::new(device, scene, settings, None)?;
+    let mut training = Geometry::new(device, scene, settings, None).inspect_err(|_| run.remove_if_empty())?;
     if stop.load(Ordering::SeqCst) {
         return Ok(Ended::Stopped(0));
     }
