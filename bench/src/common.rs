@@ -86,7 +86,7 @@ impl Common {
         eprint!("{}", outcome.text());
         anyhow::ensure!(
             outcome.slower.is_empty(),
-            "{} of {} times are slower than in \"{}\".",
+            "{} of {} figures are worse than in \"{}\".",
             outcome.slower.len(),
             outcome.compared,
             path.display()

@@ -27,6 +27,11 @@ impl Summary {
         Summary { median: center, mad: median(&deviations), least, samples: samples.len() }
     }
 
+    /// Of what is known to be off by a standard error.
+    pub fn known(value: f64, off: f64, samples: usize) -> Summary {
+        Summary { median: value, mad: off / SIGMA, least: value, samples }
+    }
+
     /// The standard deviation that the spread speaks of.
     pub fn sigma(&self) -> f64 {
         SIGMA * self.mad
@@ -68,5 +73,6 @@ mod tests {
         let samples: Vec<f64> = (0..20_001).map(|_| 3.0 + 2.0 * rng.normal()).collect();
         let s = Summary::of(&samples);
         assert!((s.median - 3.0).abs() < 0.05 && (s.sigma() - 2.0).abs() < 0.05, "{s:?}");
+        assert!((Summary::known(0.9, 0.02, 8).sigma() - 0.02).abs() < 1e-15);
     }
 }

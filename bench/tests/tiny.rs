@@ -143,6 +143,26 @@ fn the_trade_between_time_and_accuracy_is_measured() {
     let fact =
         |name: &str| report["facts"].as_array().unwrap().iter().find(|f| f["name"] == name).unwrap()["value"].clone();
     assert!(fact("on the front").as_str().unwrap().len() > 3);
+    assert!(fact("standing, exact").is_string() && fact("standing, fast").is_string());
+
+    // Against a baseline with slower and equally good choices nothing is worse; an error that has grown is.
+    let mut baseline = report.clone();
+    let row = |row: &mut Value, factor: f64| {
+        row["value"]["median"] = Value::from(factor * row["value"]["median"].as_f64().unwrap());
+    };
+    for (name, factor, said) in
+        [("step, ", 100.0, "nothing has grown"), ("mean error, fast", 0.5, "GROWN mean error, fast")]
+    {
+        let rows = baseline["values"].as_array_mut().unwrap().iter_mut();
+        rows.filter(|r| r["name"].as_str().unwrap().replace("frame", "step").starts_with(name))
+            .for_each(|r| row(r, factor));
+        let file = path("baseline.json");
+        std::fs::write(&file, baseline.to_string()).unwrap();
+        let out = bench(&[&all, &TINY[..], &["--compare", &file]].concat());
+        let text = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(text.contains(said), "{text}");
+        assert_eq!(out.status.code(), Some(i32::from(said.starts_with("GROWN"))), "{text}");
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@
 //! caches do between processes. The floor is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
 //! is more: below it a difference is the scheduler's and matters to nobody.
 
-use super::Report;
+use super::{Report, standing};
 use crate::stats::Summary;
 use std::fmt::Write;
 
@@ -18,6 +18,9 @@ const DEVIATIONS: f64 = 3.0;
 
 /// Nanoseconds below which nothing counts.
 const RESOLUTION: f64 = 2000.0;
+
+/// By what errors, ratios and megabytes may differ for no reason but the order of sums.
+const ROUNDING: f64 = 1e-6;
 
 /// Share of its plan below which a pass does not count.
 const NEGLIGIBLE: f64 = 0.001;
@@ -46,6 +49,8 @@ pub struct Outcome {
     pub slower: Vec<Difference>,
     /// Faster ones by the same measure.
     pub faster: Vec<Difference>,
+    /// Choices that stood on the front, and are beaten now.
+    pub fallen: Vec<String>,
     /// Names that only the baseline has.
     pub missing: Vec<String>,
     /// Share of the baseline that is always noise.
@@ -96,6 +101,13 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
         }
     }
     outcome.slower.sort_by(|a, b| (b.now / b.before).total_cmp(&(a.now / a.before)));
+    let stands = |report: &Report, name: &str| report.facts.iter().find(|f| f.name == name).map(|f| f.value.clone());
+    for fact in baseline.facts.iter().filter(|f| f.value != standing::BEATEN) {
+        let Some(choice) = fact.name.strip_prefix(standing::PREFIX) else { continue };
+        if stands(now, &fact.name).is_some_and(|s| s == standing::BEATEN) {
+            outcome.fallen.push(choice.to_owned());
+        }
+    }
     anyhow::ensure!(outcome.compared > 0, "The baseline and this run have no time in common.");
     Ok(outcome)
 }
@@ -119,7 +131,7 @@ fn times(r: &Report) -> Vec<(String, String, Summary, f64)> {
             "ms" => 1e-6,
             "us" => 1e-3,
             // Not a time.
-            _ => 0.0,
+            _ => return (v.name.clone(), v.unit.clone(), v.value, ROUNDING),
         };
         (v.name.clone(), v.unit.clone(), v.value, RESOLUTION * per_unit)
     });
@@ -130,14 +142,15 @@ impl Outcome {
     /// The comparison for people.
     pub fn text(&self) -> String {
         let mut out = format!(
-            "\ncompared {} times; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan\n",
+            "\ncompared {} figures; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan\n",
             self.compared,
             100.0 * self.tolerance,
             RESOLUTION / 1e3,
             100.0 * NEGLIGIBLE
         );
-        for (what, list) in [("SLOWER", &self.slower), ("faster", &self.faster)] {
+        for (words, list) in [(["SLOWER", "GROWN"], &self.slower), (["faster", "less"], &self.faster)] {
             for d in list {
+                let what = words[usize::from(!["ns", "us", "ms", "s"].contains(&d.unit.as_str()))];
                 let _ = writeln!(
                     out,
                     "{what} {}: {:.6} -> {:.6} {} ({:+.1} %, band {:.1} %)",
@@ -150,11 +163,14 @@ impl Outcome {
                 );
             }
         }
+        for choice in &self.fallen {
+            let _ = writeln!(out, "OFF THE FRONT: {choice}, which stood there or close to it");
+        }
         for name in &self.missing {
             let _ = writeln!(out, "not measured now: {name}");
         }
         if self.slower.is_empty() {
-            out.push_str("nothing is slower\n");
+            out.push_str("nothing has grown\n");
         }
         out
     }
@@ -234,6 +250,39 @@ mod tests {
         for (now, slower) in [(2400.0, 0), (2600.0, 1)] {
             b.passes[0].nanoseconds = Summary::of(&[now]);
             assert_eq!(compare(&a, &b, 0.05).unwrap().slower.len(), slower);
+        }
+    }
+
+    #[test]
+    fn what_falls_off_the_front_is_named() {
+        let all = [standing::FRONT, standing::TIE, standing::BEATEN];
+        let report = |now: &str| {
+            let mut report = run(1, 0.0, 1.0);
+            report.fact(&format!("{}fast", standing::PREFIX), now);
+            report
+        };
+        for before in all {
+            for now in all {
+                let outcome = compare(&report(before), &report(now), 0.05).unwrap();
+                let fallen = before != standing::BEATEN && now == standing::BEATEN;
+                assert_eq!(outcome.fallen, if fallen { vec!["fast"] } else { vec![] }, "{before}, {now}");
+                assert_eq!(outcome.text().contains("OFF THE FRONT: fast,"), fallen);
+            }
+        }
+        // Not measured, which is said of what is compared, and proves nothing.
+        assert!(compare(&report(standing::FRONT), &run(1, 0.0, 1.0), 0.05).unwrap().fallen.is_empty());
+    }
+
+    #[test]
+    fn ratios_count_by_their_errors_and_without_a_floor() {
+        let report = |value: f64, off: f64| {
+            let mut report = run(1, 0.0, 1.0);
+            report.time("step, fast, of exact", "", Summary::known(value, off, 8));
+            report
+        };
+        for (now, off, grown) in [(0.95, 0.01, false), (1.0, 0.01, true), (1.0, 0.04, false), (0.7, 0.01, false)] {
+            let outcome = compare(&report(0.9, 0.01), &report(now, off), 0.05).unwrap();
+            assert_eq!(outcome.slower.len(), usize::from(grown), "{now} ± {off}: {}", outcome.text());
         }
     }
 

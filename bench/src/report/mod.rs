@@ -9,6 +9,18 @@ use crate::stats::Summary;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// How a choice stands among others: facts of reports, by their names and values.
+pub mod standing {
+    /// How such a fact's name begins; the choice follows.
+    pub const PREFIX: &str = "standing, ";
+    /// No other is as close and not slower.
+    pub const FRONT: &str = "on the front";
+    /// Another is, by less than what times vary.
+    pub const TIE: &str = "within noise of the front";
+    /// Another surely is.
+    pub const BEATEN: &str = "beaten";
+}
+
 /// A report.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Report {
@@ -121,6 +133,18 @@ impl Report {
     /// Adds a measurement that is compared.
     pub fn time(&mut self, name: &str, unit: &str, value: Summary) {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: true });
+    }
+
+    /// Adds the time of a choice: alone only that of `exact` is compared, others by how they stand to it, since that does not
+    /// depend on how fast a machine happens to be.
+    pub fn choice(&mut self, what: &str, name: &str, milliseconds: Summary, of_exact: Summary) {
+        let own = format!("{what}, {name}");
+        if name == "exact" {
+            self.time(&own, "ms", milliseconds);
+        } else {
+            self.value(&own, "ms", milliseconds);
+            self.time(&format!("{own}, of exact"), "", of_exact);
+        }
     }
 
     /// Adds a measurement that is not.

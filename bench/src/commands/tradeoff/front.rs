@@ -1,5 +1,6 @@
 //! Which choices are worth choosing: those that no other beats, as far as times can be told apart.
 
+use crate::report::standing;
 use crate::stats::Summary;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt;
@@ -34,6 +35,12 @@ impl Ratio {
     }
 }
 
+impl From<Ratio> for Summary {
+    fn from(r: Ratio) -> Summary {
+        Summary::known(r.value, r.off, 1)
+    }
+}
+
 impl fmt::Display for Ratio {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.off == 0.0 { write!(f, "{:.2}", self.value) } else { write!(f, "{:.2} ± {:.2}", self.value, self.off) }
@@ -50,6 +57,17 @@ pub enum Standing {
     /// Another is as close and surely faster.
     #[default]
     Beaten,
+}
+
+impl Standing {
+    /// For reports, which may be compared.
+    pub fn said(self) -> &'static str {
+        match self {
+            Standing::Front => standing::FRONT,
+            Standing::Tie => standing::TIE,
+            Standing::Beaten => standing::BEATEN,
+        }
+    }
 }
 
 impl fmt::Display for Standing {

@@ -10,6 +10,7 @@ use super::front::{Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::{Args, lit};
 use crate::common::Common;
+use crate::report::standing;
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings};
 use anyhow::{Context, ensure};
@@ -157,9 +158,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let rows = measure(a, &device, scene, splats, &base, steps)?;
     for r in &rows {
         let name = r.choice.name;
-        report.time(&format!("step, {name}"), "ms", r.step);
-        report.fact(&format!("step, {name}, of exact"), r.of_exact.to_string());
-        report.fact(&format!("device memory of training, {name}, MB"), r.bytes as f64 / 1e6);
+        report.choice("step", name, r.step, r.of_exact.into());
+        report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[r.bytes as f64 / 1e6]));
+        if r.choice.shows() {
+            report.fact(&format!("{}{name}", standing::PREFIX), r.standing.said());
+        }
         if let Some([largest, mean, db]) = r.picture {
             report.time(&format!("largest error, {name}"), "", Summary::of(&[largest]));
             report.time(&format!("mean error, {name}"), "", Summary::of(&[mean]));

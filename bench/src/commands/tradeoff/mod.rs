@@ -18,6 +18,7 @@ mod quality;
 use super::step::{Args as StepArgs, Stage};
 use crate::common::{Common, parse_size};
 use crate::harness::spans;
+use crate::report::standing;
 use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
@@ -153,16 +154,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("gaussians", workload.start.len());
     let points = measure(common, a, &device, &workload)?;
     for p in &points {
-        report.time(&format!("step, {}", p.name), "ms", p.step);
-        report.time(&format!("frame, {}", p.name), "ms", p.frame);
-        for (what, ratio) in ["step", "frame"].into_iter().zip(p.of_exact) {
-            report.fact(&format!("{what}, {}, of exact", p.name), ratio.to_string());
+        for (what, time, of_exact) in [("step", p.step, p.of_exact[0]), ("frame", p.frame, p.of_exact[1])] {
+            report.choice(what, &p.name, time, of_exact.into());
         }
         for (what, value) in [("largest error", p.largest), ("mean error", p.mean), ("gradient error", p.gradient)] {
             report.time(&format!("{what}, {}", p.name), "", Summary::of(&[value]));
         }
         report.fact(&format!("picture, {}, dB", p.name), p.psnr);
-        report.fact(&format!("device memory of training, {}, MB", p.name), p.bytes as f64 / 1e6);
+        report.time(&format!("device memory of training, {}", p.name), "MB", Summary::of(&[p.bytes as f64 / 1e6]));
+        report.fact(&format!("{}{}", standing::PREFIX, p.name), p.standing.said());
         if let Some(q) = p.quality {
             report.fact(&format!("pictures after training, {}, dB", p.name), q.psnr);
             if let Some(degrees) = q.normals {
