@@ -1,10 +1,11 @@
 //! What is traded for speed, against the double-precision twin of the same choice; and how far each choice is from none.
 
+use glam::{DMat3, DVec2, DVec3};
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
 use sgs_passes::pipeline::{Renderer, Step};
 use sgs_passes::reference::blend::{Blended, render, render_at};
-use sgs_passes::reference::project::{Camera, Gaussians};
+use sgs_passes::reference::project::{Camera, Gaussians, Projected, project_at};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Layout, Model};
 use sgs_passes::splat::{Channels, Screen, Visible, project};
 use sgs_tests::Gpu;
@@ -27,6 +28,7 @@ fn choices() -> Vec<(&'static str, Accuracy)> {
         ("transmittance 1e-6", Accuracy { transmittance_min: 1e-6, ..EXACT }),
         ("colors in 16 bits", Accuracy { color_bits: 16, ..EXACT }),
         ("fast exponential", Accuracy { fast_exp: true, ..EXACT }),
+        ("balanced", Accuracy::BALANCED),
         ("fast", Accuracy::FAST),
     ]
 }
@@ -126,6 +128,56 @@ fn thresholds_keep_their_bounds() {
         let bound = f64::from(transmittance_min) * largest_color * if keep_last { 1.0 } else { 100.0 };
         println!("{transmittance_min}, {keep_last}: {largest:.2e} of {bound:.2e}");
         assert!(largest > 1e-2 * bound && largest <= bound + 1e-5, "{largest:.2e} of {bound:.2e}");
+    }
+}
+
+/// What is promised of pictures with a preset, against double precision that leaves nothing out, of splats whose depths the
+/// shortest keys tell apart: see the table of presets in docs/TRADEOFF.md.
+#[test]
+fn presets_keep_their_bounds() {
+    let gpu = Gpu::new();
+    let camera = Camera { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, ..scenes::camera([80, 60]) };
+    let count = 2000;
+    let mut g = scenes::ordinary(count, 0, false, 9);
+    for (i, mean) in g.means.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        // In the order of no number.
+        let z = 6.0_f64.powf((i * 227 % count) as f64 / count as f64);
+        *mean = mean.map(|m| f64::from((m * z / mean[2]) as f32));
+    }
+    let truth = render_at(&g, &camera, 0, false, BACKGROUND, &Accuracy { transmittance_min: 1e-12, ..EXACT });
+    let splats = project_at(&g, &camera, 0, false, &EXACT);
+    let color = splats.iter().flat_map(|s| &s.features[..3]).chain(&BACKGROUND).fold(0.0_f64, |m, c| m.max(*c));
+    for (name, a, least) in [
+        ("exact", EXACT, 1e-3),
+        ("balanced", Accuracy::BALANCED, 1e-2),
+        ("fast", Accuracy::FAST, 1e-2),
+        ("fast, cubic", Accuracy { fast_exp: true, ..Accuracy::FAST }, 1e-2),
+    ] {
+        let mut keys: Vec<u32> = project_at(&g, &camera, 0, false, &a).iter().map(|s| s.key).collect();
+        let seen = keys.len();
+        keys.dedup();
+        assert_eq!(keys.len(), seen, "{name}: two keys are the same");
+        // Of the whole picture, then of each splat that is left out at a pixel.
+        let behind = if a.keep_last { 1.0 } else { 100.0 } * f64::from(a.transmittance_min);
+        let cubic = if a.fast_exp { 1.3e-4 } else { 0.0 };
+        let rounded = if a.color_bits == 16 { 2.0_f64.powi(-11) } else { 0.0 };
+        let image = picture(&gpu, &g, &camera, a);
+        let (mut share, mut left_out) = (0.0_f64, 0);
+        for (p, pixel) in image.chunks_exact(3).enumerate() {
+            let at = DVec2::new((p % 80) as f64 + 0.5, (p / 80) as f64 + 0.5);
+            // A rounding away from either threshold.
+            let faint = |s: &&Projected| (0.99 / 255.0..1.01 * f64::from(a.alpha_min)).contains(&s.alpha(at));
+            let faint = splats.iter().filter(faint).count();
+            let bound = color * (behind + cubic + rounded + faint as f64 * f64::from(a.alpha_min)) + 5e-6;
+            for (c, found) in pixel.iter().enumerate() {
+                let off = (f64::from(*found) - truth.image[3 * p + c]).abs();
+                assert!(off <= bound, "{name}, pixel {p}: {off:.2e} of {bound:.2e}");
+                share = share.max(off / bound);
+            }
+            left_out += faint;
+        }
+        println!("{name}: up to {share:.3} of the bound, {left_out} splats left out");
+        assert!(share > least, "{name}: the bound says nothing, {share}");
     }
 }
 

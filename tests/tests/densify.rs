@@ -289,6 +289,20 @@ fn densify_of_one_kind_only() {
     assert_eq!((after.parameters[TAG][0], stats.invalid), (233.0, 398));
 }
 
+/// Halves of Gaussians whose quaternions have no direction, or are far from unit, are drawn as the reference draws them.
+#[test]
+fn halves_of_quaternions_without_direction_are_drawn() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::new(&[Fate::Split; 300], 600, 4);
+    let rotations = &mut scene.parameters[Group::Rotations as usize][..1200];
+    for (i, q) in rotations.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        *q = [[0.0; 4], [3e-30, 1e-30, 0.0, 2e-30], [3e18, 1e18, 0.0, 2e18]][i % 3];
+    }
+    let (after, stats) = scene.check(&gpu, &SETTINGS);
+    assert_eq!((after.count, stats.split, stats.invalid), (600, 300, 0));
+    assert!(after.parameters[Group::Means as usize][..1800].iter().all(|x| x.is_finite()));
+}
+
 #[test]
 fn densify_fills_the_cap_and_not_more() {
     let gpu = Gpu::new();

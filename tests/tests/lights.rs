@@ -219,6 +219,21 @@ fn lights_at_extremes() {
     }
 }
 
+/// The camera behind a surface, opposite the light: there is no half vector, and next to nothing of one beside it.
+#[test]
+fn a_light_opposite_the_camera_is_finite() {
+    let gpu = Gpu::new();
+    for off in [0.0, 1e-7, 1e-5] {
+        let mut case = Lit::random([9, 4], SMALL, true, 90);
+        aim(&mut case, [0.1, 0.2, 1.0], [-0.3, 0.1 + off, -1.0], [0.3, -0.1, 1.0], 3.0);
+        case.pixels.iter_mut().for_each(|p| p.point = [0.0; 3]);
+        let found = run(&gpu, shapes(&gpu)[0], &case, [9, 4], None);
+        let all = [&found.direct, &found.materials, &found.metallic, &found.normals, &found.positions, &found.lobes];
+        assert!(all.iter().all(|v| v.iter().all(|x| x.is_finite())), "off by {off}");
+        assert!(found.split[1].iter().any(|x| *x > 0.0), "nothing is lit");
+    }
+}
+
 /// Whatever pixels without a surface hold, they are black, and so are their gradients; and a light in a point itself.
 #[test]
 fn lights_of_nothing_are_nothing() {

@@ -184,6 +184,34 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     plan(&["--stage", "intrinsic", "--memory-budget", "8M"]).refused(&words);
 }
 
+/// Looking at what could be left out takes memory, too: what steps give up meanwhile, and what is reckoned beyond.
+#[test]
+fn looking_takes_what_was_reckoned() {
+    let mut s = sgs_tests::intrinsic::settings(12);
+    // It is looked, and nothing is left out.
+    let a = &mut s.intrinsic.automatic;
+    (a.enabled, a.sizes, a.metallic, a.lights, a.lobes) = (true, false, false, false, false);
+    (a.environment, a.visibility, a.levels, a.texels, a.pace) = (false, false, false, false, false);
+    s.intrinsic.environment.resolution = 128;
+    let room = Room { priors: true, ..Room::default() };
+    for compared in [true, false] {
+        let place = Place::new(room);
+        if compared {
+            room.write_materials(&place.path("scene"));
+        }
+        let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+        let splats = Splats::from_points(&scene.points, 1).unwrap();
+        let gpu = Gpu::new();
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        let (needs, most) = (*training.needs(), gpu.device().memory_use().1);
+        let off = most as f64 / needs.total() as f64 - 1.0;
+        println!("{compared}: {most} bytes at most, {} reckoned, {} for looking", needs.total(), needs.looking);
+        assert!(off.abs() < 0.05, "{most} bytes at most, {} reckoned: {needs:?}", needs.total());
+    }
+}
+
 /// Tile entries that do not fit must be given room; when that is refused, training says so and can go on later.
 #[test]
 fn refused_growth_loses_nothing() {

@@ -97,6 +97,7 @@ fn gradients_at_other_accuracies_are_those_of_the_twin() {
         Accuracy { alpha_min: 1.0 / 16.0, ..exact },
         Accuracy { fast_exp: true, depth_bits: 24, ..exact },
         Accuracy { color_bits: 16, feature_bits: 16, ..exact },
+        Accuracy::BALANCED,
         Accuracy::FAST,
     ] {
         let mut case = Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false);

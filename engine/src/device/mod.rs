@@ -260,6 +260,12 @@ impl Device {
         self.0.memory.usage()
     }
 
+    /// Does something, and says how many bytes of device memory were in use at most meanwhile, beyond those that were before. Of one at a
+    /// time: not within another, nor in several threads.
+    pub fn memory_during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
+        self.0.memory.during(work)
+    }
+
     /// What has been done with this device's memory so far.
     pub fn activity(&self) -> Activity {
         self.0.memory.activity()

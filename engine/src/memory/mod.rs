@@ -41,6 +41,8 @@ struct State {
     allocator: Option<Allocator>,
     used: u64,
     peak: u64,
+    /// The most since somebody asked for it.
+    since: u64,
     activity: Activity,
 }
 
@@ -48,6 +50,7 @@ impl State {
     fn add(&mut self, bytes: u64) {
         self.used += bytes;
         self.peak = self.peak.max(self.used);
+        self.since = self.since.max(self.used);
     }
 }
 
@@ -88,7 +91,13 @@ impl Memory {
             reason: e.to_string(),
         })?;
         Ok(Memory {
-            state: Mutex::new(State { allocator: Some(allocator), used: 0, peak: 0, activity: Activity::default() }),
+            state: Mutex::new(State {
+                allocator: Some(allocator),
+                used: 0,
+                peak: 0,
+                since: 0,
+                activity: Activity::default(),
+            }),
             limits: budget::Limits::new(instance, physical, info),
         })
     }
@@ -96,6 +105,16 @@ impl Memory {
     pub fn usage(&self) -> (u64, u64) {
         let state = self.lock();
         (state.used, state.peak)
+    }
+
+    pub fn during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
+        let before = {
+            let mut state = self.lock();
+            state.since = state.used;
+            state.used
+        };
+        let done = work();
+        (done, self.lock().since.saturating_sub(before))
     }
 
     pub fn activity(&self) -> Activity {

@@ -1,8 +1,8 @@
 //! Splatting: project, sort into tiles, blend, and the way back.
 //!
 //! Promises: nothing is read back; whatever depends on the scene's content is counted on the GPU and drives indirect
-//! dispatches; an overflow of the tile entries raises a flag and empties the rest of the step. No float atomics: results
-//! are bit-identical from run to run.
+//! dispatches; an overflow of the tile entries raises a flag and empties the rest of the step. Results are
+//! bit-identical from run to run, but for those of [`BackwardKernel::Atomic`], the only kernel that adds floats atomically.
 
 mod blend;
 mod extra;

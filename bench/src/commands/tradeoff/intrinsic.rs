@@ -391,30 +391,44 @@ fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings)
 }
 
 fn table(rows: &[Row]) -> String {
-    let mut out = String::from(
-        "| choice | setting | step, of exact | memory, of exact | largest error | mean error | picture, dB | gradients | gradients of the field | pictures after training, dB | albedo, dB | front |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n",
-    );
+    let trained = rows.iter().any(|r| r.quality.is_some());
+    let mut heads = vec![
+        "choice",
+        "setting",
+        "step, of exact",
+        "memory, of exact",
+        "largest error",
+        "mean error",
+        "picture, dB",
+        "gradients",
+        "gradients of the field",
+        "front",
+    ];
+    if trained {
+        heads.extend(["pictures after training, dB", "albedo, dB"]);
+    }
+    let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     let Some(exact) = rows.first() else { return out };
     let cell = |v: Option<f64>, form: &dyn Fn(f64) -> String| v.filter(|v| v.is_finite()).map_or("".to_owned(), form);
     let small = |v: f64| format!("{v:.1e}");
-    let db = |v: f64| format!("{v:.2}");
     for r in rows {
-        let _ = writeln!(
-            out,
-            "| {} | {} | {} | {:.3} | {} | {} | {} | {} | {} | {} | {} | {} |",
-            r.choice.name,
-            r.choice.setting,
-            r.of_exact,
-            r.bytes as f64 / exact.bytes as f64,
+        let mut cells = vec![
+            r.choice.name.to_owned(),
+            r.choice.setting.clone(),
+            r.of_exact.to_string(),
+            format!("{:.3}", r.bytes as f64 / exact.bytes as f64),
             cell(r.picture.map(|p| p[0]), &small),
             cell(r.picture.map(|p| p[1]), &small),
             cell(r.picture.map(|p| p[2]), &|v| format!("{v:.1}")),
             cell(r.gradients.map(|g| g[0]), &small),
             cell(r.gradients.map(|g| g[1]), &small),
-            cell(r.quality.map(|q| q[0]), &db),
-            cell(r.quality.map(|q| q[1]), &db),
-            r.standing
-        );
+            r.standing.to_string(),
+        ];
+        if trained {
+            let db = |v: f64| format!("{v:.2}");
+            cells.extend([0, 1].map(|i| cell(r.quality.map(|q| q[i]), &db)));
+        }
+        let _ = writeln!(out, "| {} |", cells.join(" | "));
     }
     out
 }

@@ -83,7 +83,7 @@ pub enum Stage {
     All,
 }
 
-/// Settings from preset, then from file, then from `--set`, then from the options of their own.
+/// Settings from preset, then from level of accuracy, then from file, then from `--set`, then from the options of their own.
 pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = preset_of(o)?;
     overlay(&mut table, accuracy_of(o)?);
@@ -115,17 +115,19 @@ fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
     text.parse().map_err(|e| anyhow::anyhow!("\"{}\": {}.", path.display(), wrong(e)))
 }
 
-/// Settings of the intrinsic stage on the geometry of a run: the run's, whose geometry they made, and over them what preset and
-/// file say about the stage.
+/// Settings of the intrinsic stage on the geometry of a run: the run's, whose geometry they made, and over them what preset,
+/// level of accuracy and file say about the stage, in this order.
 fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = run.to_table()?;
-    for mut over in [preset_of(o)?, file_of(o)?] {
+    let of_stage = |mut over: toml::Table| -> anyhow::Result<toml::Table> {
         // A misspelled name is still one.
         Settings::from_table(over.clone())?;
         over.retain(|key, _| key == "intrinsic");
-        overlay(&mut table, over);
-    }
+        Ok(over)
+    };
+    overlay(&mut table, of_stage(preset_of(o)?)?);
     overlay(&mut table, accuracy_of(o)?);
+    overlay(&mut table, of_stage(file_of(o)?)?);
     settings_over(table, scene, o)
 }
 
@@ -200,7 +202,11 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
 fn resumed(a: &Args) -> anyhow::Result<Settings> {
     let began = RunDirectory::open(&a.output)?.settings()?;
     let mut asked = match (&a.options.config, &a.options.preset) {
-        (None, None) => settings_over(began.to_table()?, &a.scene, &a.options)?,
+        (None, None) => {
+            let mut table = began.to_table()?;
+            overlay(&mut table, accuracy_of(&a.options)?);
+            settings_over(table, &a.scene, &a.options)?
+        }
         _ if a.stage == Stage::Intrinsic => settings_of_stage(&began, &a.scene, &a.options)?,
         _ => settings(&a.scene, &a.options)?,
     };

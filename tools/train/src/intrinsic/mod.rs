@@ -405,6 +405,7 @@ impl Intrinsic {
             roll_backs: Vec::new(),
         };
         training.keep_environment()?;
+        training.expect_to_look()?;
         Ok(training)
     }
 

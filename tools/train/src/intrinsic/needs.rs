@@ -55,6 +55,8 @@ pub struct IntrinsicNeeds {
     pub relight_arena: u64,
     /// Pictures of views under other lights, and transients of them, where a network is shown some.
     pub relit: u64,
+    /// What it takes to see what could be left out, beyond staging and the transients of steps, which are given up meanwhile.
+    pub looking: u64,
     /// Uniforms and reports.
     pub small: u64,
     /// Staging memory of a checkpoint.
@@ -153,13 +155,19 @@ impl IntrinsicNeeds {
         Ok(needs)
     }
 
+    /// Adds what looking takes, staging with it, while no step has transients.
+    pub(super) fn look(&mut self, bytes: u64) {
+        let given_up = self.arena + self.cross_view_arena + self.relight_arena + self.staging;
+        self.looking = bytes.saturating_sub(given_up);
+    }
+
     /// All of it.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 19] {
+    pub fn parts(&self) -> [(&'static str, u64); 20] {
         [
             ("photographs", self.photographs),
             ("priors of materials", self.priors),
@@ -178,6 +186,7 @@ impl IntrinsicNeeds {
             ("arena of pseudo-views", self.cross_view_arena),
             ("arena of other lights", self.relight_arena),
             ("pictures under other lights", self.relit),
+            ("looking at what is needed", self.looking),
             ("uniforms and reports", self.small),
             ("staging", self.staging),
         ]

@@ -63,6 +63,18 @@ mod tests {
         }
     }
 
+    /// Parallel vectors of any length are no angle apart, opposite ones half a turn: an arc cosine is off by 1e-8, or no number.
+    #[test]
+    fn parallel_vectors_have_no_angle() {
+        for i in 1..1000 {
+            let x = i as f32;
+            let a = [(0.37 * x).sin(), (0.73 * x).cos(), 0.01 * x - 4.0];
+            let of = |factor: f32| normal_mae_deg(&image(&a), &image(&a.map(|v| factor * v)), None).unwrap();
+            assert_eq!(of(2.0), 0.0, "{a:?}");
+            assert!((of(-4.0) - 180.0).abs() < 1e-12, "{a:?}");
+        }
+    }
+
     #[test]
     fn only_directions_count() {
         let a = image(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0, 1.0, 0.0, 0.0]);

@@ -125,6 +125,23 @@ mod tests {
         assert!((0.0..1e-7).contains(&own), "{own}");
     }
 
+    /// Rounding takes the cosine of equal orientations beyond one: the angle is none then, and a number.
+    #[test]
+    fn equal_orientations_have_no_angle() {
+        let mut beyond = 0;
+        for i in 0..1000 {
+            let a = 0.003 * f64::from(i);
+            let rotation = DQuat::from_euler(glam::EulerRot::XYZ, a, 0.7 * a, -0.4 * a).normalize();
+            beyond += usize::from(2.0 * rotation.dot(rotation).powi(2) - 1.0 > 1.0);
+            let pose = Pose { position: DVec3::ZERO, rotation };
+            for other in [pose, Pose { rotation: -rotation, ..pose }] {
+                let found = pose.distance(&other, 1.0, 1.0);
+                assert!((0.0..1e-7).contains(&found), "{a}: {found}");
+            }
+        }
+        assert!(beyond > 0, "rounding never went beyond one");
+    }
+
     #[test]
     fn curves_keep_their_ends_and_straight_lines() {
         let [p, a, b, q] = [0.0, 1.0, 2.0, 3.0].map(|x| DVec3::new(x, -x, 0.5));

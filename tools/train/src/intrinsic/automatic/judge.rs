@@ -71,6 +71,9 @@ struct Changes {
 impl Intrinsic {
     /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
     pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
+        // Pictures take about the room that steps do: not both at once.
+        self.finish()?;
+        self.execs = [None, None, None];
         let (decided, changes) = match self.worthless(step) {
             Err(e) if e.is_out_of_memory() => {
                 tracing::info!("after step {step} there is no memory to see what could be left out");
@@ -91,6 +94,25 @@ impl Intrinsic {
                 a.decisions.push(decision);
             }
         }
+        Ok(())
+    }
+
+    /// Finds out before the first step what looking will take, by doing so once; nothing where memory does not suffice for it.
+    pub(in super::super) fn expect_to_look(&mut self) -> Result<()> {
+        let Some(mut watched) = self.automatic.take() else { return Ok(()) };
+        let (found, bytes) = self.device.memory_during(|| self.try_to_look(&mut watched));
+        self.automatic = Some(watched);
+        match found {
+            Ok(()) => self.needs.look(bytes),
+            Err(e) if e.is_out_of_memory() => {}
+            Err(e) => return Err(e),
+        }
+        Ok(())
+    }
+
+    fn try_to_look(&self, watched: &mut Automatic) -> Result<()> {
+        watched.own = Some(self.own(&watched.views)?);
+        self.pictures(&mut self.shading(&self.splats()?, &self.light()?)?, &watched.views)?;
         Ok(())
     }
 
