@@ -23,7 +23,7 @@ pub struct Common {
     /// Repetitions before them that are not measured.
     #[arg(long, global = true, value_name = "N", default_value_t = 3)]
     pub warmup: u32,
-    /// Fail if anything is slower than in this report (of the same command) by more than the noise.
+    /// Fail if anything is slower, or otherwise worse, than in this report (of the same command) by more than the noise.
     #[arg(long, global = true, value_name = "BASELINE.json")]
     pub compare: Option<PathBuf>,
     /// Slower by less than this share of the baseline is always noise.
@@ -65,7 +65,7 @@ impl Common {
     /// Prints the report, writes it, and sets it against the baseline.
     ///
     /// # Errors
-    /// If a file cannot be read or written, validation had something to say, or something is slower.
+    /// If a file cannot be read or written, validation had something to say, or something is worse.
     pub fn finish(&self, report: &Report, device: &Device) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(report).context("The report cannot be written as JSON.")?;
         match &self.json {

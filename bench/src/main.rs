@@ -3,7 +3,7 @@
 //! Every command states device, driver, sizes, repeats, median and spread, and checks what it measures: a number never
 //! comes from a kernel with a wrong result. `--json` writes a report, `--compare` sets this run against one.
 //!
-//! Exit status 0 done, 1 failed or slower than the baseline, 2 wrong usage.
+//! Exit status 0 done, 1 failed or worse than the baseline, 2 wrong usage.
 
 mod commands;
 mod common;

@@ -27,9 +27,9 @@ impl Summary {
         Summary { median: center, mad: median(&deviations), least, samples: samples.len() }
     }
 
-    /// Of what is known to be off by a standard error.
-    pub fn known(value: f64, off: f64, samples: usize) -> Summary {
-        Summary { median: value, mad: off / SIGMA, least: value, samples }
+    /// Of samples of which median and standard deviation are known, and nothing else.
+    pub fn known(value: f64, sigma: f64, samples: usize) -> Summary {
+        Summary { median: value, mad: sigma / SIGMA, least: value, samples }
     }
 
     /// The standard deviation that the spread speaks of.

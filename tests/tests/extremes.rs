@@ -297,7 +297,7 @@ const HAZARDS: &[Hazard] = &[
     ),
     (
         "grazing views and lights",
-        "cosines of views at least 1e-4, of lights as they are",
+        "the cosine of the view is at least 1e-4, lights below the horizon add nothing",
         &[("lights", "lights_at_extremes"), ("shading_properties", "lights_agree_with_the_twin")],
     ),
     (
@@ -307,7 +307,7 @@ const HAZARDS: &[Hazard] = &[
     ),
     (
         "light opposite the camera: no half vector",
-        "finite",
+        "its length squared is at least 1e-16",
         &[("lights", "a_light_opposite_the_camera_is_finite"), ("lights", "lights_at_extremes")],
     ),
     (
@@ -400,7 +400,7 @@ const HAZARDS: &[Hazard] = &[
         "priors that are missing",
         "the loss is absent",
         &[
-            ("traced_train", "training_sees_shadows"),
+            ("nan_priors", "priors_of_nothing_but_nan_are_as_none"),
             ("geometry_loss", "geometry_loss_of_a_model_that_lacks_something"),
         ],
     ),
@@ -423,12 +423,12 @@ const HAZARDS: &[Hazard] = &[
     ),
     (
         "the cosine with a vector of zero",
-        "none, and no gradient",
+        "left out of the sum, no gradient",
         &[("semantic", "semantic_loss_at_extremes"), ("semantic", "what_says_nothing_is_left_out_and_counted")],
     ),
     (
         "Adam of gradients next to nothing",
-        "gradients of exactly zero move nothing",
+        "epsilon of 1e-15; gradients of exactly zero move nothing, but with `geometry.dense_adam`",
         &[("optim", "adam_survives_extreme_gradients")],
     ),
     (

@@ -188,17 +188,18 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
 #[test]
 fn looking_takes_what_was_reckoned() {
     let mut s = sgs_tests::intrinsic::settings(12);
-    // It is looked, and nothing is left out.
-    let a = &mut s.intrinsic.automatic;
-    (a.enabled, a.sizes, a.metallic, a.lights, a.lobes) = (true, false, false, false, false);
-    (a.environment, a.visibility, a.levels, a.texels, a.pace) = (false, false, false, false, false);
-    s.intrinsic.environment.resolution = 128;
-    let room = Room { priors: true, ..Room::default() };
-    for compared in [true, false] {
+    // Many splats, and little else: looking has a copy of them.
+    let room = Room { priors: true, spacing: 1, ..Room::default() };
+    for (compared, judged) in [(true, false), (false, false), (false, true)] {
         let place = Place::new(room);
         if compared {
             room.write_materials(&place.path("scene"));
         }
+        // It is looked, and what is judged is so by pictures without it.
+        let a = &mut s.intrinsic.automatic;
+        (a.enabled, a.sizes, a.metallic, a.gain, a.ready, a.settled) = (true, false, false, 0.0, 1e3, 1e3);
+        (a.lights, a.lobes, a.environment, a.visibility) = (judged, judged, judged, judged);
+        (a.levels, a.texels, a.pace) = (judged, judged, judged);
         let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
         let splats = Splats::from_points(&scene.points, 1).unwrap();
         let gpu = Gpu::new();
@@ -207,8 +208,18 @@ fn looking_takes_what_was_reckoned() {
         training.save(&place.path("state")).unwrap();
         let (needs, most) = (*training.needs(), gpu.device().memory_use().1);
         let off = most as f64 / needs.total() as f64 - 1.0;
-        println!("{compared}: {most} bytes at most, {} reckoned, {} for looking", needs.total(), needs.looking);
+        println!(
+            "{compared}, {judged}: {most} bytes at most, {} reckoned, {} for looking",
+            needs.total(),
+            needs.looking
+        );
         assert!(off.abs() < 0.05, "{most} bytes at most, {} reckoned: {needs:?}", needs.total());
+        // Steps give up less than looking takes: the peak is that of looking.
+        let steps = needs.total() - needs.looking;
+        assert!(needs.looking > 0 && most > steps + needs.looking / 2, "{most} bytes at most: {needs:?}");
+        if judged {
+            assert!(training.decisions().iter().any(|d| d.measured.is_some()), "{:?}", training.decisions());
+        }
     }
 }
 

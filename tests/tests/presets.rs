@@ -1,5 +1,6 @@
 //! `--preset`: what runs record of it, what goes over it, what is refused; help and documents know all of them.
 
+use sgs_passes::Accuracy;
 use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
@@ -37,6 +38,36 @@ fn presets_lie_beneath_everything_else() {
     train("b", &["--preset", "draft", "--resume"]).ok();
     train("b", &["--resume"]).ok();
     train("b", &["--preset", "paper", "--resume"]).refused(&["was begun with", "resume it as it was begun"]);
+}
+
+#[test]
+fn levels_of_accuracy_lie_between_preset_and_file() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let file = "[accuracy]\ndepth_bits = 24\n[intrinsic.visibility]\nsample = 7\nlevels = 2\nlog2_table = 8\n\
+        [intrinsic.lights]\ngrid = 2\n[intrinsic.environment]\nresolution = 16\n";
+    std::fs::write(place.path("over.toml"), file).unwrap();
+    let (scene, file) = (place.text("scene"), place.text("over.toml"));
+    let train = |run: &str, more: &[&str]| {
+        let to = place.text(run);
+        let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
+        sgs(&[&a[..], more].concat())
+    };
+    let of = |run: &str| -> Settings { RunDirectory::open(&place.path(run)).unwrap().settings().unwrap() };
+    let fast = Accuracy::FAST;
+    train("a", &["--accuracy", "fast", "--config", &file]).ok();
+    let s = of("a");
+    assert_eq!((s.accuracy, s.intrinsic.visibility.sample), (Accuracy { depth_bits: 24, ..fast }, 7));
+    train("a", &["--accuracy", "fast", "--config", &file, "--resume"]).ok();
+    // A level replaces what a preset says of the same.
+    train("b", &["--preset", "draft", "--accuracy", "fast"]).ok();
+    let s = of("b");
+    assert_eq!((s.accuracy, s.intrinsic.visibility.sample), (fast, 4));
+    train("b", &["--resume", "--accuracy", "fast"]).ok();
+    train("b", &["--resume", "--accuracy", "balanced"]).refused(&["was begun with", "accuracy"]);
+    // Of another stage on that geometry the file goes over the level, too.
+    train("b", &["--stage", "intrinsic", "--accuracy", "exact", "--config", &file]).ok();
+    let s = of("b");
+    assert_eq!((s.accuracy.color_bits, s.intrinsic.visibility.sample), (32, 7));
 }
 
 #[test]

@@ -1,13 +1,14 @@
-//! Whether one run is slower than another, beyond what runs differ by on their own.
+//! Whether one run is slower than another, or takes or errs by more, beyond what runs differ by on their own.
 //!
-//! A time counts as slower if its median exceeds the baseline's by more than the noise band
+//! A figure counts as worse if its median exceeds the baseline's by more than the noise band
 //!
 //! > 3 · sqrt(σ² + σ₀²) + tolerance · median₀ + floor
 //!
 //! with σ = 1.4826 · MAD of either run's samples: the spread of single samples, not of the median, since runs at
 //! different times on a shared machine differ by more than repeats within one. The tolerance covers what clocks and
-//! caches do between processes. The floor is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
-//! is more: below it a difference is the scheduler's and matters to nobody.
+//! caches do between processes. The floor of times is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
+//! is more: below it a difference is the scheduler's and matters to nobody. That of ratios, errors and megabytes is what the
+//! order of sums in single precision may change of a number near one.
 
 use super::{Report, standing};
 use crate::stats::Summary;
@@ -19,13 +20,13 @@ const DEVIATIONS: f64 = 3.0;
 /// Nanoseconds below which nothing counts.
 const RESOLUTION: f64 = 2000.0;
 
-/// By what errors, ratios and megabytes may differ for no reason but the order of sums.
-const ROUNDING: f64 = 1e-6;
+/// By what errors, ratios and megabytes may differ for no reason but the order of sums: five halves of a last place.
+const ROUNDING: f64 = 3e-7;
 
 /// Share of its plan below which a pass does not count.
 const NEGLIGIBLE: f64 = 0.001;
 
-/// One time in both runs.
+/// One figure in both runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Which.
@@ -43,11 +44,11 @@ pub struct Difference {
 /// What a comparison found.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// Times that both runs have.
+    /// How many figures both runs have.
     pub compared: usize,
-    /// Slower ones, the worst first.
+    /// Worse ones, the worst first.
     pub slower: Vec<Difference>,
-    /// Faster ones by the same measure.
+    /// Better ones by the same measure.
     pub faster: Vec<Difference>,
     /// Choices that stood on the front, and are beaten now.
     pub fallen: Vec<String>,
@@ -142,7 +143,7 @@ impl Outcome {
     /// The comparison for people.
     pub fn text(&self) -> String {
         let mut out = format!(
-            "\ncompared {} figures; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan\n",
+            "\ncompared {} figures; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan, {ROUNDING:.0e} of what is no time\n",
             self.compared,
             100.0 * self.tolerance,
             RESOLUTION / 1e3,
@@ -283,6 +284,18 @@ mod tests {
         for (now, off, grown) in [(0.95, 0.01, false), (1.0, 0.01, true), (1.0, 0.04, false), (0.7, 0.01, false)] {
             let outcome = compare(&report(0.9, 0.01), &report(now, off), 0.05).unwrap();
             assert_eq!(outcome.slower.len(), usize::from(grown), "{now} ± {off}: {}", outcome.text());
+        }
+    }
+
+    #[test]
+    fn the_least_errors_may_not_grow() {
+        let report = |error: f64| {
+            let mut report = run(1, 0.0, 1.0);
+            report.time("mean error, exact", "", Summary::of(&[error]));
+            report
+        };
+        for (now, grown) in [(2e-7, false), (5e-7, true)] {
+            assert_eq!(compare(&report(1e-7), &report(now), 0.05).unwrap().slower.len(), usize::from(grown), "{now}");
         }
     }
 

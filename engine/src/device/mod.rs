@@ -260,8 +260,8 @@ impl Device {
         self.0.memory.usage()
     }
 
-    /// Does something, and says how many bytes of device memory were in use at most meanwhile, beyond those that were before. Of one at a
-    /// time: not within another, nor in several threads.
+    /// Does something, and says how many bytes of device memory were in use at most meanwhile, beyond those that were before. Calls
+    /// must neither nest nor overlap, or figures are wrong.
     pub fn memory_during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
         self.0.memory.during(work)
     }

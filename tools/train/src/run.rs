@@ -246,14 +246,6 @@ impl RunDirectory {
         if all.is_empty() { self.remove([self.path("training.json")]) } else { self.write_json("training.json", &all) }
     }
 
-    /// Removes the directory if nothing is in it, as where a training was refused before its first step.
-    pub fn remove_if_empty(&self) {
-        // Only empty directories can be removed like this, and one that stays does no harm.
-        for directory in [self.root.join("checkpoint"), self.root.clone()] {
-            let _ = std::fs::remove_dir(directory);
-        }
-    }
-
     fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {
         paths.into_iter().try_for_each(|path| remove(&path))
     }

@@ -15,18 +15,19 @@ pub struct Ratio {
     pub value: f64,
     /// Its standard error.
     pub off: f64,
+    /// How many there were.
+    pub rounds: usize,
 }
 
 impl Ratio {
     /// Of `exact` itself.
-    pub const EXACT: Ratio = Ratio { value: 1.0, off: 0.0 };
+    pub const EXACT: Ratio = Ratio { value: 1.0, off: 0.0, rounds: 1 };
 
     /// Of one ratio a round.
     pub fn of(rounds: &[f64]) -> Ratio {
         let s = Summary::of(rounds);
-        // Of a median of normal samples.
-        let off = (FRAC_PI_2 / s.samples.max(1) as f64).sqrt() * s.sigma();
-        Ratio { value: s.median, off: off.max(LEAST) }
+        let rounds = s.samples.max(1);
+        Ratio { value: s.median, off: (median_error(rounds) * s.sigma()).max(LEAST), rounds }
     }
 
     /// Whether it is less, other than by chance.
@@ -35,9 +36,15 @@ impl Ratio {
     }
 }
 
+/// The standard error of a median of so many normal samples, over their standard deviation.
+fn median_error(samples: usize) -> f64 {
+    (FRAC_PI_2 / samples as f64).sqrt()
+}
+
 impl From<Ratio> for Summary {
+    /// With the spread of single rounds, by which reports are compared: runs at different times differ by more than rounds of one.
     fn from(r: Ratio) -> Summary {
-        Summary::known(r.value, r.off, 1)
+        Summary::known(r.value, r.off / median_error(r.rounds), r.rounds)
     }
 }
 
@@ -101,7 +108,9 @@ mod tests {
     use Standing::{Beaten, Front, Tie};
 
     fn standings_of(all: &[(f64, f64)], off: f64) -> Vec<Standing> {
-        standings(&all.iter().map(|(value, error)| (Ratio { value: *value, off }, *error)).collect::<Vec<_>>())
+        standings(
+            &all.iter().map(|(value, error)| (Ratio { value: *value, off, rounds: 1 }, *error)).collect::<Vec<_>>(),
+        )
     }
 
     #[test]
@@ -123,7 +132,10 @@ mod tests {
         // More rounds are surer; nothing is surer than clocks are.
         let often: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 0.78 } else { 0.82 }).collect();
         assert!(Ratio::of(&often).off < 0.5 * Ratio::of(&often[..4]).off);
-        assert_eq!(Ratio::of(&[0.8]), Ratio { value: 0.8, off: LEAST });
+        assert_eq!(Ratio::of(&[0.8]), Ratio { value: 0.8, off: LEAST, rounds: 1 });
         assert_eq!(Ratio::EXACT.to_string(), "1.00");
+        // What is reported is the spread of rounds.
+        let (all, said) = (Summary::of(&often[..4]), Summary::from(Ratio::of(&often[..4])));
+        assert!((said.median, said.samples) == (all.median, 4) && (said.sigma() - all.sigma()).abs() < 1e-12);
     }
 }

@@ -433,7 +433,7 @@ mod tests {
             setting: String::new(),
             step: Summary::of(&[ms]),
             frame: Summary::of(&[ms]),
-            of_exact: [Ratio { value: ms / 10.0, off: 0.01 }; 2],
+            of_exact: [Ratio { value: ms / 10.0, off: 0.01, rounds: 8 }; 2],
             bytes: 1,
             largest: mean,
             mean,

@@ -64,11 +64,12 @@ pub fn train_into(
     what: &str,
     mut watch: Option<&mut Watch>,
 ) -> anyhow::Result<Ended> {
-    let run = RunDirectory::create(output)?;
-    let mut training = Geometry::new(device, scene, settings, None).inspect_err(|_| run.remove_if_empty())?;
+    let mut training = Geometry::new(device, scene, settings, None)?;
     if stop.load(Ordering::SeqCst) {
         return Ok(Ended::Stopped(0));
     }
+    // What was refused or stopped so far leaves nothing behind.
+    let run = RunDirectory::create(output)?;
     if !resuming {
         run.forget()?;
     } else if run.checkpoint().is_file() {

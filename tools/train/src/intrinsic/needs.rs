@@ -1,7 +1,8 @@
 //! What the intrinsic stage will take of the device's memory, added up before its first step.
 //!
 //! Promises that the sum is that of the buffers that training has, all kinds of steps that it will come to among them, plus
-//! the staging memory of a checkpoint. Room for what views see of the geometry is measured before, on the device: how many
+//! the staging memory of a checkpoint, and what looking at what could be left out takes beyond them; that is none where a first look
+//! found no memory, since nothing is looked at then. Whether surfaces are kept is decided without it. Room for what views see of the geometry is measured before, on the device: how many
 //! weights there are nobody can know otherwise.
 
 use super::consistency::StepKind;
