@@ -1,22 +1,30 @@
-//! `--preset`: what runs record of it, what goes over it, what is refused; help and documents know all of them.
+//! `--preset` and `--accuracy`: what runs record of them, what goes over them, what is refused; help and documents know all presets.
 
 use sgs_passes::Accuracy;
 use sgs_tests::Place;
-use sgs_tests::cli::sgs;
+use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
 use sgs_train::{LobeLayout, PRESETS, RunDirectory, Settings};
+
+/// Trains for some steps.
+fn train(place: &Place, run: &str, more: &[&str]) -> Finished {
+    let (scene, to) = (place.text("scene"), place.text(run));
+    let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
+    sgs(&[&a[..], more].concat())
+}
+
+/// What a run says that it was trained with.
+fn settings(place: &Place, run: &str) -> Settings {
+    RunDirectory::open(&place.path(run)).unwrap().settings().unwrap()
+}
 
 #[test]
 fn presets_lie_beneath_everything_else() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     std::fs::write(place.path("over.toml"), "seed = 5\n[intrinsic.visibility]\ncoarsest = 8\nfinest = 32\n").unwrap();
-    let (scene, file) = (place.text("scene"), place.text("over.toml"));
-    let train = |run: &str, more: &[&str]| {
-        let to = place.text(run);
-        let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
-        sgs(&[&a[..], more].concat())
-    };
-    let of = |run: &str| -> Settings { RunDirectory::open(&place.path(run)).unwrap().settings().unwrap() };
+    let file = place.text("over.toml");
+    let train = |run: &str, more: &[&str]| train(&place, run, more);
+    let of = |run: &str| settings(&place, run);
     train("no", &["--preset", "drafts"]).refused(&["\"drafts\" is not a preset", "did you mean \"draft\"?", "parity"]);
     assert!(!place.path("no").exists());
     train("a", &["--preset", "parity", "--config", &file, "--set", "intrinsic.visibility.coarsest=4"]).ok();
@@ -46,13 +54,9 @@ fn levels_of_accuracy_lie_between_preset_and_file() {
     let file = "[accuracy]\ndepth_bits = 24\n[intrinsic.visibility]\nsample = 7\nlevels = 2\nlog2_table = 8\n\
         [intrinsic.lights]\ngrid = 2\n[intrinsic.environment]\nresolution = 16\n";
     std::fs::write(place.path("over.toml"), file).unwrap();
-    let (scene, file) = (place.text("scene"), place.text("over.toml"));
-    let train = |run: &str, more: &[&str]| {
-        let to = place.text(run);
-        let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
-        sgs(&[&a[..], more].concat())
-    };
-    let of = |run: &str| -> Settings { RunDirectory::open(&place.path(run)).unwrap().settings().unwrap() };
+    let file = place.text("over.toml");
+    let train = |run: &str, more: &[&str]| train(&place, run, more);
+    let of = |run: &str| settings(&place, run);
     let fast = Accuracy::FAST;
     train("a", &["--accuracy", "fast", "--config", &file]).ok();
     let s = of("a");
