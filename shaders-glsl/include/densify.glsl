@@ -32,7 +32,8 @@ const uint COUNT_PRUNED = 0u;
 const uint COUNT_INVALID = 1u;
 const uint COUNT_REFINED = 2u;
 const uint COUNT_SPARED = 3u; // the largest complement of the index of a pruned one whose numbers are finite
-const uint COUNT_STRENGTHS = 4u;
+const uint COUNT_WEIGHTLESS = 4u;
+const uint COUNT_STRENGTHS = 5u;
 
 struct DensifyPlan {
     uint before;  // Gaussians before
@@ -58,7 +59,8 @@ struct DensifyStats {
     uint before;
     uint after;
     uint pruned;
-    uint invalid; // of the pruned ones, those with a number that is not finite
+    uint invalid;    // of the pruned ones, those with a number that is not finite,
+    uint weightless; // and those that are opaque enough, but have less blending weight than asked
     uint cloned;
     uint split;
     uint refused; // would have been refined, but did not fit under the cap

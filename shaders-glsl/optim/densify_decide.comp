@@ -34,8 +34,9 @@ void main() {
     float opacity = 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
     float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));
     Densify d = params.densify;
-    bool prune =
-        !valid || opacity < d.prune_opacity || statistics[3u * i + 2u] < d.prune_weight || largest > d.prune_size;
+    bool faint = opacity < d.prune_opacity;
+    bool weightless = valid && !faint && statistics[3u * i + 2u] < d.prune_weight;
+    bool prune = !valid || faint || weightless || largest > d.prune_size;
     float gradient = statistics[3u * i] / max(statistics[3u * i + 1u], 1.0);
     bool refine = !prune && is_finite(gradient) && gradient >= d.grad_threshold;
     uint verdict = prune ? PRUNE : KEEP;
@@ -48,9 +49,11 @@ void main() {
     if (prune && valid) atomicMax(counters[COUNT_SPARED], ~i);
     // One addition by subgroup: all of them go to the same words.
     uint pruned = subgroupAdd(uint(prune)), invalid = subgroupAdd(uint(!valid)), refined = subgroupAdd(uint(refine));
+    uint unseen = subgroupAdd(uint(weightless));
     if (subgroupElect()) {
         atomicAdd(counters[COUNT_PRUNED], pruned);
         atomicAdd(counters[COUNT_INVALID], invalid);
         atomicAdd(counters[COUNT_REFINED], refined);
+        atomicAdd(counters[COUNT_WEIGHTLESS], unseen);
     }
 }

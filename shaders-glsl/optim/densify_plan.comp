@@ -65,5 +65,7 @@ void main() {
     before[1] = work_for(p.before, SCAN_BLOCK);
     moves[0] = work_for(max(p.births, p.pruned), PER_GROUP);
     live[0] = work_for(p.after, PER_GROUP);
-    stats[0] = DensifyStats(p.before, p.after, p.pruned, invalid, 0u, 0u, wanted - p.births);
+    // The one that is spared is not told apart.
+    uint weightless = min(counters[COUNT_WEIGHTLESS], p.pruned - min(invalid, p.pruned));
+    stats[0] = DensifyStats(p.before, p.after, p.pruned, invalid, weightless, 0u, 0u, wanted - p.births);
 }

@@ -185,3 +185,68 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
         assert!(training.restore(&path).is_err(), "{wrong} was believed");
     }
 }
+
+/// Surroundings, shadows and lobes can go each by itself, with the same bits after being stopped; and what stays is said, too.
+#[test]
+fn parts_go_by_themselves_and_what_stays_is_said() {
+    let bench = Bench::new();
+    let there = |t: &Intrinsic| {
+        let light = t.light().unwrap();
+        let lights = light.lights.unwrap();
+        let shadows = matches!(light.visibility, Visibility::Learned(_));
+        (light.environment.is_some(), shadows, lights.lights.iter().map(|l| l.lobes.len()).max().unwrap())
+    };
+    for (part, from, before, after) in [
+        ("environment", 10, (true, true, 12), (false, true, 12)),
+        ("visibility", 10, (true, true, 12), (true, false, 12)),
+        ("lobes", 15, (true, true, 12), (true, true, 1)),
+    ] {
+        let mut s = eager();
+        let a = &mut s.intrinsic.automatic;
+        match part {
+            "environment" => a.environment = true,
+            "visibility" => a.visibility = true,
+            _ => a.lobes = true,
+        }
+        let (straight, used) = bench.train(&s, &[], there);
+        for (i, seen) in straight.seen.iter().enumerate() {
+            assert_eq!(*seen, if i + 1 < from { before } else { after }, "{part} after step {}", i + 1);
+        }
+        assert!(used[19] < used[8], "{part}: {} bytes before, {} after", used[8], used[19]);
+        said(&straight, part);
+        let stopped = bench.train(&s, &[from as u32 - 1, from as u32, 17], there).0;
+        assert!(stopped == straight, "{part}: being stopped has changed something");
+        // Where nothing may be lost, what is worth something stays, and that is said with its measure.
+        s.intrinsic.automatic.gain = 0.0;
+        let strict = bench.train(&s, &[12], there).0;
+        let told: Vec<_> = strict.decided.iter().filter(|d| d.starts_with(part)).collect();
+        assert!(!told.is_empty() && told.iter().all(|d| d.contains(" dB (asked: 0)")), "{:?}", strict.decided);
+        let stays = told.iter().all(|d| d.starts_with(&format!("{part} kept")));
+        assert!(stays == (strict.seen[19] == before) || part == "lobes", "{told:?}");
+    }
+}
+
+/// Of two parts of which either would do one stays: what is judged later is judged without what has just gone.
+#[test]
+fn parts_are_judged_without_what_has_gone() {
+    let bench = Bench::new();
+    let shadows = |surroundings: bool| {
+        let mut s = eager();
+        (s.intrinsic.automatic.environment, s.intrinsic.automatic.visibility) = (surroundings, true);
+        said(&bench.train(&s, &[], |_| ()).0, "visibility left out after step 10")
+    };
+    assert_ne!(shadows(true), shadows(false));
+    // Lamps that all go leave the surroundings, whatever these are worth.
+    let mut s = eager();
+    (s.intrinsic.automatic.lights, s.intrinsic.automatic.environment) = (true, true);
+    let course = bench.train(&s, &[], |t| (t.light().unwrap().lights.is_some(), t.environment_size())).0;
+    assert!(course.seen[..4].iter().all(|l| l.0) && course.seen[4..].iter().all(|l| *l == (false, Some(16))));
+    // Those that are off already are not there when surroundings are judged.
+    s.intrinsic.automatic.gain = 2.0;
+    let with = |lights: bool| {
+        let mut s = s.clone();
+        s.intrinsic.automatic.lights = lights;
+        bench.train(&s, &[], |_| ()).0.decided.into_iter().find(|d| d.starts_with("environment"))
+    };
+    assert_ne!(with(true), with(false));
+}

@@ -211,6 +211,10 @@ impl Scene {
         let verdicts: Vec<_> = (0..self.count).map(|i| twin::verdict(&self.candidate(i), s)).collect();
         let (slots, refused) = twin::layout(&verdicts, s.cap.min(self.capacity));
         assert_eq!((after.count, stats.refused as usize), (slots.len(), refused), "{stats:?}");
+        let weightless = (0..self.count).filter(|i| twin::weightless(&self.candidate(*i), s)).count();
+        if verdicts.iter().any(|v| !matches!(v, twin::Verdict::Prune { .. })) {
+            assert_eq!(stats.weightless as usize, weightless, "{stats:?}");
+        }
         for (slot, origin) in slots.into_iter().enumerate() {
             let (from, keeps_moments, half) = match origin {
                 Origin::Same(i) => (i, true, None),

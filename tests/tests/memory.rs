@@ -5,10 +5,11 @@ use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Locati
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::Gpu;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::meaning::Meaning;
 use sgs_tests::place::Place;
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Intrinsic, Progress, Settings, TrainError, VisibilityKind};
+use sgs_train::{Geometry, Intrinsic, Progress, Settings, ShDegree, TrainError, VisibilityKind};
 
 fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
@@ -149,6 +150,24 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
             assert!(error.to_string().contains(word), "{word}: {error}");
         }
         assert_eq!(used(), 0);
+        // Of geometry that has just been trained within it the faintest go instead.
+        let mut some = splats.clone();
+        let mut training = Intrinsic::within(gpu.device(), &scene, &s, &mut some).unwrap();
+        assert!(some.len() < splats.len() && some == splats.strongest(some.len()), "{} are left", some.len());
+        let said: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
+        assert!(
+            said.iter().any(|d| d.starts_with("the faintest splats left out: materials and lights of all do not fit"))
+        );
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        drop(training);
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &some).unwrap();
+        training.restore(&place.path("state")).unwrap();
+        assert!(
+            training.decisions().iter().map(ToString::to_string).eq(said),
+            "being stopped has changed what is said"
+        );
+        drop(training);
         s.memory.budget = least;
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         assert!(!training.keeps_surfaces());
@@ -182,6 +201,109 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     }
     let words = ["The intrinsic stage needs", "the budget leaves 8.0 of 8.0 MiB"];
     plan(&["--stage", "intrinsic", "--memory-budget", "8M"]).refused(&words);
+    // What the second stage cannot do is said before the first begins.
+    let all = ["train", &place.text("scene"), "-o", &place.text("all"), "--stage", "all", "--vram", "8M"];
+    sgs(&all).refused(&["The intrinsic stage needs", "MiB of device memory"]);
+    assert!(!place.path("all").exists());
+}
+
+/// Of shadows that are traced, too.
+#[test]
+fn traced_shadows_take_what_was_reckoned() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let gpu = Gpu::new();
+    let mut s = sgs_tests::intrinsic::settings(6);
+    s.intrinsic.visibility.kind = VisibilityKind::Traced;
+    let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+    training.train(6, |_| {}, || true).unwrap();
+    training.save(&place.path("state")).unwrap();
+    let (needs, (now, most)) = (*training.needs(), gpu.device().memory_use());
+    assert!(needs.visibility > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
+    let off = most as f64 / needs.total() as f64 - 1.0;
+    assert!(off.abs() < 0.05, "{most} bytes at most, {} reckoned: {needs:?}", needs.total());
+}
+
+/// What a training comes to that grows, with semantics and pseudo-views, was foretold from what its first views saw, to a twentieth; and
+/// so was how many Gaussians a budget holds.
+#[test]
+fn what_growth_comes_to_was_foretold() {
+    let room = Room { views: 8, size: [64, 48], spacing: 1, priors: true, ..Room::default() };
+    let place = Place::new(room);
+    Meaning::default().write(&room, &place.path("scene"));
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(40);
+    (s.geometry.densify.interval, s.geometry.densify.grad_threshold) = (10, 2e-5);
+    (s.geometry.densify.max_gaussians, s.geometry.pseudo.poses) = (40_000, 3);
+    s.geometry.correspondence_from = 5;
+    for auto in [false, true] {
+        if auto {
+            s.geometry.sh_degree = ShDegree::Auto;
+        }
+        let gpu = Gpu::new();
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let count = training.gaussians().count(gpu.device()).unwrap();
+        let entries = training.sight().unwrap().most_entries;
+        training.train(40, |_| {}, || true).unwrap();
+        let (n, peak) = (training.gaussians().count(gpu.device()).unwrap(), gpu.device().memory_use().1);
+        drop(training);
+        let training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let most = training.expected(n, count, entries).unwrap().total();
+        let least = training.expected_without_bands(n, count, entries).unwrap().map_or(most, |n| n.total());
+        println!("{count} became {n}: {peak} bytes at most, {least} to {most} foretold");
+        assert!(n > 2 * count && (least < most) == auto, "{count} became {n}");
+        assert!(peak as f64 > 0.95 * least as f64 && (peak as f64) < 1.05 * most as f64, "{peak}: {least} to {most}");
+        drop(training);
+        // A step with pseudo-views is more work, and of none of its passes is that unknown.
+        let mut bound = s.clone();
+        bound.memory.budget = most;
+        let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
+        let sight = training.sight().unwrap();
+        let ((step, unknown), Some((pseudo, other))) =
+            (training.step_cost(&sight).unwrap(), training.pseudo_step_cost(&sight).unwrap())
+        else {
+            panic!("there are pseudo-views")
+        };
+        assert!((unknown, other) == (0, 0), "{unknown} and {other} passes are unknown");
+        assert!(pseudo.operations > 1.5 * step.operations, "{step:?} {pseudo:?}");
+        // With that budget so many fit, and hardly more.
+        let fit = training.most_within_budget(count, entries).unwrap();
+        assert!(fit >= n && u64::from(fit) < u64::from(n) * 3 / 2, "{fit} of {n}");
+        gpu.device().set_memory_budget(None);
+    }
+}
+
+/// Pictures that a network is asked about are among what is reckoned, and where they do not fit training goes on without.
+#[test]
+fn asking_a_network_takes_what_was_reckoned() {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(room);
+    Meaning::default().write(&room, &place.path("scene"));
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(12);
+    s.geometry.densify.enabled = false;
+    (s.geometry.correspondence_from, s.geometry.pseudo.poses) = (4, 3);
+    s.provider.command = provider("misbehave=nothing");
+    let gpu = Gpu::new();
+    let train = |s: &Settings| {
+        let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
+        let mut pairs = 0;
+        let heard = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                pairs += r.losses.correspondence_pairs;
+            }
+        };
+        training.train(12, heard, || true).unwrap();
+        (*training.needs(), pairs, gpu.device().memory_use())
+    };
+    let (needs, pairs, (now, _)) = train(&s);
+    assert!(pairs > 0 && needs.asked > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
+    // With that and no byte more they are still asked about.
+    s.memory.budget = needs.total();
+    let (_, again, (_, peak)) = train(&s);
+    assert!(again == pairs && peak <= s.memory.budget, "{again} of {pairs}");
+    gpu.device().set_memory_budget(None);
 }
 
 /// Looking at what could be left out takes memory, too: what steps give up meanwhile, and what is reckoned beyond.
@@ -299,19 +421,24 @@ fn a_budget_just_above_the_start_is_enough() {
     let mut s = settings(24);
     (s.geometry.densify.grad_threshold, s.geometry.densify.max_gaussians) = (0.0, 100_000);
     let most = scene.points.len() as u32;
-    let starts = |budget: u64| {
-        let gpu = Gpu::new();
-        let s = Settings { memory: sgs_train::MemorySettings { budget }, ..s.clone() };
-        Geometry::new(gpu.device(), &scene, &s, None).is_ok()
+    let least = |s: &Settings| {
+        let starts = |budget: u64| {
+            let gpu = Gpu::new();
+            let s = Settings { memory: sgs_train::MemorySettings { budget }, ..s.clone() };
+            Geometry::new(gpu.device(), &scene, &s, None).is_ok()
+        };
+        let (mut low, mut high) = (1_u64 << 20, 64_u64 << 20);
+        assert!(!starts(low) && starts(high));
+        while high - low > 4096 {
+            let middle = low + (high - low) / 2;
+            *(if starts(middle) { &mut high } else { &mut low }) = middle;
+        }
+        high
     };
-    let (mut low, mut high) = (1_u64 << 20, 64_u64 << 20);
-    assert!(!starts(low) && starts(high));
-    while high - low > 4096 {
-        let middle = low + (high - low) / 2;
-        *(if starts(middle) { &mut high } else { &mut low }) = middle;
-    }
-    for (more, pruned) in [(0, true), (1 << 22, false)] {
-        s.memory.budget = high + more;
+    // Also where their number was to stay as it is: memory that was promised goes before that.
+    for (densify, more, pruned) in [(true, 0, true), (true, 1 << 22, false), (false, 0, true)] {
+        s.geometry.densify.enabled = densify;
+        s.memory.budget = least(&Settings { memory: Default::default(), ..s.clone() }) + more;
         let train = |at: Option<u32>| {
             let gpu = Gpu::new();
             let mut losses = Vec::new();

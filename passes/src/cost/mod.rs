@@ -14,6 +14,7 @@ mod shade;
 mod surface;
 mod visibility;
 
+use crate::scene::Group;
 use sgs_engine::graph::{Dispatch, Pass, PassKind, Plan};
 
 /// Counts that costs depend on; means over the measured steps.
@@ -68,6 +69,8 @@ pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
                 all.0.bytes += c.bytes;
                 all.0.operations += c.operations;
             }
+            // Where it takes several passes, the first of them stands for all.
+            None if matches!(&pass.kind, PassKind::Compute { shader, .. } if shader.name == "blend_features_bwd") => {}
             None => all.1 += 1,
         }
     }
@@ -117,14 +120,19 @@ pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
     }
 }
 
-/// How many elements a primitive works on, by whose it is.
+/// How many elements a primitive works on, by whose it is: names of a pseudo-view's passes begin with it.
 fn elements(pass: &str, c: &Counts) -> f64 {
-    match pass.split('.').next().unwrap_or(pass) {
+    let mut parts = pass.split('.').skip_while(|part| part.starts_with("pseudo"));
+    match parts.next().unwrap_or(pass) {
         // One count a workgroup of 256 Gaussians.
         "project_scan" => (c.gaussians / 256.0).ceil(),
         "depth_sort" | "entry_scan" => c.visible,
         "tile_sort" => c.entries,
         owner if owner.starts_with("densify") => c.gaussians,
+        "adam" | "adam_unseen" => {
+            let group = parts.next().and_then(|name| Group::ALL.into_iter().find(|g| g.name() == name));
+            group.map_or(c.elements, |g| f64::from(g.width()) * c.gaussians)
+        }
         _ => c.elements,
     }
 }

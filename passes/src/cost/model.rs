@@ -69,7 +69,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
-        "adam" => (28.0 * elements, ADAM * elements),
+        // Of what a view did not see, as if that were everything.
+        "adam" | "adam_unseen" => (28.0 * elements, ADAM * elements),
         "opacity_reset" => (16.0 * n, 4.0 * n),
         // A single workgroup, as small as it looks.
         "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),

@@ -33,8 +33,8 @@ use sgs_shaders::{
     densify_assign, densify_decide, densify_flags, densify_move, densify_plan, densify_slots, densify_split,
 };
 
-/// Words of the counters: four, and the histogram of gradient strengths.
-const COUNTERS: u64 = 4 + 2048;
+/// Words of the counters: five, and the histogram of gradient strengths.
+const COUNTERS: u64 = 5 + 2048;
 
 /// What densification works on.
 #[derive(Clone, Copy, Debug)]

@@ -2,12 +2,12 @@
 
 use super::{Camera, Step};
 use crate::Tuning;
-use crate::scene::{FEATURES, Gaussians, Handles};
+use crate::scene::{FEATURES, Gaussians, Handles, Layout};
 use crate::splat::{
     Blended, Channels, Screen, Wanted, blend, blend_features, features_pack, intersect, project, wanted_words,
 };
 use sgs_engine::graph::exec::{ExecOptions, Executor};
-use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
@@ -47,9 +47,12 @@ struct State {
     wanted: DeviceBuffer,
 }
 
+/// Least room for tile entries.
+const LEAST: u32 = 1 << 12;
+
 /// Room for tile entries where nobody knows their number.
 fn usual(gaussians: &Gaussians) -> u32 {
-    gaussians.capacity.saturating_mul(2).clamp(1 << 12, 1 << 24)
+    gaussians.capacity.saturating_mul(2).clamp(LEAST, 1 << 24)
 }
 
 impl Renderer {
@@ -94,7 +97,7 @@ impl Renderer {
         channels: Channels,
         entries: u32,
     ) -> Result<Renderer> {
-        Renderer::of(device, tuning, gaussians, largest, channels, false, entries.max(1 << 12))
+        Renderer::of(device, tuning, gaussians, largest, channels, false, entries.max(LEAST))
     }
 
     fn of(
@@ -108,6 +111,15 @@ impl Renderer {
     ) -> Result<Renderer> {
         let state = State::new(device, &tuning, gaussians, largest, channels, features, capacity)?;
         Ok(Renderer { device: device.clone(), tuning, largest, channels, features, capacity, state })
+    }
+
+    /// Bytes of device memory that [`Renderer::with_entries`] takes for Gaussians of such a layout, but for its uniform.
+    ///
+    /// # Errors
+    /// If so many make no graph.
+    pub fn bytes(t: &Tuning, layout: &Layout, largest: [u32; 2], channels: Channels, entries: u32) -> Result<u64> {
+        let d = Declared::new(t, layout, largest, channels, false, entries.max(LEAST))?;
+        Ok(d.plan.arena_bytes + d.outputs().map(|b| d.plan.buffers[b.index()].bytes).sum::<u64>())
     }
 
     /// Renders one view.
@@ -171,6 +183,59 @@ impl Renderer {
     }
 }
 
+/// What is rendered by, before there is memory for it.
+struct Declared {
+    plan: Arc<Plan>,
+    step: Buffer,
+    gaussians: Handles,
+    image: Buffer,
+    transmittance: Buffer,
+    features: Option<Buffer>,
+    flags: Buffer,
+    wanted: Buffer,
+}
+
+impl Declared {
+    fn new(
+        t: &Tuning,
+        layout: &Layout,
+        largest: [u32; 2],
+        channels: Channels,
+        features: bool,
+        capacity: u32,
+    ) -> Result<Declared> {
+        let mut g = Graph::new("render");
+        let step = g.uniform("step", size_of::<Step>() as u64);
+        let screen = Screen { step, largest, tile: t.tile };
+        let gaussians = layout.declare(&mut g, false);
+        let flags = g.external("flags", 4);
+        let wanted = g.external("wanted", 4);
+        let image = g.external("image", 4 * u64::from(channels.count()) * screen.pixels());
+        let transmittance = g.external("transmittance", 4 * screen.pixels());
+        let visible = project(&mut g, t, &screen, &gaussians, channels)?;
+        let entries = intersect(&mut g, t, &screen, &visible, capacity, flags)?;
+        blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
+        // A group that is absent has nothing behind it that a kernel could read.
+        let features = (features && layout.model.semantics)
+            .then(|| g.external("feature_image", 4 * FEATURES as u64 * screen.pixels()));
+        if let Some(into) = features {
+            let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
+            g.fill("want_all", everywhere, u32::MAX)?;
+            let wanted = Wanted { pixels: everywhere, dense: true };
+            let handles = features_pack(&mut g, t, &gaussians)?;
+            blend_features(&mut g, t, &screen, &handles, &visible, &entries, wanted, into)?;
+        }
+        g.copy("copy_wanted", entries.wanted, wanted)?;
+        let plan = Arc::new(g.compile(&CompileOptions::default())?);
+        Ok(Declared { plan, step, gaussians, image, transmittance, features, flags, wanted })
+    }
+
+    /// What there is beside the arena and the uniform.
+    fn outputs(&self) -> impl Iterator<Item = Buffer> {
+        [self.image, self.transmittance, self.flags, self.wanted].into_iter().chain(self.features)
+    }
+}
+
 impl State {
     fn new(
         device: &Device,
@@ -181,52 +246,20 @@ impl State {
         features: bool,
         capacity: u32,
     ) -> Result<State> {
-        let mut g = Graph::new("render");
-        let step = g.uniform("step", size_of::<Step>() as u64);
-        let screen = Screen { step, largest, tile: t.tile };
-        let handles = gaussians.declare(&mut g, false);
-        let flags = g.external("flags", 4);
-        let wanted_out = g.external("wanted", 4);
-        let image = g.external("image", 4 * u64::from(channels.count()) * screen.pixels());
-        let transmittance = g.external("transmittance", 4 * screen.pixels());
-        let visible = project(&mut g, t, &screen, &handles, channels)?;
-        let entries = intersect(&mut g, t, &screen, &visible, capacity, flags)?;
-        blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
-        // A group that is absent has nothing behind it that a kernel could read.
-        let features = (features && gaussians.model.semantics)
-            .then(|| g.external("feature_image", 4 * FEATURES as u64 * screen.pixels()));
-        if let Some(into) = features {
-            let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
-            g.fill("want_all", everywhere, u32::MAX)?;
-            let wanted = Wanted { pixels: everywhere, dense: true };
-            let handles = features_pack(&mut g, t, &handles)?;
-            blend_features(&mut g, t, &screen, &handles, &visible, &entries, wanted, into)?;
-        }
-        g.copy("copy_wanted", entries.wanted, wanted_out)?;
-        let plan = Arc::new(g.compile(&CompileOptions::default())?);
-        let buffer =
-            |b: Buffer| device.buffer(&plan.buffers[b.index()].name, plan.buffers[b.index()].bytes, Location::Device);
-        let (image_memory, transmittance_memory) = (buffer(image)?, buffer(transmittance)?);
-        let (flags_memory, wanted_memory) = (buffer(flags)?, buffer(wanted_out)?);
-        let feature_memory = features.map(buffer).transpose()?;
+        let d = Declared::new(t, &gaussians.layout(), largest, channels, features, capacity)?;
+        let buffer = |b: Buffer| {
+            let made = &d.plan.buffers[b.index()];
+            device.buffer(&made.name, made.bytes, Location::Device)
+        };
+        let (image, transmittance) = (buffer(d.image)?, buffer(d.transmittance)?);
+        let (flags, wanted) = (buffer(d.flags)?, buffer(d.wanted)?);
+        let features = d.features.map(buffer).transpose()?;
         let options = ExecOptions { frames_in_flight: 1, timestamps: true, ..Default::default() };
-        let mut exec = Executor::new(device, plan, options)?;
-        exec.bind(image, &image_memory)?;
-        exec.bind(transmittance, &transmittance_memory)?;
-        exec.bind(flags, &flags_memory)?;
-        exec.bind(wanted_out, &wanted_memory)?;
-        if let (Some(handle), Some(memory)) = (features, &feature_memory) {
+        let mut exec = Executor::new(device, d.plan.clone(), options)?;
+        let memory = [&image, &transmittance, &flags, &wanted].into_iter().chain(&features);
+        for (handle, memory) in d.outputs().zip(memory) {
             exec.bind(handle, memory)?;
         }
-        Ok(State {
-            exec,
-            step,
-            gaussians: handles,
-            image: image_memory,
-            transmittance: transmittance_memory,
-            features: feature_memory,
-            flags: flags_memory,
-            wanted: wanted_memory,
-        })
+        Ok(State { exec, step: d.step, gaussians: d.gaussians, image, transmittance, features, flags, wanted })
     }
 }

@@ -103,6 +103,12 @@ pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
     if largest > s.split_size { Verdict::Split { strength } } else { Verdict::Clone { strength } }
 }
 
+/// Whether it goes for want of blending weight alone: its numbers are finite, and it is opaque enough.
+pub fn weightless(c: &Candidate, s: &Settings) -> bool {
+    let goes = verdict(c, s) == Verdict::Prune { valid: true };
+    goes && 1.0 / (1.0 + (-c.opacity_logit).exp()) >= s.prune_opacity && c.statistics[2] < s.prune_weight
+}
+
 /// Those that are refined, in the order in which their children are placed, and the number of refused ones.
 fn accepted(verdicts: &[Verdict], room: usize) -> (Vec<usize>, usize) {
     let strength = |i: &usize| verdicts[*i].strength().unwrap_or(0);

@@ -7,13 +7,14 @@
 
 use crate::convert::camera;
 use crate::error::{Result, TrainError};
+use crate::memory::uniform;
 use crate::schedule::hash;
 use crate::settings::ProviderSettings;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::loss::pack_mask;
 use sgs_passes::pipeline::Renderer;
-use sgs_passes::scene::Gaussians;
+use sgs_passes::scene::{Gaussians, Layout};
 use sgs_passes::splat::{Channels, wanted_words};
 use sgs_provider::{Encoding, Helper, Picture, ProviderOptions};
 use sgs_scene::{Camera, Image};
@@ -21,10 +22,23 @@ use sgs_scene::{Camera, Image};
 /// Frames of a question: a pseudo-view, the training view, the other pseudo-view.
 pub(crate) const FRAMES: usize = 3;
 
+/// How what a network is shown is rendered.
+pub(crate) struct Look {
+    /// Bands of harmonics.
+    pub sh_degree: u32,
+    /// What is behind everything.
+    pub background: [f32; 3],
+    /// Columns and rows that no view exceeds.
+    pub largest: [u32; 2],
+    /// Room for tile entries at first.
+    pub entries: u32,
+}
+
 /// A provider of masks.
 pub(crate) struct Asked {
     helper: Helper,
-    renderer: Option<Renderer>,
+    /// What renders the frames, and for which Gaussians it was made.
+    renderer: Option<(Renderer, Layout)>,
     /// Bits of the three frames, one behind the other.
     pub masks: DeviceBuffer,
     /// Words of a frame.
@@ -58,28 +72,62 @@ impl Asked {
         Ok(Some(Asked { helper, renderer: None, masks, words: words as u32 }))
     }
 
+    /// Bytes that rendering the frames takes, with room for so many tile entries.
+    pub fn rendering(device: &Device, layout: &Layout, largest: [u32; 2], entries: u32) -> Result<u64> {
+        let tuning = Tuning::for_device(device.info());
+        Ok(uniform(device) + Renderer::bytes(&tuning, layout, largest, Channels::default(), entries)?)
+    }
+
+    /// The frames; none where memory does not suffice.
+    fn frames(
+        &mut self,
+        device: &Device,
+        gaussians: &Gaussians,
+        cameras: &[Camera; FRAMES],
+        look: &Look,
+    ) -> Result<Option<Vec<Image>>> {
+        // One of other Gaussians goes before another comes: two may not fit.
+        self.renderer = self.renderer.take().filter(|(_, layout)| *layout == gaussians.layout());
+        let mut render = || -> Result<Vec<Image>> {
+            let (renderer, _) = match &mut self.renderer {
+                Some(renderer) => renderer,
+                none => {
+                    let tuning = Tuning::for_device(device.info());
+                    let (channels, entries) = (Channels::default(), look.entries);
+                    let made = Renderer::with_entries(device, tuning, gaussians, look.largest, channels, entries)?;
+                    none.insert((made, gaussians.layout()))
+                }
+            };
+            let mut images = Vec::new();
+            for c in cameras {
+                let picture = renderer.render(gaussians, &camera(c), look.sh_degree, look.background)?;
+                let data = picture.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+                images.push(Image { width: c.width, height: c.height, channels: 3, data });
+            }
+            Ok(images)
+        };
+        match render() {
+            Err(error) if error.is_out_of_memory() => {
+                tracing::warn!(
+                    "There is no memory to show a network what it is asked about: regions are not compared any more."
+                );
+                Ok(None)
+            }
+            other => other.map(Some),
+        }
+    }
+
     /// Renders the frames, asks, and leaves the masks in [`Asked::masks`]. False if there is nobody to ask any more.
     pub fn ask(
         &mut self,
         device: &Device,
         gaussians: &Gaussians,
         cameras: &[Camera; FRAMES],
-        look: (u32, [f32; 3]),
+        look: &Look,
         seed: u64,
         step: u32,
     ) -> Result<bool> {
-        if self.renderer.is_none() {
-            let size = [cameras[0].width, cameras[0].height];
-            let tuning = Tuning::for_device(device.info());
-            self.renderer = Some(Renderer::new(device, tuning, gaussians, size, Channels::default())?);
-        }
-        let Some(renderer) = &mut self.renderer else { return Ok(false) };
-        let mut images = Vec::new();
-        for c in cameras {
-            let picture = renderer.render(gaussians, &camera(c), look.0, look.1)?;
-            let data = picture.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-            images.push(Image { width: c.width, height: c.height, channels: 3, data });
-        }
+        let Some(images) = self.frames(device, gaussians, cameras, look)? else { return Ok(false) };
         let frame = |i: usize| Picture {
             image: &images[i],
             encoding: Encoding::Srgb,

@@ -2,7 +2,7 @@
 //!
 //! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
 
-use crate::asked::Asked;
+use crate::asked::{Asked, Look};
 use crate::convert::camera;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
@@ -11,7 +11,7 @@ use crate::semantics::SemanticData;
 use crate::settings::Settings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::{Inputs, Masks, PSEUDO_VIEWS, Step};
-use sgs_passes::scene::Gaussians;
+use sgs_passes::scene::{Gaussians, Layout};
 use sgs_scene::{Camera, Scene};
 
 /// Pseudo-views and regions of a scene, on the device.
@@ -86,15 +86,15 @@ impl Correspondence {
     }
 
     /// Chooses the region of a step, and makes the uniforms of its pseudo-views. None if there is nobody to ask any more.
-    /// `look`: degree of the harmonics and background of what a network is shown.
+    /// `look`: how what a network is shown is rendered.
     ///
     /// # Errors
     /// If the provider fails and training may not go on without.
-    pub fn steps(
+    pub(crate) fn steps(
         &mut self,
         device: &Device,
         gaussians: &Gaussians,
-        look: (u32, [f32; 3]),
+        look: &Look,
         seed: u64,
         view: usize,
         values: &mut Step,
@@ -128,6 +128,14 @@ impl Correspondence {
             }
         }
         Ok(Some(steps))
+    }
+
+    /// Bytes that showing a network the Gaussians takes, with room for so many tile entries; none where nobody is asked.
+    ///
+    /// # Errors
+    /// If so many make no graph.
+    pub fn looking(&self, device: &Device, layout: &Layout, largest: [u32; 2], entries: u32) -> Result<u64> {
+        if self.looks() { Asked::rendering(device, layout, largest, entries) } else { Ok(0) }
     }
 
     /// Bytes of device memory.

@@ -10,7 +10,7 @@ use serde::Serialize;
 use sgs_engine::graph::{BufferKind, Plan};
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, Status, Step};
+use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status, Step};
 use sgs_passes::scene::{Decoder, Layout};
 
 /// Bytes of device memory by what they are for.
@@ -24,6 +24,8 @@ pub struct Needs {
     pub semantics: u64,
     /// Regions that are compared between views.
     pub regions: u64,
+    /// Pictures of what a network is asked about.
+    pub asked: u64,
     /// Parameters of the Gaussians, at first capacity.
     pub parameters: u64,
     /// Adam's moments.
@@ -59,13 +61,13 @@ impl Needs {
         let widest = layout.model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
         let data = inputs.targets.max(inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES));
         let largest = data.max(inputs.normals.unwrap_or(0)).max(widest * u64::from(layout.capacity));
-        let uniform = (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16));
         Ok(Needs {
             photographs: inputs.targets,
             priors: inputs.normals.unwrap_or(0),
             semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
             // Known once they are loaded.
             regions: 0,
+            asked: 0,
             parameters: layout.parameter_bytes(),
             moments: layout.moment_bytes(),
             bands: 0,
@@ -73,7 +75,7 @@ impl Needs {
             arena: plan.arena_bytes,
             pseudo_arena: 0,
             densify_arena: if densify > plan.arena_bytes { densify } else { 0 },
-            small: options.frames_in_flight as u64 * uniform + Status::BYTES + 16,
+            small: options.frames_in_flight as u64 * uniform(device) + Status::BYTES + 16,
             staging: STAGING_BYTES.min(largest),
         })
     }
@@ -81,6 +83,7 @@ impl Needs {
     /// Adds what comparing regions between views takes later.
     pub(crate) fn with_views(
         mut self,
+        device: &Device,
         tuning: &Tuning,
         layout: &Layout,
         inputs: &InputSizes,
@@ -88,10 +91,12 @@ impl Needs {
         correspondence: &Correspondence,
     ) -> Result<Needs> {
         self.regions = correspondence.bytes();
+        self.asked = correspondence.looking(device, layout, options.largest, options.entry_capacity)?;
         let inputs = InputSizes { regions: Some(self.regions), ..*inputs };
         let options = GeometryOptions { pseudo: Some(correspondence.masks()), ..*options };
         let plan = GeometryStep::plan(tuning, layout, &inputs, &options)?;
         self.pseudo_arena = plan.arena_bytes.saturating_sub(self.arena);
+        self.small += (PSEUDO_VIEWS * options.frames_in_flight) as u64 * uniform(device);
         Ok(self)
     }
 
@@ -102,18 +107,29 @@ impl Needs {
         self
     }
 
+    /// What making room takes for so many, for a moment: one group is there twice, steps are not.
+    pub(crate) fn growing(&self, from: &Layout, to: &Layout) -> u64 {
+        if to.capacity <= from.capacity {
+            return 0;
+        }
+        let steps = self.arena + self.pseudo_arena + self.densify_arena;
+        let widest = from.model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
+        self.total() - steps + widest * u64::from(from.capacity)
+    }
+
     /// All of it.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()
     }
 
     /// What for, and how many bytes.
-    pub fn parts(&self) -> [(&'static str, u64); 13] {
+    pub fn parts(&self) -> [(&'static str, u64); 14] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
             ("semantic priors", self.semantics),
             ("regions", self.regions),
+            ("pictures for a network", self.asked),
             ("parameters", self.parameters),
             ("moments", self.moments),
             ("bands that may come", self.bands),
@@ -133,6 +149,11 @@ impl Needs {
         let first = Needs { bands: 0, ..*self };
         refuse_beyond(budget, first.total(), &first.parts(), "The first step", advice)
     }
+}
+
+/// Bytes of what a view is told of its step.
+pub(crate) fn uniform(device: &Device) -> u64 {
+    (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16))
 }
 
 /// Refuses what does not fit, with the figures.

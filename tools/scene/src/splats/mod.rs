@@ -59,6 +59,32 @@ impl Splats {
         self.sh.iter().rposition(|band| !band.is_empty()).unwrap_or(0)
     }
 
+    /// The so many most opaque ones, in the order that they had; of equally opaque ones the first.
+    #[must_use]
+    pub fn strongest(&self, keep: usize) -> Splats {
+        let mut order: Vec<usize> = (0..self.len()).collect();
+        order.sort_by(|a, b| self.opacity_logits[*b].total_cmp(&self.opacity_logits[*a]));
+        order.truncate(keep);
+        order.sort_unstable();
+        fn of<T: Copy>(order: &[usize], values: &[T], width: usize) -> Vec<T> {
+            order.iter().filter_map(|i| values.get(i * width..(i + 1) * width)).flatten().copied().collect()
+        }
+        let three = |v: &Option<Vec<[f32; 3]>>| v.as_ref().map(|v| of(&order, v, 1));
+        let one = |v: &Option<Vec<f32>>| v.as_ref().map(|v| of(&order, v, 1));
+        Splats {
+            means: of(&order, &self.means, 1),
+            log_scales: of(&order, &self.log_scales, 1),
+            rotations: of(&order, &self.rotations, 1),
+            opacity_logits: of(&order, &self.opacity_logits, 1),
+            sh: [0, 1, 2, 3].map(|d| of(&order, &self.sh[d], (2 * d + 1) * 3)),
+            normals: three(&self.normals),
+            albedo: three(&self.albedo),
+            roughness: one(&self.roughness),
+            metallic: one(&self.metallic),
+            semantic: self.semantic.as_ref().map(|(channels, v)| (*channels, of(&order, v, *channels))),
+        }
+    }
+
     /// Whether all arrays have the lengths that the number of splats and the degree ask for.
     pub fn check(&self) -> Result<()> {
         let n = self.len();
@@ -87,5 +113,39 @@ impl Splats {
                 Err(SceneError::Data { what: "the splats", problem })
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_strongest_stay_as_they_are_and_in_order() {
+        let n = 5;
+        let numbers = |width: usize| (0..n * width).map(|i| i as f32).collect::<Vec<_>>();
+        let triples = || numbers(3).as_chunks::<3>().0.to_vec();
+        let all = Splats {
+            means: triples(),
+            log_scales: triples(),
+            rotations: numbers(4).as_chunks::<4>().0.to_vec(),
+            opacity_logits: vec![0.5, 3.0, -1.0, 3.0, 0.5],
+            sh: [numbers(3), numbers(9), numbers(15), Vec::new()],
+            normals: Some(triples()),
+            albedo: None,
+            roughness: Some(numbers(1)),
+            metallic: None,
+            semantic: Some((2, numbers(2))),
+        };
+        let some = all.strongest(3);
+        some.check().unwrap();
+        assert_eq!(some.opacity_logits, [0.5, 3.0, 3.0]);
+        assert_eq!(some.means, [all.means[0], all.means[1], all.means[3]]);
+        assert_eq!(some.sh[1], [&all.sh[1][..18], &all.sh[1][27..36]].concat());
+        assert_eq!(
+            (some.roughness.unwrap(), some.semantic.unwrap().1),
+            (vec![0.0, 1.0, 3.0], vec![0.0, 1.0, 2.0, 3.0, 6.0, 7.0])
+        );
+        assert!(all.strongest(9) == all && all.strongest(0).is_empty());
     }
 }

@@ -7,6 +7,7 @@ use crate::watch::Watch;
 use sgs_engine::Device;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
+use sgs_passes::pipeline::DensifyStats;
 use sgs_scene::Scene;
 use sgs_train::{Decision, Geometry, OnDivergence, Progress, RollBack, RunDirectory, Settings, StepLog, TrainError};
 use std::io::Write;
@@ -49,6 +50,33 @@ pub struct Summary {
 struct DecisionLog<'a> {
     step: u32,
     decision: &'a Decision,
+}
+
+/// A line of `log.jsonl` about a densification: how many there were, went, came and are. Of those that went, `invalid` had numbers that are
+/// not finite and `weightless` too little weight in pictures.
+#[derive(serde::Serialize)]
+struct DensifyLog {
+    step: u32,
+    densified: DensifyCounts,
+}
+
+#[derive(serde::Serialize)]
+struct DensifyCounts {
+    before: u32,
+    pruned: u32,
+    invalid: u32,
+    weightless: u32,
+    cloned: u32,
+    split: u32,
+    refused: u32,
+    after: u32,
+}
+
+impl From<&DensifyStats> for DensifyCounts {
+    fn from(s: &DensifyStats) -> DensifyCounts {
+        let DensifyStats { before, after, pruned, invalid, weightless, cloned, split, refused } = *s;
+        DensifyCounts { before, pruned, invalid, weightless, cloned, split, refused, after }
+    }
 }
 
 /// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised; leaves all that
@@ -115,6 +143,9 @@ pub fn train_into(
             if let Progress::Decided(decision) = p {
                 write(serde_json::to_string(&DecisionLog { step: decision.step, decision }));
                 bar.say(&decision.to_string());
+            }
+            if let Progress::Densified { step, stats } = p {
+                write(serde_json::to_string(&DensifyLog { step: *step, densified: stats.into() }));
             }
             if let Progress::Step(r) = p {
                 if r.step % 10 == 0 || r.step == 1 || r.step == steps {

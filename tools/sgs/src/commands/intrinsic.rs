@@ -52,8 +52,8 @@ pub enum IntrinsicEnded {
     Stopped(u32),
 }
 
-/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised. Somebody may
-/// watch.
+/// Trains into a run directory, from its checkpoint on if it is resumed, until done or `stop` is raised. Of geometry that has `just_trained`
+/// the faintest splats may go where memory was promised that does not suffice for all. Somebody may watch.
 pub fn intrinsic_into(
     common: &Common,
     device: &Device,
@@ -62,6 +62,7 @@ pub fn intrinsic_into(
     output: &Path,
     start: Option<&Path>,
     resuming: bool,
+    just_trained: bool,
     stop: &AtomicBool,
     mut watch: Option<&mut Watch>,
 ) -> anyhow::Result<IntrinsicEnded> {
@@ -79,14 +80,18 @@ pub fn intrinsic_into(
     let mut splats = read_splats(from)?;
     // The stage begins afresh or from its checkpoint, never from what an earlier one came to.
     (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
-    let mut training = Intrinsic::new(device, scene, settings, &splats)?;
+    let all = splats.len();
+    let mut training = match just_trained && !resuming {
+        true => Intrinsic::within(device, scene, settings, &mut splats)?,
+        false => Intrinsic::new(device, scene, settings, &splats)?,
+    };
     let run = RunDirectory::create(output)?;
     if resuming {
         training.restore(&run.intrinsic_checkpoint())?;
     } else {
         run.forget_intrinsic()?;
         // Resuming needs nothing but the run.
-        if start.is_some() {
+        if start.is_some() || splats.len() < all {
             splats.write_ply(&geometry)?;
         }
     }
@@ -158,6 +163,8 @@ pub fn intrinsic_into(
                 training.roll_back(&before, step);
                 say_roll_back(&error, training.roll_backs());
                 log = run.intrinsic_log(training.step())?;
+                // What is decided again is said again: its lines are gone.
+                told = training.decisions().len();
                 continue;
             }
             other => other?,

@@ -6,6 +6,7 @@ use crate::common::Common;
 use anyhow::Context;
 use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};
+use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::Masks;
 use sgs_train::{Geometry, ShDegree};
 use std::path::{Path, PathBuf};
@@ -66,6 +67,42 @@ impl Format {
             Format::Dot => dump::dot(plan),
             Format::Html => dump::html(plan, &[]),
         }
+    }
+}
+
+/// What there is in the end, if training ends with so many Gaussians.
+struct Expected {
+    gaussians: u32,
+    /// At most.
+    bytes: u64,
+    /// Where no band of harmonics stays that may come.
+    bytes_without_bands: Option<u64>,
+    /// What a step computes and moves at most.
+    step: Cost,
+    /// One that compares its view with pseudo-views.
+    pseudo_step: Option<Cost>,
+}
+
+impl Expected {
+    fn json(&self) -> serde_json::Value {
+        let mut value = serde_json::json!({
+            "gaussians": self.gaussians,
+            "bytes": self.bytes,
+            "step_operations": self.step.operations,
+            "step_bytes": self.step.bytes,
+        });
+        if let Some(bytes) = self.bytes_without_bands {
+            value["bytes_without_bands"] = bytes.into();
+        }
+        if let Some(cost) = &self.pseudo_step {
+            value["pseudo_step_operations"] = cost.operations.into();
+            value["pseudo_step_bytes"] = cost.bytes.into();
+        }
+        value
+    }
+
+    fn work(cost: &Cost) -> String {
+        format!("{} operations and moves {} MB", counted(cost.operations), (cost.bytes / 1e6).round())
     }
 }
 
@@ -130,10 +167,17 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         None => vec![count],
     };
     let mut expected = Vec::new();
-    for n in ends {
-        let (cost, _) = training.step_cost(&sight.with(n))?;
-        expected.push((n, training.expected(n, count, entries)?.total(), cost));
+    for gaussians in ends {
+        let seen = sight.with(gaussians);
+        expected.push(Expected {
+            gaussians,
+            bytes: training.expected(gaussians, count, entries)?.total(),
+            bytes_without_bands: training.expected_without_bands(gaussians, count, entries)?.map(|n| n.total()),
+            step: training.step_cost(&seen)?.0,
+            pseudo_step: training.pseudo_step_cost(&seen)?.map(|(cost, _)| cost),
+        });
     }
+    let most = training.most_within_budget(count, entries)?;
     if common.json.is_some() {
         let mut value = serde_json::json!({
             "views": scene.split.train.len(),
@@ -153,9 +197,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "needs": needs,
             "needs_bytes": needs.total(),
             "entries": entries,
-            "expected": expected.iter().map(|(n, bytes, cost)| serde_json::json!({
-                "gaussians": n, "bytes": bytes, "step_operations": cost.operations, "step_bytes": cost.bytes,
-            })).collect::<Vec<_>>(),
+            "expected": expected.iter().map(Expected::json).collect::<Vec<_>>(),
+            "most_within_budget": most,
             "budget": budget,
             "passes": plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
             "barriers": plan.groups.iter().filter(|g| g.barrier.is_some()).count(),
@@ -232,12 +275,21 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         mib(budget.budget),
         source_of(&budget)
     );
-    for (n, bytes, cost) in &expected {
+    for e in &expected {
+        let bands = e.bytes_without_bands.map_or_else(String::new, |b| format!(" ({:.1} if no band stays)", mib(b)));
+        let pseudo = e.pseudo_step.as_ref().map_or_else(String::new, |c| {
+            format!("; with pseudo-views, from step {} on, {}", s.geometry.correspondence_from, Expected::work(c))
+        });
         println!(
-            "peak        {:>9.1} MiB if training ends with {n} Gaussians; a step then computes at most {} operations and moves {} MB",
-            mib(*bytes),
-            counted(cost.operations),
-            (cost.bytes / 1e6).round()
+            "peak        {:>9.1} MiB{bands} if training ends with {} Gaussians; a step then computes at most {}{pseudo}",
+            mib(e.bytes),
+            e.gaussians,
+            Expected::work(&e.step)
+        );
+    }
+    if s.geometry.densify.enabled {
+        println!(
+            "growth      to {most} Gaussians at most: no more fit, or are asked for (memory.budget, geometry.densify.max_gaussians)"
         );
     }
     if let Some(plan) = &intrinsic {

@@ -218,7 +218,8 @@ impl Runs<'_> {
             if !self.common.quiet && start.is_some() {
                 eprintln!("{}, seed {seed}", row.entry.name);
             }
-            let ended = intrinsic_into(self.common, &device, &scene, &asked, root, start, begun, self.stop, None)?;
+            let ended =
+                intrinsic_into(self.common, &device, &scene, &asked, root, start, begun, false, self.stop, None)?;
             if let IntrinsicEnded::Stopped(_) = ended {
                 return Ok(Came::Stopped);
             }

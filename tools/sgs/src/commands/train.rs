@@ -8,7 +8,7 @@ use crate::watch::{Port, Watch};
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Backward, Preset, RunDirectory, Settings, accuracy_named, overlay};
+use sgs_train::{Backward, Intrinsic, Preset, RunDirectory, Settings, accuracy_named, overlay};
 use std::path::{Path, PathBuf};
 
 /// Options that shape training; `sgs plan` takes them too.
@@ -287,6 +287,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
         None => None,
     };
+    if a.stage == Stage::All && !resuming && settings.memory.budget > 0 {
+        // What the second stage would be refused for is said before the first.
+        let points = Splats::from_points(&scene.points, settings.geometry.sh_degree.start() as usize)?;
+        Intrinsic::planned(&device, &scene, &settings, &points)?;
+    }
     let mut summary = serde_json::Value::Null;
     if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && second) {
         match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training", watch.as_mut())? {
@@ -306,8 +311,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
     }
     if a.stage != Stage::Geometry {
-        let (start, watch) = (a.start.as_deref(), watch.as_mut());
-        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, &stop, watch)? {
+        let (start, watch, all) = (a.start.as_deref(), watch.as_mut(), a.stage == Stage::All);
+        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, all, &stop, watch)? {
             IntrinsicEnded::Done(done) => {
                 if !common.quiet {
                     eprintln!(

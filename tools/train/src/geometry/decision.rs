@@ -66,7 +66,7 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
 
 impl Decision {
     /// One that memory forced.
-    pub(super) fn of_memory(step: u32, what: &str, reason: String) -> Decision {
+    pub(crate) fn of_memory(step: u32, what: &str, reason: String) -> Decision {
         let setting = "memory.budget".to_owned();
         Decision { step, what: what.to_owned(), on: false, reason, measured: None, asked: None, setting }
     }

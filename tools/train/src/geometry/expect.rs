@@ -2,12 +2,13 @@
 //!
 //! Leaves to others how many that will be: it follows from the photographs, and nobody knows before.
 
-use super::{Geometry, entries_with, next_room};
+use super::{Geometry, entries_with, last_that, next_room};
 use crate::error::Result;
 use crate::memory::Needs;
+use crate::settings::ShDegree;
 use sgs_engine::STAGING_BYTES;
 use sgs_passes::cost::{Cost, Counts, of_plan};
-use sgs_passes::pipeline::GeometryOptions;
+use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes};
 use sgs_passes::scene::{Layout, Model};
 
 /// Views that are looked at.
@@ -75,8 +76,25 @@ impl Geometry {
     /// # Errors
     /// If there is no step, because memory ran out.
     pub fn step_cost(&mut self, sight: &Sight) -> Result<(Cost, usize)> {
+        let counts = self.counts(sight);
+        Ok(of_plan(self.executor()?.plan(), &counts))
+    }
+
+    /// The same of a step that compares its view with pseudo-views, which see as much as training views do; none where there are none.
+    ///
+    /// # Errors
+    /// If it makes no graph.
+    pub fn pseudo_step_cost(&self, sight: &Sight) -> Result<Option<(Cost, usize)>> {
+        let Some(c) = &self.correspondence else { return Ok(None) };
+        let inputs = InputSizes { regions: Some(c.bytes()), ..self.inputs };
+        let options = GeometryOptions { pseudo: Some(c.masks()), ..self.options };
+        let plan = GeometryStep::plan(&self.tuning, &self.gaussians.layout(), &inputs, &options)?;
+        Ok(Some(of_plan(&plan, &self.counts(sight))))
+    }
+
+    fn counts(&self, sight: &Sight) -> Counts {
         let tile = f64::from(self.tuning.tile[0] * self.tuning.tile[1]);
-        let counts = Counts {
+        Counts {
             gaussians: sight.gaussians,
             visible: sight.visible,
             entries: sight.entries,
@@ -87,8 +105,7 @@ impl Geometry {
             masked: sight.pixels,
             wanted: sight.pixels,
             ..Counts::default()
-        };
-        Ok(of_plan(self.executor()?.plan(), &counts))
+        }
     }
 
     /// What training takes at most, if it ends with so many Gaussians, began with `count`, and has so many tile entries now. With all bands of
@@ -97,9 +114,33 @@ impl Geometry {
     /// # Errors
     /// If so many make no graph.
     pub fn expected(&self, gaussians: u32, count: u32, entries: u32) -> Result<Needs> {
+        self.expected_of(self.settings.geometry.sh_degree.most(), gaussians, count, entries)
+    }
+
+    /// The same where no band stays that may come; none where their number is set.
+    ///
+    /// # Errors
+    /// If so many make no graph.
+    pub fn expected_without_bands(&self, gaussians: u32, count: u32, entries: u32) -> Result<Option<Needs>> {
+        let auto = self.settings.geometry.sh_degree == ShDegree::Auto;
+        auto.then(|| self.expected_of(0, gaussians, count, entries)).transpose()
+    }
+
+    /// The most Gaussians with which training stays within the budget, up to what settings and bindings allow; as [`Geometry::expected`] has it.
+    ///
+    /// # Errors
+    /// If so many make no graph.
+    pub fn most_within_budget(&self, count: u32, entries: u32) -> Result<u32> {
+        if !self.settings.geometry.densify.enabled {
+            return Ok(count);
+        }
+        last_that(count, self.most, |n| Ok(self.expected(n, count, entries)?.total() <= self.allowed))
+    }
+
+    fn expected_of(&self, sh_degree: u32, gaussians: u32, count: u32, entries: u32) -> Result<Needs> {
         let g = &self.settings.geometry;
         let now = self.gaussians.layout();
-        let model = Model { sh_degree: g.sh_degree.most().max(now.model.sh_degree), ..now.model };
+        let model = Model { sh_degree: sh_degree.max(now.model.sh_degree), ..now.model };
         let capacity = if g.densify.enabled { next_room(gaussians, now.capacity, self.most) } else { now.capacity };
         let layout = Layout { model, capacity, ..now };
         // Room for entries is made with an eighth to spare, half of which is left on average.
@@ -108,7 +149,7 @@ impl Geometry {
         let options = GeometryOptions { entry_capacity: room.max(self.options.entry_capacity), ..self.options };
         let mut needs = Needs::of(&self.device, &self.tuning, &layout, &self.inputs, &options)?;
         if let Some(c) = &self.correspondence {
-            needs = needs.with_views(&self.tuning, &layout, &self.inputs, &options, c)?;
+            needs = needs.with_views(&self.device, &self.tuning, &layout, &self.inputs, &options, c)?;
         }
         // Checkpoints go through it, and no group is larger than moments of the widest.
         let widest = model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);

@@ -50,14 +50,14 @@ pub(super) fn last_that(low: u32, high: u32, holds: impl Fn(u32) -> Result<bool>
 }
 
 impl Geometry {
-    /// Whether so much fits, step and densification included.
+    /// Whether so much fits, step and densification included, and the way there.
     pub(super) fn fits(&self, layout: &Layout, entries: u32) -> Result<bool> {
         let options = GeometryOptions { entry_capacity: entries, ..self.options };
         let mut needs = Needs::of(&self.device, &self.tuning, layout, &self.inputs, &options)?;
         if let Some(c) = &self.correspondence {
-            needs = needs.with_views(&self.tuning, layout, &self.inputs, &options, c)?;
+            needs = needs.with_views(&self.device, &self.tuning, layout, &self.inputs, &options, c)?;
         }
-        Ok(needs.total() + SLACK <= self.allowed)
+        Ok(needs.total().max(needs.growing(&self.gaussians.layout(), layout)) + SLACK <= self.allowed)
     }
 
     /// The model with all bands that may still come.
@@ -97,7 +97,7 @@ impl Geometry {
     /// Tile entries do not fit: room that nobody uses goes, then the faintest Gaussians do.
     ///
     /// # Errors
-    /// If that does not help, or their number is to stay as it is.
+    /// If that does not help, or their number is to stay as it is and no memory was promised.
     pub(super) fn squeeze(&mut self, step: u32, wanted: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
         let layout = self.gaussians.layout();
         for entries in [self.options.entry_capacity, wanted] {
@@ -113,7 +113,8 @@ impl Geometry {
             if n == count { wanted } else { (1.1 * share) as u32 }
         };
         let fits = |n: u32| self.fits(&Layout { capacity: n, ..layout }, entries(n));
-        let keep = match self.settings.geometry.densify.enabled {
+        // A promise of memory goes before one of their number.
+        let keep = match self.settings.geometry.densify.enabled || self.promised {
             true => last_that(1, count, fits)?,
             false => count,
         };

@@ -15,6 +15,7 @@ mod look;
 mod room;
 mod state;
 
+use crate::asked::Look;
 use crate::convert::{gaussian_data, splats};
 use crate::correspondence::Correspondence;
 use crate::data::TrainingData;
@@ -200,7 +201,7 @@ impl Geometry {
             _ => None,
         };
         let of = |layout: &Layout| match &correspondence {
-            Some(c) => of(layout)?.with_views(&tuning, layout, &inputs, &options, c),
+            Some(c) => of(layout)?.with_views(device, &tuning, layout, &inputs, &options, c),
             None => of(layout),
         };
         let may = allowance(&budget);
@@ -347,12 +348,17 @@ impl Geometry {
     /// The uniforms of a step's pseudo-views.
     fn pseudo_views(&mut self, values: &mut Step) -> Result<Option<[Step; PSEUDO_VIEWS]>> {
         let (view, seed) = (self.view(values.step), self.settings.seed);
-        let look = (values.sh_degree, self.settings.geometry.background);
+        let look = Look {
+            sh_degree: values.sh_degree,
+            background: self.settings.geometry.background,
+            largest: self.options.largest,
+            entries: self.options.entry_capacity,
+        };
         if self.correspondence.as_ref().is_some_and(Correspondence::looks) {
             self.exec()?.finish()?;
         }
         match &mut self.correspondence {
-            Some(c) => c.steps(&self.device, &self.gaussians, look, seed, view, values),
+            Some(c) => c.steps(&self.device, &self.gaussians, &look, seed, view, values),
             None => Ok(None),
         }
     }

@@ -8,6 +8,7 @@ mod automatic;
 mod consistency;
 mod data;
 mod files;
+mod given;
 mod graphs;
 mod look;
 mod modeled;
@@ -32,6 +33,7 @@ use crate::convert::gaussian_data;
 use crate::data::{Packed, TrainingData};
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
+use crate::geometry::Decision;
 use crate::memory::{allowed, uniform_bytes};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
@@ -77,6 +79,8 @@ pub struct Intrinsic {
     required: Settings,
     /// Whether and how it is found what is not.
     automatic: Option<Automatic>,
+    /// What was decided about the model.
+    decisions: Vec<Decision>,
     schedule: Schedule,
     data: TrainingData,
     priors: Priors,
@@ -166,7 +170,7 @@ impl Intrinsic {
         let roughness = read(Material::Roughness, s.losses.roughness)?;
         let told = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
         let asked = settings;
-        let (of, automatic) = match s.automatic.enabled {
+        let (of, automatic, mut decisions) = match s.automatic.enabled {
             true => {
                 let found = Found {
                     splats: &splats,
@@ -176,9 +180,9 @@ impl Intrinsic {
                     metallic: told.as_ref().map(|p| &p.packed[..]),
                 };
                 let (of, decisions) = required(&found, s);
-                (of, Some(Automatic::new(&packed, decisions)))
+                (of, Some(Automatic::new(&packed)), decisions)
             }
-            false => (s.clone(), None),
+            false => (s.clone(), None, Vec::new()),
         };
         let settings = &Settings { intrinsic: of, ..settings.clone() };
         let s = &settings.intrinsic;
@@ -282,6 +286,7 @@ impl Intrinsic {
                 kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)
             }),
         };
+        given::add(&mut decisions, s, told.is_some(), consistency.is_some(), sizes.kinds);
         // Surfaces of all views are kept where that fits beside everything else.
         let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
@@ -292,8 +297,7 @@ impl Intrinsic {
         };
         let needs = if kept { all } else { one };
         if !kept {
-            let bytes = all.surfaces;
-            tracing::info!("what views see of the geometry takes {bytes} bytes: it is worked out anew in each step");
+            decisions.push(given::without_surfaces(s, all.surfaces));
         }
         let watch = Watch::new(packed.plain());
         let data = packed.upload(device)?;
@@ -379,6 +383,7 @@ impl Intrinsic {
             settings: asked.clone(),
             required: settings.clone(),
             automatic,
+            decisions,
             schedule,
             data,
             priors,

@@ -158,8 +158,12 @@ impl IntrinsicNeeds {
 
     /// Adds what looking takes, staging with it, while no step has transients.
     pub(super) fn look(&mut self, bytes: u64) {
-        let given_up = self.arena + self.cross_view_arena + self.relight_arena + self.staging;
-        self.looking = bytes.saturating_sub(given_up);
+        self.looking = bytes.saturating_sub(self.given_up());
+    }
+
+    /// What is given up meanwhile, and taken again: transients of steps, and staging.
+    pub(super) fn given_up(&self) -> u64 {
+        self.arena + self.cross_view_arena + self.relight_arena + self.staging
     }
 
     /// All of it.

@@ -90,8 +90,8 @@ impl Intrinsic {
             }
             let [step, moves] = self.paced;
             meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
-            meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         }
+        meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         let bytes = crate::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
@@ -110,6 +110,8 @@ impl Intrinsic {
         }
         if self.automatic.is_some() {
             self.take_over(&saved)?;
+        } else if !saved.decisions.is_empty() {
+            self.decisions.clone_from(&saved.decisions);
         }
         // But for what has been decided, everything is read before anything is changed.
         let values = self.values_of(&saved)?;

@@ -1,6 +1,7 @@
 //! Looking at what training has come to, and leaving out what is worth too little ([`super::worth`] says how that is measured).
 //!
-//! Promises: everything is judged before anything changes.
+//! Promises: everything is judged before anything changes, each part with what has been found needless before it already gone, so that
+//! of two of which either would do one stays; and what stays is said with its measure, too.
 
 use super::lobes::merged;
 use super::worth::{Light, Pictures, add, error, loss, needless};
@@ -29,9 +30,11 @@ struct Seen<'v> {
     before: &'v [Remembered],
     photos: Vec<[f32; 3]>,
     splats: Splats,
+    /// What shines by now: what has been judged needless is out of it.
     light: RunLight,
+    /// Pictures by that light.
     all: Pictures,
-    /// The error of all light together.
+    /// The error of all of it together.
     with: f64,
     decisions: Vec<Decision>,
 }
@@ -41,6 +44,17 @@ impl Seen<'_> {
     fn error(&self, direct: &[[f32; 3]], ambient: &[[f32; 3]]) -> f64 {
         let of = |light: &[[f32; 3]], i: usize| light.get(i).copied().unwrap_or_default();
         error(&self.photos, |i| add(add(self.all.behind[i], of(direct, i)), of(ambient, i)))
+    }
+
+    /// Takes another light of lamps or surroundings for what there is.
+    fn shine(&mut self, direct: Option<Light>, ambient: Option<Light>) {
+        if let Some(direct) = direct {
+            self.all.direct = direct;
+        }
+        if let Some(ambient) = ambient {
+            self.all.ambient = ambient;
+        }
+        self.with = self.error(&self.all.direct, &self.all.ambient);
     }
 
     fn decided(&mut self, what: &str, on: bool, reason: String, worth: f64) {
@@ -55,6 +69,21 @@ impl Seen<'_> {
             setting,
         });
     }
+
+    /// Decides whether a part stays that is worth so much.
+    fn keeps(&mut self, part: Part, worth: f64) -> bool {
+        let gain = self.gain;
+        self.decided(part.name(), worth > gain, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
+        worth > gain
+    }
+
+    /// Says that all of something stay, since even the most of them that were tried instead would cost too much.
+    fn stay(&mut self, what: &str, all: &str, tried: Option<(u32, f64)>) {
+        if let Some((few, worth)) = tried {
+            let reason = format!("{all} stay: {few} would cost {worth:.3} dB (asked: {})", self.gain);
+            self.decided(what, true, reason, worth);
+        }
+    }
 }
 
 /// What is done about it.
@@ -68,6 +97,12 @@ struct Changes {
     out: Vec<Part>,
 }
 
+/// Everything stays where memory does not suffice for looking.
+fn no_room(step: u32) -> Decision {
+    let reason = "there is no memory to see what could be left out".to_owned();
+    Decision { on: true, ..Decision::of_memory(step, "all parts", reason) }
+}
+
 impl Intrinsic {
     /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
     pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
@@ -75,24 +110,19 @@ impl Intrinsic {
         self.finish()?;
         self.execs = [None, None, None];
         let (decided, changes) = match self.worthless(step) {
-            Err(e) if e.is_out_of_memory() => {
-                tracing::info!("after step {step} there is no memory to see what could be left out");
-                return Ok(());
-            }
+            Err(e) if e.is_out_of_memory() => (vec![no_room(step)], Changes::default()),
             other => other?,
         };
         let resized = changes.texels.is_some();
         // Looking has changed nothing. From here on an error ends the training: it would go on with half a model.
         self.change(step, changes)?;
-        if let Some(a) = &mut self.automatic {
-            if resized {
-                // Of a cube that is no more.
-                a.before.clear();
-            }
-            for decision in decided {
-                tracing::info!("{decision}");
-                a.decisions.push(decision);
-            }
+        if let Some(a) = self.automatic.as_mut().filter(|_| resized) {
+            // Of a cube that is no more.
+            a.before.clear();
+        }
+        for decision in decided {
+            tracing::info!("{decision}");
+            self.decisions.push(decision);
         }
         Ok(())
     }
@@ -104,7 +134,7 @@ impl Intrinsic {
         self.automatic = Some(watched);
         match found {
             Ok(()) => self.needs.look(bytes),
-            Err(e) if e.is_out_of_memory() => {}
+            Err(e) if e.is_out_of_memory() => self.decisions.push(no_room(0)),
             Err(e) => return Err(e),
         }
         Ok(())
@@ -180,24 +210,31 @@ impl Intrinsic {
         tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
         // Pictures that have become worse are swinging.
         let settled = gained.is_some_and(|gained| gained.abs() <= f64::from(a.settled));
-        if let Some(gained) = gained.filter(|_| !settled) {
-            tracing::info!(
-                "they have become {gained:.2} dB better since the last look: lobes, levels and pace stay as they are"
+        let waits = (a.lobes || a.levels || a.pace) && self.judges(WHOLE, step);
+        if let Some(gained) = gained.filter(|_| waits && !settled) {
+            let (settled, setting) = (a.settled, "intrinsic.automatic.settled".to_owned());
+            let reason = format!(
+                "pictures have become {gained:.2} dB better since the last look (asked: {settled} either way): these stay as they are"
             );
+            let (what, asked) = ("lobes, levels and pace".to_owned(), Some(f64::from(settled)));
+            seen.decisions.push(Decision { step, what, on: true, reason, measured: Some(gained), asked, setting });
         }
         let changes = self.judged(a, &mut seen, settled)?;
         Ok((seen.decisions, changes))
     }
 
+    /// Whether what is judged from a share of the steps on is judged after this one. Where a network is shown views under other lights,
+    /// that is done by graphs of its own, which have all parts.
+    fn judges(&self, from: f64, step: u32) -> bool {
+        self.relit.is_none() && super::judges(from, step, self.required.intrinsic.steps)
+    }
+
     /// What can go. Nothing has changed yet.
     fn judged(&self, a: &AutomaticSettings, seen: &mut Seen<'_>, settled: bool) -> Result<Changes> {
-        // A network is shown views under other lights by graphs of its own, which have all parts.
-        let whole = self.relit.is_none();
-        let judges = |from: f64| whole && super::judges(from, seen.step, self.required.intrinsic.steps);
-        let (parts, lobes) = (judges(WHOLE), judges(PARTED) && settled);
+        let (parts, lobes) = (self.judges(WHOLE, seen.step), self.judges(PARTED, seen.step) && settled);
         let mut changes = Changes::default();
         if a.lights && self.has(Part::Lights) {
-            let (gains, none) = self.judge_lights(seen, whole && self.has(Part::Environment))?;
+            let (gains, none) = self.judge_lights(seen, self.relit.is_none() && self.has(Part::Environment))?;
             changes.gains = Some(gains);
             if none {
                 changes.out.push(Part::Lights);
@@ -205,34 +242,36 @@ impl Intrinsic {
         }
         let lit = self.has(Part::Lights) && !changes.out.contains(&Part::Lights);
         if lobes && a.lobes && lit && self.light_model.axes == Axes::Free {
-            changes.lobes = self.judge_lobes(seen, changes.gains.as_deref())?;
+            changes.lobes = self.judge_lobes(seen)?;
         }
-        let mut goes = |seen: &mut Seen<'_>, part: Part, worth: f64| {
-            let gain = seen.gain;
-            if worth <= gain {
-                seen.decided(part.name(), false, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
-                changes.out.push(part);
-            }
-            worth <= gain
-        };
         let mut surrounded = self.has(Part::Environment);
         if parts && a.environment && surrounded && lit {
-            let worth = loss(seen.with, seen.error(&seen.all.direct, &[]));
-            surrounded = !goes(seen, Part::Environment, worth);
+            surrounded = seen.keeps(Part::Environment, loss(seen.with, seen.error(&seen.all.direct, &[])));
+            if !surrounded {
+                changes.out.push(Part::Environment);
+                seen.light.environment = None;
+                seen.shine(None, Some(Light::new()));
+            }
         }
         let mut shadows = self.has(Part::Visibility) && lit;
         if parts && a.visibility && shadows {
-            let worth = self.shadowed(seen, Visibility::None)?;
-            shadows = !goes(seen, Part::Visibility, worth);
+            let (worth, direct) = self.shadowed(seen, &Visibility::None)?;
+            shadows = seen.keeps(Part::Visibility, worth);
+            if !shadows {
+                changes.out.push(Part::Visibility);
+                seen.light.visibility = Visibility::None;
+                seen.shine(Some(direct), None);
+            }
         }
         if parts && settled && a.levels && shadows {
             changes.levels = self.judge_levels(seen)?;
         }
-        if parts && a.texels && surrounded {
-            changes.texels = self.judge_texels(seen)?;
-        }
+        // Before texels go: those that are remembered are as many as there are.
         if parts && settled && a.pace && surrounded {
             changes.pace = self.judge_pace(seen)?;
+        }
+        if parts && a.texels && surrounded {
+            changes.texels = self.judge_texels(seen)?;
         }
         Ok(changes)
     }
@@ -267,7 +306,7 @@ impl Intrinsic {
         let parts = self.each(&mut self.shading(&seen.splats, &only)?, seen.views, &gains)?;
         let rest: Light = seen.all.behind.iter().zip(&seen.all.ambient).map(|(b, a)| add(*b, *a)).collect();
         let on = gains.iter().filter(|g| **g != 0.0).count();
-        let mut gone = needless(&seen.photos, &rest, &parts, seen.gain);
+        let (mut gone, next) = needless(&seen.photos, &rest, &parts, seen.gain);
         if gone.len() == on && !all_may {
             // Something has to shine.
             gone.pop();
@@ -281,44 +320,52 @@ impl Intrinsic {
             let left = on - gone.len();
             let reason = format!("{left} of {on} stay: all others together are worth {worth:.3} dB (asked: {gain})");
             seen.decided("lights", true, reason, worth);
+        } else if let Some(worth) = next {
+            seen.decided("lights", true, format!("the faintest of {on} is worth {worth:.3} dB (asked: {gain})"), worth);
+        }
+        if !gone.is_empty() {
+            seen.light.lights.iter_mut().flat_map(|l| &mut l.lights).zip(&gains).for_each(|(l, gain)| l.gain = *gain);
+            let mut direct = vec![[0.0; 3]; seen.photos.len()];
+            for part in parts.iter().zip(&gains).filter(|(_, gain)| **gain != 0.0).map(|(part, _)| part) {
+                direct.iter_mut().zip(part).for_each(|(sum, light)| *sum = add(*sum, *light));
+            }
+            seen.shine(Some(direct), None);
         }
         Ok((gains, none))
     }
 
     /// To how few lobes those of each light can be merged.
-    fn judge_lobes(&self, seen: &mut Seen<'_>, gains: Option<&[f32]>) -> Result<Option<u32>> {
-        let mut only = RunLight { environment: None, ..seen.light.clone() };
-        if let (Some(file), Some(gains)) = (&mut only.lights, gains) {
-            file.lights.iter_mut().zip(gains).for_each(|(l, gain)| l.gain = *gain);
-        }
-        let off = |only: &RunLight| -> Result<f64> {
-            let lit = self.pictures(&mut self.shading(&seen.splats, only)?, seen.views)?.direct;
-            Ok(seen.error(&lit, &seen.all.ambient))
-        };
-        let (whole, lobes, gain) = (off(&only)?, self.lobes(), seen.gain);
+    fn judge_lobes(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
+        let (lobes, gain, mut least) = (self.lobes(), seen.gain, None);
         for few in FEWER.into_iter().filter(|few| *few < lobes) {
-            let mut some = only.clone();
+            let mut some = RunLight { environment: None, ..seen.light.clone() };
             if let Some(file) = &mut some.lights {
                 file.lights.iter_mut().for_each(|l| *l = merged(l, few as usize));
             }
-            let worth = loss(whole, off(&some)?);
+            let direct = self.pictures(&mut self.shading(&seen.splats, &some)?, seen.views)?.direct;
+            let worth = loss(seen.with, seen.error(&direct, &seen.all.ambient));
             if worth <= gain {
                 let reason = format!("{few} of {lobes} stay: merging the others costs {worth:.3} dB (asked: {gain})");
                 seen.decided("lobes", true, reason, worth);
+                seen.light.lights = some.lights;
+                seen.shine(Some(direct), None);
                 return Ok(Some(few));
             }
+            least = Some((few, worth));
         }
+        seen.stay("lobes", &format!("all {lobes}"), least);
         Ok(None)
     }
 
     /// Without how many of its finest levels the visibility field will do.
     fn judge_levels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
-        let (gain, light) = (seen.gain, seen.light.clone());
-        let Visibility::Learned(field) = &light.visibility else { return Ok(None) };
+        let (gain, mut least) = (seen.gain, None);
+        let Visibility::Learned(field) = seen.light.visibility.clone() else { return Ok(None) };
         let levels = field.config.levels;
         let fewer = [levels / 4, levels / 2, 3 * levels / 4, levels - 1];
         for few in fewer.into_iter().filter(|n| (1..levels).contains(n)) {
-            let worth = self.shadowed(seen, Visibility::Learned(Box::new(field.first_levels(few))))?;
+            let other = Visibility::Learned(Box::new(field.first_levels(few)));
+            let (worth, direct) = self.shadowed(seen, &other)?;
             if worth <= gain {
                 let share = 100.0 * self.reached(few)?;
                 let reason = format!(
@@ -326,34 +373,54 @@ impl Intrinsic {
                      reached {share:.0} % of their entries"
                 );
                 seen.decided("levels", true, reason, worth);
+                seen.light.visibility = other;
+                seen.shine(Some(direct), None);
                 return Ok(Some(few));
             }
+            least = Some((few, worth));
         }
+        seen.stay("levels", &format!("all {levels}"), least);
         Ok(None)
     }
 
     /// How few texels of the surroundings will do.
     fn judge_texels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
+        let Some(size) = self.environment_size() else { return Ok(None) };
         let gain = seen.gain;
-        let found = self.enough_texels(gain, |few| self.surrounded(seen, few))?;
-        let (Some((size, worth)), Some((e, _))) = (found, &self.environment) else { return Ok(None) };
+        let Some((few, worth)) = self.enough_texels(gain, |few| self.surrounded(seen, few))? else { return Ok(None) };
+        if worth > gain {
+            seen.stay("texels", &format!("{size} along an edge"), Some((few, worth)));
+            return Ok(None);
+        }
         let reason = format!(
-            "{size} along an edge instead of {} stay: pictures lose {worth:.3} dB under means of them (asked: {gain})",
-            e.size()
+            "{few} along an edge instead of {size} stay: pictures lose {worth:.3} dB under means of them (asked: {gain})"
         );
         seen.decided("texels", true, reason, worth);
-        Ok(Some(size))
+        Ok(Some(few))
     }
 
     /// How seldom surroundings may move.
     fn judge_pace(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let gain = seen.gain;
-        let found = self.pace(seen.before, gain, |old| self.surrounded(seen, old))?;
-        let Some((every, worth)) = found else { return Ok(None) };
-        let reason =
+        let tried = self.pace(seen.before, gain, |old| self.surrounded(seen, old))?;
+        let Some((every, worth)) = tried else { return Ok(None) };
+        let cost = format!("{every} steps old they cost {worth:.3} dB (asked: {gain})");
+        let moves =
             format!("surroundings move once in {every} steps: as old as that they cost {worth:.3} dB (asked: {gain})");
+        let (reason, pace) = if worth > gain {
+            (format!("surroundings move as often as they did: {cost}"), None)
+        } else if !self.fits(every)? {
+            (
+                format!(
+                    "surroundings move as often as they did: {cost}, but there is no room to keep what is filtered"
+                ),
+                None,
+            )
+        } else {
+            (moves, Some(every))
+        };
         seen.decided("pace", true, reason, worth);
-        Ok(Some(every))
+        Ok(pace)
     }
 
     /// Decibels that pictures lose under other surroundings.
@@ -362,11 +429,12 @@ impl Intrinsic {
         Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
     }
 
-    /// Decibels that pictures lose with other shadows.
-    fn shadowed(&self, seen: &Seen<'_>, visibility: Visibility) -> Result<f64> {
-        let light = RunLight { visibility, ..seen.light.clone() };
-        let other = self.pictures(&mut self.shading(&seen.splats, &light)?, seen.views)?;
-        Ok(loss(seen.with, seen.error(&other.direct, &other.ambient)))
+    /// Decibels that pictures lose with other shadows, and what lamps come to with these.
+    fn shadowed(&self, seen: &Seen<'_>, visibility: &Visibility) -> Result<(f64, Light)> {
+        let lights = seen.light.lights.clone();
+        let light = RunLight { lights, environment: None, visibility: visibility.clone() };
+        let direct = self.pictures(&mut self.shading(&seen.splats, &light)?, seen.views)?.direct;
+        Ok((loss(seen.with, seen.error(&direct, &seen.all.ambient)), direct))
     }
 
     /// The share of entries of the visibility field's levels behind the first ones that gradients have ever reached.

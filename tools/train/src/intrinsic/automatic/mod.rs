@@ -43,8 +43,6 @@ const PIXELS: usize = 6000;
 /// What it takes to look.
 pub(super) struct Automatic {
     views: Vec<Watched>,
-    /// So far.
-    pub decisions: Vec<Decision>,
     /// The sum of squared errors of the splats' own colors there, once it is known.
     own: Option<f64>,
     /// The sum of squared errors of shaded pictures when they were last looked at.
@@ -82,7 +80,7 @@ impl Part {
 
 impl Automatic {
     /// Takes what is looked at from the training views.
-    pub fn new(packed: &Packed, decisions: Vec<Decision>) -> Automatic {
+    pub fn new(packed: &Packed) -> Automatic {
         let views = packed.views();
         let chosen = VIEWS.min(views.len());
         let watched = |k: usize| {
@@ -96,7 +94,7 @@ impl Automatic {
             let pixels = taken.filter(|p| image[*p] >> 24 != 0).map(|p| (p, color(image[p]))).collect();
             Watched { camera: views[i].0, pixels }
         };
-        Automatic { views: (0..chosen).map(watched).collect(), decisions, own: None, last: None, before: Vec::new() }
+        Automatic { views: (0..chosen).map(watched).collect(), own: None, last: None, before: Vec::new() }
     }
 }
 
@@ -118,7 +116,7 @@ fn due(share: f64, steps: u32) -> u32 {
 impl Intrinsic {
     /// What was decided about the model so far, in order.
     pub fn decisions(&self) -> &[Decision] {
-        self.automatic.as_ref().map_or(&[], |a| &a.decisions)
+        &self.decisions
     }
 
     fn automatic_settings(&self) -> &AutomaticSettings {
@@ -236,15 +234,13 @@ impl Intrinsic {
         for part in Part::ALL {
             match (out(part) || lights && part == Part::Visibility, self.has(part)) {
                 (true, true) => self.leave_out(part)?,
-                (false, false) if self.decisions().iter().any(|d| d.step > 0 && d.what == part.name()) => {
+                (false, false) if self.decisions.iter().any(|d| d.step > 0 && !d.on && d.what == part.name()) => {
                     return Ok(false);
                 }
                 _ => {}
             }
         }
-        if let Some(a) = &mut self.automatic {
-            a.decisions = decisions;
-        }
+        self.decisions = decisions;
         Ok(true)
     }
 }

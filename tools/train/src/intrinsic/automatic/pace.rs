@@ -7,7 +7,7 @@
 use super::{LOOKS, WHOLE, due};
 use crate::error::Result;
 use crate::intrinsic::Intrinsic;
-use crate::memory::allowed;
+use crate::memory::{allowed, uniform_bytes};
 use crate::shaded::{RunLight, Texels, Visibility};
 use sgs_passes::pipeline::{EnvironmentRefresh, IntrinsicOptions, KeptEnvironment};
 
@@ -45,8 +45,8 @@ impl Intrinsic {
         self.automatic.as_ref().map_or(&[], |a| &a.before)
     }
 
-    /// The most steps that surroundings may be old by now, and what that costs; none where they move as seldom already, or memory
-    /// does not suffice. `loss`: decibels that pictures lose under such surroundings.
+    /// The most steps that surroundings may be old by now, or if they may not the fewest that were tried, and what that costs; none where
+    /// they move as seldom already. `loss`: decibels that pictures lose under such surroundings.
     pub(super) fn pace(
         &self,
         before: &[Remembered],
@@ -54,30 +54,26 @@ impl Intrinsic {
         mut loss: impl FnMut(&RunLight) -> Result<f64>,
     ) -> Result<Option<(u32, f64)>> {
         let Some((e, _)) = &self.environment else { return Ok(None) };
+        let mut tried = None;
         for every in AGES.into_iter().filter(|every| *every > self.options.environment_every) {
             let Some((_, data)) = before.iter().find(|(taken, _)| taken + every == self.done) else { continue };
             let environment = Some(Texels { size: e.size(), data: data.clone() });
             let worth = loss(&RunLight { lights: None, environment, visibility: Visibility::None })?;
+            tried = Some((every, worth));
             if worth <= gain {
-                return Ok(self.fits(every)?.then_some((every, worth)));
+                break;
             }
         }
-        Ok(None)
+        Ok(tried)
     }
 
-    /// Whether there is memory for surroundings that are kept.
-    fn fits(&self, every: u32) -> Result<bool> {
+    /// Whether there is memory for surroundings that are kept, beside what steps will take again.
+    pub(super) fn fits(&self, every: u32) -> Result<bool> {
         let Some((e, _)) = self.environment.as_ref().filter(|_| self.seldom.is_none()) else { return Ok(true) };
         let options = IntrinsicOptions { environment_every: every, ..self.options };
         let plan = EnvironmentRefresh::plan(&self.tuning, e, &options)?;
-        let bytes = KeptEnvironment::bytes_of(e) + plan.arena_bytes;
-        let fits = bytes <= allowed(&self.device, &self.required).left();
-        if !fits {
-            tracing::info!(
-                "surroundings move with every step: there is no room to keep what is filtered ({bytes} bytes)"
-            );
-        }
-        Ok(fits)
+        let bytes = KeptEnvironment::bytes_of(e) + plan.arena_bytes + uniform_bytes(&self.device, &plan, 1);
+        Ok(bytes + self.needs.given_up() <= allowed(&self.device, &self.required).left())
     }
 }
 

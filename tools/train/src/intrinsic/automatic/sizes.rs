@@ -29,25 +29,33 @@ pub(in super::super) struct Found<'a> {
 pub(in super::super) fn required(found: &Found<'_>, s: &IntrinsicSettings) -> (IntrinsicSettings, Vec<Decision>) {
     let (mut of, mut decisions) = (s.clone(), Vec::new());
     let a = &s.automatic;
-    let mut decided = |what: &str, on: bool, reason: String, measured: f64, asked: f64, setting: &str| {
+    let mut decided = |what: &str, on: bool, reason: String, figures: Option<[f64; 2]>, setting: &str| {
         let (what, setting) = (what.to_owned(), setting.to_owned());
-        decisions.push(Decision { step: 0, what, on, reason, measured: Some(measured), asked: Some(asked), setting });
+        let [measured, asked] = [0, 1].map(|i| figures.map(|f| f[i]));
+        decisions.push(Decision { step: 0, what, on, reason, measured, asked, setting });
     };
     if let (true, Metallic::Auto, Some(maps)) = (a.metallic, s.metallic, found.metallic) {
         let share = share_above(maps, METALLIC_FROM);
         let on = share >= METALLIC_SHARE;
         of.metallic = if on { Metallic::Auto } else { Metallic::Off };
         let reason = format!("priors call {:.3} % of the pixels metallic", 100.0 * share);
-        decided("metallic", on, reason, share, METALLIC_SHARE, "intrinsic.automatic.metallic");
+        decided("metallic", on, reason, Some([share, METALLIC_SHARE]), "intrinsic.automatic.metallic");
     }
-    if let (true, true, Some(maps)) = (a.sizes, s.environment.enabled, found.roughness) {
-        let (size, least) = environment_size(maps, s.environment.resolution);
-        of.environment.resolution = size;
-        let reason = format!(
-            "{size} texels along an edge: of the pixels one in a hundred has a roughness below {least:.2}, and nothing sharper \
-             mirrors the surroundings"
-        );
-        decided("environment size", true, reason, least, 0.01, "intrinsic.automatic.sizes");
+    if a.sizes && s.environment.enabled {
+        let most = s.environment.resolution;
+        let (reason, figures) = match found.roughness {
+            Some(maps) => {
+                let (size, least) = environment_size(maps, most);
+                of.environment.resolution = size;
+                let reason = format!(
+                    "{size} texels along an edge: of the pixels one in a hundred has a roughness below {least:.2}, and nothing \
+                     sharper mirrors the surroundings"
+                );
+                (reason, Some([least, 0.01]))
+            }
+            None => (format!("{most} texels along an edge: no priors say how sharply surfaces mirror"), None),
+        };
+        decided("environment size", true, reason, figures, "intrinsic.automatic.sizes");
     }
     let v = &s.visibility;
     if a.sizes && s.lights.enabled && v.kind == VisibilityKind::Field && v.levels > 1 {
@@ -64,7 +72,7 @@ pub(in super::super) fn required(found: &Found<'_>, s: &IntrinsicSettings) -> (I
                 "{} levels up to {finest}: nine in ten surfaces have pixels wider than a {wanted}th of the room",
                 of.visibility.levels
             );
-            decided("visibility size", true, reason, pixel, side, "intrinsic.automatic.sizes");
+            decided("visibility size", true, reason, Some([pixel, side]), "intrinsic.automatic.sizes");
         }
     }
     (of, decisions)

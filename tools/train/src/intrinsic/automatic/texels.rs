@@ -61,23 +61,25 @@ fn coarser_moments(moments: &[f32], from: u32, size: u32) -> Vec<f32> {
 }
 
 impl Intrinsic {
-    /// The smallest cube whose texels suffice by now, and what is lost; none if all are needed. `loss`: decibels that pictures lose
-    /// under such surroundings.
+    /// The smallest cube whose texels suffice by now, or if none does the largest that was tried, and what is lost; none if there is no
+    /// smaller one. `loss`: decibels that pictures lose under such surroundings.
     pub(super) fn enough_texels(
         &self,
         gain: f64,
         mut loss: impl FnMut(&RunLight) -> Result<f64>,
     ) -> Result<Option<(u32, f64)>> {
         let Some(fine) = self.light()?.environment else { return Ok(None) };
+        let mut tried = None;
         let smaller = std::iter::successors(Some(LEAST), |size| Some(2 * size)).take_while(|size| *size < fine.size);
         for size in smaller {
             let environment = Some(coarser(&fine, size));
             let worth = loss(&RunLight { lights: None, environment, visibility: Visibility::None })?;
+            tried = Some((size, worth));
             if worth <= gain {
-                return Ok(Some((size, worth)));
+                break;
             }
         }
-        Ok(None)
+        Ok(tried)
     }
 
     /// Makes surroundings of so many texels along an edge. Fewer are means of what there is, with their moments; more start anew.

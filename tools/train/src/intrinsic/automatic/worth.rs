@@ -50,10 +50,15 @@ pub(super) fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 }
 
 /// Which lights can go: from the faintest on, as long as the picture loses less than asked. Returns them, each with what it is
-/// worth together with those before it.
+/// worth together with those before it; and what the next one would be, if there is one.
 ///
 /// `parts`: light of each, empty where it is off; `rest`: everything else.
-pub(super) fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain: f64) -> Vec<(usize, f64)> {
+pub(super) fn needless(
+    photos: &[[f32; 3]],
+    rest: &Light,
+    parts: &[Light],
+    gain: f64,
+) -> (Vec<(usize, f64)>, Option<f64>) {
     let energy = |part: &Light| part.iter().flatten().map(|v| f64::from(v.max(0.0))).sum::<f64>();
     let mut order: Vec<(usize, f64)> =
         parts.iter().enumerate().filter(|(_, part)| !part.is_empty()).map(|(i, part)| (i, energy(part))).collect();
@@ -70,11 +75,11 @@ pub(super) fn needless(photos: &[[f32; 3]], rest: &Light, parts: &[Light], gain:
         let light = &left[order.len() - 1 - k];
         let lost = loss(with, error(photos, |p| light[p]));
         if lost > gain {
-            break;
+            return (gone, Some(lost));
         }
         gone.push((*i, lost));
     }
-    gone
+    (gone, None)
 }
 
 impl Intrinsic {
@@ -148,7 +153,11 @@ mod tests {
         let rest = plain(0.01, pixels);
         let parts = [lit(0.5), lit(1e-4), Vec::new(), lit(0.4999), lit(2e-4), plain(0.0, pixels)];
         let of = |rest: &Light, parts: &[Light], gain: f64| -> (Vec<usize>, f64) {
-            let gone = needless(&photos, rest, parts, gain);
+            let (gone, next) = needless(&photos, rest, parts, gain);
+            assert!(
+                next.is_none_or(|next| next > gain)
+                    && next.is_none() == (gone.len() == parts.iter().filter(|p| !p.is_empty()).count())
+            );
             (gone.iter().map(|g| g.0).collect(), gone.last().map_or(0.0, |g| g.1))
         };
         let (gone, worth) = of(&rest, &parts, 0.05);
