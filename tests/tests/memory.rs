@@ -270,7 +270,15 @@ fn what_growth_comes_to_was_foretold() {
         // With that budget so many fit, and hardly more.
         let fit = training.most_within_budget(count, entries).unwrap();
         assert!(fit >= n && u64::from(fit) < u64::from(n) * 3 / 2, "{fit} of {n}");
-        gpu.device().set_memory_budget(None);
+        // Within less it comes to its end with fewer.
+        bound.memory.budget = training.needs().total() * 5 / 4;
+        drop((training, gpu));
+        let gpu = Gpu::new();
+        let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
+        training.train(40, |_| {}, || true).unwrap();
+        let (fewer, peak) = (training.gaussians().count(gpu.device()).unwrap(), gpu.device().memory_use().1);
+        println!("{fewer} within {} bytes: {peak}", bound.memory.budget);
+        assert!(peak <= bound.memory.budget && fewer < n && fewer > count, "{peak} bytes, {fewer} of {n}");
     }
 }
 
