@@ -65,8 +65,9 @@ impl Common {
     /// Prints the report, writes it, and sets it against the baseline.
     ///
     /// # Errors
-    /// If a file cannot be read or written, validation had something to say, or something is worse.
+    /// If a figure is not finite, a file cannot be read or written, validation had something to say, or something is worse.
     pub fn finish(&self, report: &Report, device: &Device) -> anyhow::Result<()> {
+        report.ensure_finite()?;
         let text = serde_json::to_string_pretty(report).context("The report cannot be written as JSON.")?;
         match &self.json {
             Some(path) if path.as_os_str() == "-" => println!("{text}"),

@@ -8,7 +8,7 @@
 //! different times on a shared machine differ by more than repeats within one. The tolerance covers what clocks and
 //! caches do between processes. The floor of times is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
 //! is more: below it a difference is the scheduler's and matters to nobody. That of ratios, errors and megabytes is what the
-//! order of sums in single precision may change of a number near one.
+//! order of sums in single precision may change of a number near one. What was a finite number and is none any more is worse.
 
 use super::{Report, standing};
 use crate::stats::Summary;
@@ -39,6 +39,14 @@ pub struct Difference {
     pub band: f64,
     /// The unit.
     pub unit: String,
+}
+
+impl Difference {
+    /// How many times the baseline it is; what is no number is the worst.
+    fn growth(&self) -> f64 {
+        let growth = self.now / self.before;
+        if growth.is_nan() { f64::INFINITY } else { growth }
+    }
 }
 
 /// What a comparison found.
@@ -95,13 +103,13 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
         outcome.compared += 1;
         let band = noise_band(&old, new, tolerance, resolution);
         let difference = Difference { name, before: old.median, now: new.median, band, unit };
-        if new.median - old.median > band {
+        if exceeds(new, &old, band) {
             outcome.slower.push(difference);
-        } else if old.median - new.median > band {
+        } else if exceeds(&old, new, band) {
             outcome.faster.push(difference);
         }
     }
-    outcome.slower.sort_by(|a, b| (b.now / b.before).total_cmp(&(a.now / a.before)));
+    outcome.slower.sort_by(|a, b| b.growth().total_cmp(&a.growth()));
     let stands = |report: &Report, name: &str| report.facts.iter().find(|f| f.name == name).map(|f| f.value.clone());
     for fact in baseline.facts.iter().filter(|f| f.value != standing::BEATEN) {
         let Some(choice) = fact.name.strip_prefix(standing::PREFIX) else { continue };
@@ -111,6 +119,15 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
     }
     anyhow::ensure!(outcome.compared > 0, "The baseline and this run have no time in common.");
     Ok(outcome)
+}
+
+/// Whether a figure is above another by more than noise: what is not finite is above all that is, whatever its band.
+fn exceeds(a: &Summary, b: &Summary, band: f64) -> bool {
+    let finite = |s: &Summary| s.median.is_finite() && s.mad.is_finite();
+    match (finite(a), finite(b)) {
+        (true, true) => a.median - b.median > band,
+        (of_a, of_b) => of_b && !of_a,
+    }
 }
 
 /// By how much a median may exceed another before it counts.
@@ -296,6 +313,28 @@ mod tests {
         };
         for (now, grown) in [(2e-7, false), (5e-7, true)] {
             assert_eq!(compare(&report(1e-7), &report(now), 0.05).unwrap().slower.len(), usize::from(grown), "{now}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_any_more_has_grown() {
+        let report = |value: Summary| {
+            let mut report = run(1, 0.0, 1.0);
+            report.time("mean error, fast", "", value);
+            report
+        };
+        let good = report(Summary::of(&[1e-3]));
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            // With a spread that is no number the band would be none, either.
+            for bad in [Summary::known(wrong, 0.0, 1), Summary::known(1e-3, wrong, 8), Summary::of(&[wrong])] {
+                let bad = report(bad);
+                let outcome = compare(&good, &bad, 0.05).unwrap();
+                assert_eq!(outcome.slower.len(), 1, "{wrong}");
+                assert!(outcome.text().contains("GROWN mean error, fast"), "{wrong}: {}", outcome.text());
+                assert!(compare(&bad, &bad, 0.05).unwrap().slower.is_empty());
+                let outcome = compare(&bad, &good, 0.05).unwrap();
+                assert_eq!((outcome.slower.len(), outcome.faster.len()), (0, 1), "{wrong}");
+            }
         }
     }
 

@@ -152,8 +152,59 @@ impl Report {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: false });
     }
 
+    /// Refuses what could not be read back: JSON has no word for what is not finite.
+    ///
+    /// # Errors
+    /// If a figure is not finite, with a sentence that names it.
+    pub fn ensure_finite(&self) -> anyhow::Result<()> {
+        let passes = self.passes.iter().map(|p| (format!("{}/{}", p.plan, p.pass), &p.nanoseconds));
+        let values = self.values.iter().map(|v| (v.name.clone(), &v.value));
+        let mut all = passes.chain(values);
+        let wrong = all.find(|(_, s)| ![s.median, s.mad, s.least].iter().all(|v| v.is_finite())).map(|(name, _)| name);
+        // Facts are JSON already: there it has become nothing.
+        let fact = || self.facts.iter().find(|f| f.value.is_null()).map(|f| f.name.clone());
+        match wrong.or_else(fact) {
+            Some(name) => anyhow::bail!("\"{name}\" is not a finite number, so that there is no report."),
+            None => Ok(()),
+        }
+    }
+
     /// Says what was checked and held.
     pub fn check(&mut self, what: impl Into<String>) {
         self.checks.push(what.into());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_finite_is_refused_by_name() {
+        let device = DeviceLine {
+            name: "a".into(),
+            kind: "cpu".into(),
+            driver: "b".into(),
+            api: "1.3.0".into(),
+            subgroup_size: 8,
+        };
+        let report = |value: f64, fact: f64| {
+            let mut report = Report::new("tradeoff", device.clone(), 1, 0);
+            report.time("mean error, fast", "", Summary::of(&[value]));
+            report.fact("picture, fast, dB", fact);
+            report
+        };
+        let good = report(1e-3, 40.0);
+        good.ensure_finite().unwrap();
+        let text = serde_json::to_string(&good).unwrap();
+        assert_eq!(serde_json::from_str::<Report>(&text).unwrap().values[0].value, good.values[0].value);
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            // As it would be written it could not be read.
+            let bad = report(wrong, 40.0);
+            assert!(serde_json::from_str::<Report>(&serde_json::to_string(&bad).unwrap()).is_err());
+            assert!(bad.ensure_finite().unwrap_err().to_string().starts_with("\"mean error, fast\" is not"), "{wrong}");
+            let said = report(1e-3, wrong).ensure_finite().unwrap_err().to_string();
+            assert!(said.starts_with("\"picture, fast, dB\" is not a finite number"), "{said}");
+        }
     }
 }

@@ -25,9 +25,12 @@ impl Ratio {
 
     /// Of one ratio a round.
     pub fn of(rounds: &[f64]) -> Ratio {
-        let s = Summary::of(rounds);
-        let rounds = s.samples.max(1);
-        Ratio { value: s.median, off: (median_error(rounds) * s.sigma()).max(LEAST), rounds }
+        Ratio::from(Summary::of(rounds))
+    }
+
+    /// Whether both are numbers.
+    fn is_finite(&self) -> bool {
+        self.value.is_finite() && self.off.is_finite()
     }
 
     /// Whether it is less, other than by chance.
@@ -39,6 +42,17 @@ impl Ratio {
 /// The standard error of a median of so many normal samples, over their standard deviation.
 fn median_error(samples: usize) -> f64 {
     (FRAC_PI_2 / samples as f64).sqrt()
+}
+
+impl From<Summary> for Ratio {
+    /// Of single rounds.
+    fn from(s: Summary) -> Ratio {
+        let rounds = s.samples.max(1);
+        let off = median_error(rounds) * s.sigma();
+        // A maximum would pass over what is no number.
+        let off = if off.is_finite() { off.max(LEAST) } else { f64::INFINITY };
+        Ratio { value: s.median, off, rounds }
+    }
 }
 
 impl From<Ratio> for Summary {
@@ -87,11 +101,13 @@ impl fmt::Display for Standing {
     }
 }
 
-/// Where each stands: `all` are time and error, errors within one percent of each other are the same.
+/// Where each stands: `all` are time and error, errors within one percent of each other are the same. What is not finite is beaten,
+/// and beats nothing.
 pub fn standings(all: &[(Ratio, f64)]) -> Vec<Standing> {
+    let finite = |p: &(Ratio, f64)| p.0.is_finite() && p.1.is_finite();
     let of = |p: &(Ratio, f64)| {
-        let close = || all.iter().filter(|o| o.1 <= p.1);
-        if close().any(|o| o.0.surely_below(&p.0)) {
+        let close = || all.iter().filter(|o| finite(o) && o.1 <= p.1);
+        if !finite(p) || close().any(|o| o.0.surely_below(&p.0)) {
             Standing::Beaten
         } else if close().any(|o| o.0.value <= p.0.value && o.1 < 0.99 * p.1) {
             Standing::Tie
@@ -122,6 +138,18 @@ mod tests {
         assert_eq!(standings_of(&all, 0.03), [Front, Front, Tie, Front, Front]);
         assert_eq!(standings_of(&all, 0.005), [Front, Front, Beaten, Front, Beaten]);
         assert_eq!(Tie.to_string(), "within noise");
+    }
+
+    #[test]
+    fn what_is_not_finite_is_never_on_the_front() {
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            // Neither by its error nor by its time, though it be the fastest or the only one.
+            assert_eq!(standings_of(&[(1.0, 1e-7), (0.5, wrong)], 0.01), [Front, Beaten], "{wrong}");
+            assert_eq!(standings_of(&[(1.0, 1e-7), (wrong, 1e-9)], 0.01), [Front, Beaten], "{wrong}");
+            assert_eq!(standings_of(&[(wrong, wrong)], 0.01), [Beaten], "{wrong}");
+            assert_eq!(standings(&[(Ratio::of(&[wrong, wrong]), 0.0)]), [Beaten], "{wrong}");
+        }
+        assert_eq!(standings_of(&[(1.0, 1e-7)], f64::NAN), [Beaten]);
     }
 
     #[test]

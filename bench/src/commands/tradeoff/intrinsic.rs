@@ -6,6 +6,7 @@
 //! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
 //! at once, since some choices do not do the same in every step.
 
+use super::error::{self, PictureError, finite};
 use super::front::{Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::{Args, lit};
@@ -125,12 +126,12 @@ struct Row {
     step: Summary,
     of_exact: Ratio,
     bytes: u64,
-    /// Largest and mean error of a picture against double precision, and decibels.
-    picture: Option<[f64; 3]>,
+    /// Error of a picture against double precision.
+    picture: Option<PictureError>,
     /// Relative difference of gradients: all but the visibility field's, the worst, and the field's.
     gradients: Option<[f64; 2]>,
-    /// Decibels of shaded pictures and albedo at test views.
-    quality: Option<[f64; 2]>,
+    /// What a training with it comes to.
+    quality: Option<Quality>,
     standing: Standing,
 }
 
@@ -163,18 +164,20 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         if r.choice.shows() {
             report.fact(&format!("{}{name}", standing::PREFIX), r.standing.said());
         }
-        if let Some([largest, mean, db]) = r.picture {
+        if let Some(PictureError { largest, mean, psnr }) = r.picture {
             report.time(&format!("largest error, {name}"), "", Summary::of(&[largest]));
             report.time(&format!("mean error, {name}"), "", Summary::of(&[mean]));
-            report.fact(&format!("picture, {name}, dB"), db);
+            report.fact(&format!("picture, {name}, dB"), psnr);
         }
         if let Some([all, field]) = r.gradients {
             report.time(&format!("gradient error, {name}"), "", Summary::of(&[all]));
             report.time(&format!("gradient error of the field, {name}"), "", Summary::of(&[field]));
         }
-        if let Some([pictures, albedo]) = r.quality {
-            report.fact(&format!("shaded pictures after training, {name}, dB"), pictures);
-            report.fact(&format!("albedo after training, {name}, dB"), albedo);
+        if let Some(q) = r.quality {
+            report.fact(&format!("shaded pictures after training, {name}, dB"), q.pictures);
+            if let Some(albedo) = q.albedo {
+                report.fact(&format!("albedo after training, {name}, dB"), albedo);
+            }
         }
     }
     let best: Vec<&str> = rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name).collect();
@@ -236,19 +239,27 @@ fn measure(
             restore(&mut training, &start, &choice)?;
         }
         let probe = training.probe()?;
-        let (mut picture, mut gradients): (Option<[f64; 3]>, _) = (None, None);
+        let (mut picture, mut gradients) = (None, None);
         if exact.is_none() {
             let light = training.light()?;
             let truth = lit::picture(&training.splats()?, &light, &probe.camera, base.geometry.background)?;
             exact = Some((probe.clone(), truth));
         }
         if let (Some((of_exact, truth)), true) = (&exact, choice.same) {
+            let name = choice.name;
             // Pictures of another size are of other pixels.
-            picture = (probe.picture.len() == truth.len()).then(|| super::differences(&probe.picture, truth).into());
-            gradients = Some(difference(of_exact, &probe));
+            if settings.intrinsic.scale == base.intrinsic.scale {
+                let e =
+                    error::of_picture(&probe.picture, truth).with_context(|| format!("The picture of \"{name}\""))?;
+                finite(name, "mean error", e.mean)?;
+                picture = Some(e);
+            }
+            let off = difference(of_exact, &probe).with_context(|| format!("The gradient of \"{name}\""))?;
+            finite(name, "gradient error", off[0] + off[1])?;
+            gradients = Some(off);
         }
         if choice.name == "exact" {
-            let db = picture.map_or(0.0, |p| p[2]);
+            let db = picture.map_or(0.0, |p| p.psnr);
             ensure!(db > 50.0, "The exact picture is {db:.1} dB off double precision.");
         }
         let mut own = start.clone();
@@ -312,6 +323,10 @@ fn measure(
     }
     drop(exact);
     let ratios = std::iter::once(Ratio::EXACT).chain(ratios.iter().map(|r| Ratio::of(r)));
+    let ratios: Vec<Ratio> = ratios.collect();
+    for ((row, ..), ratio) in subjects.iter().zip(&ratios) {
+        finite(row.choice.name, "time of a step", ratio.value + ratio.off)?;
+    }
     let row = |((row, _, times), of_exact): ((Row, PathBuf, Vec<f64>), Ratio)| Row {
         step: Summary::of(&times),
         of_exact,
@@ -322,7 +337,9 @@ fn measure(
         for row in &mut rows {
             let mut settings = settings(base, &row.choice)?;
             settings.intrinsic.steps = quality;
-            row.quality = Some(trained(device, scene, splats, &settings)?);
+            let trained = trained(device, scene, splats, &settings)?;
+            finite(row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
+            row.quality = Some(trained);
         }
     }
     let same: Vec<(Ratio, f64)> = rows.iter().filter(|r| r.choice.shows()).map(|r| (r.of_exact, error(r))).collect();
@@ -347,27 +364,31 @@ fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::R
 /// it they are far off in one step, and right in the mean.
 fn error(row: &Row) -> f64 {
     let gradients = row.gradients.map_or(0.0, |[all, _]| all);
-    gradients.max(row.picture.map_or(0.0, |[_, mean, _]| mean))
+    gradients.max(row.picture.map_or(0.0, |p| p.mean))
 }
 
 /// Relative differences of gradients: the worst of all but the field's, and the field's.
-fn difference(exact: &Probe, other: &Probe) -> [f64; 2] {
+fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<[f64; 2]> {
     let mut worst = [0.0_f64; 2];
     for (name, a) in &exact.gradients {
         let Some((_, b)) = other.gradients.iter().find(|(n, _)| n == name) else { continue };
-        let square = |f: &dyn Fn((&f32, &f32)) -> f64| a.iter().zip(b).map(f).sum::<f64>();
-        let size = square(&|(x, _)| f64::from(*x).powi(2));
-        if size > 0.0 {
-            let off = square(&|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2));
-            let of = usize::from(name.starts_with("visibility_"));
-            worst[of] = worst[of].max((off / size).sqrt());
-        }
+        let of = usize::from(name.starts_with("visibility_"));
+        worst[of] = worst[of].max(error::of_gradient(a, b).with_context(|| (*name).to_owned())?);
     }
-    worst
+    Ok(worst)
 }
 
-/// Decibels of shaded pictures and of albedo at the test views, of the training views where there are none.
-fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings) -> anyhow::Result<[f64; 2]> {
+/// Decibels at the test views, of the training views where there are none.
+#[derive(Clone, Copy, Debug)]
+struct Quality {
+    /// Of shaded pictures.
+    pictures: f64,
+    /// Of albedo, where the truth of all these views is known.
+    albedo: Option<f64>,
+}
+
+/// What a training with these settings comes to.
+fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings) -> anyhow::Result<Quality> {
     let mut training = Intrinsic::new(device, scene, settings, splats)?;
     training.train(settings.intrinsic.steps, |_| {}, || true)?;
     let (splats, light) = (training.splats()?, training.light()?);
@@ -376,18 +397,21 @@ fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings)
     let mut shading = Shading::new(device, made)?;
     let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
     let truth = GroundTruth::of(scene);
-    let mut sums = [0.0; 2];
+    let (mut pictures, mut albedos) = (0.0, Some(0.0));
     for &i in views {
         let shaded = shading.shade(&scene.views[i].camera)?;
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        sums[0] += psnr(&displayed(&shaded.radiance(settings.geometry.background)), &photo, counts.as_ref())?;
+        pictures += psnr(&displayed(&shaded.radiance(settings.geometry.background)), &photo, counts.as_ref())?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
-        sums[1] += match truth.load(GroundTruthKind::Albedo, i)? {
-            Some(albedo) => psnr(&displayed(&shaded.albedo()), &displayed(&albedo), mask.as_ref())?,
-            None => f64::NAN,
+        albedos = match (truth.load(GroundTruthKind::Albedo, i)?, albedos) {
+            (Some(albedo), Some(sum)) => {
+                Some(sum + psnr(&displayed(&shaded.albedo()), &displayed(&albedo), mask.as_ref())?)
+            }
+            _ => None,
         };
     }
-    Ok(sums.map(|s| s / views.len() as f64))
+    let mean = |sum: f64| sum / views.len() as f64;
+    Ok(Quality { pictures: mean(pictures), albedo: albedos.map(mean) })
 }
 
 fn table(rows: &[Row]) -> String {
@@ -409,7 +433,7 @@ fn table(rows: &[Row]) -> String {
     }
     let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     let Some(exact) = rows.first() else { return out };
-    let cell = |v: Option<f64>, form: &dyn Fn(f64) -> String| v.filter(|v| v.is_finite()).map_or("".to_owned(), form);
+    let cell = |v: Option<f64>, form: &dyn Fn(f64) -> String| v.map_or("".to_owned(), form);
     let small = |v: f64| format!("{v:.1e}");
     for r in rows {
         let mut cells = vec![
@@ -417,16 +441,17 @@ fn table(rows: &[Row]) -> String {
             r.choice.setting.clone(),
             r.of_exact.to_string(),
             format!("{:.3}", r.bytes as f64 / exact.bytes as f64),
-            cell(r.picture.map(|p| p[0]), &small),
-            cell(r.picture.map(|p| p[1]), &small),
-            cell(r.picture.map(|p| p[2]), &|v| format!("{v:.1}")),
+            cell(r.picture.map(|p| p.largest), &small),
+            cell(r.picture.map(|p| p.mean), &small),
+            cell(r.picture.map(|p| p.psnr), &|v| format!("{v:.1}")),
             cell(r.gradients.map(|g| g[0]), &small),
             cell(r.gradients.map(|g| g[1]), &small),
             r.standing.to_string(),
         ];
         if trained {
             let db = |v: f64| format!("{v:.2}");
-            cells.extend([0, 1].map(|i| cell(r.quality.map(|q| q[i]), &db)));
+            cells.push(cell(r.quality.map(|q| q.pictures), &db));
+            cells.push(cell(r.quality.and_then(|q| q.albedo), &db));
         }
         let _ = writeln!(out, "| {} |", cells.join(" | "));
     }

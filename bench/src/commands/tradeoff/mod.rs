@@ -9,6 +9,7 @@
 //! ([`front`]).
 
 mod choices;
+mod error;
 mod front;
 mod intrinsic;
 mod lit;
@@ -22,7 +23,9 @@ use crate::report::standing;
 use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
+use anyhow::Context;
 use choices::{Choice, choices};
+use error::finite;
 use front::{Ratio, Standing, standings};
 use plot::Mark;
 use quality::Quality;
@@ -283,11 +286,18 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let mut renderer = Renderer::with_features(device, tuning, &gaussians, workload.largest, channels)?;
         let picture = renderer.render(&gaussians, &camera, degree, background)?;
         let image = with_features(device, &renderer, picture)?;
-        let (largest, mean, psnr) = differences(&image, &truth.image);
+        let e =
+            error::of_picture(&image, &truth.image).with_context(|| format!("The picture of \"{}\"", choice.name))?;
         if choice.name == "exact" {
-            anyhow::ensure!(psnr > 55.0, "The exact picture is {psnr:.1} dB off double precision.");
+            anyhow::ensure!(e.psnr > 55.0, "The exact picture is {:.1} dB off double precision.", e.psnr);
         }
-        let gradient_error = exact.as_ref().map_or(0.0, |e| difference(e, &gradient));
+        let mean = finite(&choice.name, "mean error", e.mean)?;
+        let off = match &exact {
+            Some(exact) => difference(exact, &gradient),
+            None => difference(&gradient, &gradient),
+        };
+        let off = off.with_context(|| format!("The gradient of \"{}\"", choice.name))?;
+        let gradient_error = finite(&choice.name, "gradient error", off)?;
         exact.get_or_insert(gradient);
         let point = Point {
             name: choice.name,
@@ -296,9 +306,9 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             frame: Summary::default(),
             of_exact: [Ratio::EXACT; 2],
             bytes,
-            largest,
+            largest: e.largest,
             mean,
-            psnr,
+            psnr: e.psnr,
             gradient: gradient_error,
             standing: Standing::default(),
             quality: None,
@@ -329,13 +339,18 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let [step, frame] = s.times.map(|times| Summary::of(&times).scaled(1e-6));
         anyhow::ensure!(step.samples > 0, "The device has no timestamps.");
         let of_exact = if i == 0 { [Ratio::EXACT; 2] } else { s.ratios.map(|rounds| Ratio::of(&rounds)) };
+        for (what, ratio) in ["time of a step", "time of a frame"].into_iter().zip(of_exact) {
+            finite(&s.point.name, what, ratio.value + ratio.off)?;
+        }
         points.push(Point { step, frame, of_exact, ..s.point });
     }
     mark(&mut points);
     if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
         let scene = Scene::open(path, &workload.settings.scene_options())?;
         for (point, choice) in points.iter_mut().zip(&made) {
-            point.quality = Some(quality::trained(device, &scene, choice, steps, a.semantics)?);
+            let trained = quality::trained(device, &scene, choice, steps, a.semantics)?;
+            finite(&point.name, "error after training", trained.psnr + trained.normals.unwrap_or(0.0))?;
+            point.quality = Some(trained);
         }
     }
     Ok(points)
@@ -350,30 +365,13 @@ fn with_features(device: &Device, renderer: &Renderer, picture: Picture) -> anyh
     Ok(pixels.zip(features.chunks_exact(wide)).flat_map(|(color, own)| color.iter().chain(own)).copied().collect())
 }
 
-/// Largest and mean difference, and decibels, of all pixels.
-fn differences(image: &[f32], truth: &[f64]) -> (f64, f64, f64) {
-    let differences = image.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs());
-    let (mut largest, mut sum, mut square) = (0.0_f64, 0.0, 0.0);
-    for d in differences {
-        largest = largest.max(d);
-        sum += d;
-        square += d * d;
-    }
-    let n = truth.len().max(1) as f64;
-    (largest, sum / n, -10.0 * (square / n).max(1e-30).log10())
-}
-
 /// Relative difference of gradients, the worst of all groups.
-fn difference(exact: &GaussianData, other: &GaussianData) -> f64 {
-    Group::ALL.into_iter().fold(0.0, |worst: f64, g| {
-        let (a, b) = (exact.group(g), other.group(g));
-        let square = |f: &dyn Fn((&f32, &f32)) -> f64| a.iter().zip(b).map(f).sum::<f64>();
-        let size = square(&|(x, _)| f64::from(*x).powi(2));
-        if size == 0.0 {
-            return worst;
-        }
-        worst.max((square(&|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2)) / size).sqrt())
-    })
+fn difference(exact: &GaussianData, other: &GaussianData) -> anyhow::Result<f64> {
+    let mut worst = 0.0_f64;
+    for g in Group::ALL {
+        worst = worst.max(error::of_gradient(exact.group(g), other.group(g))?);
+    }
+    Ok(worst)
 }
 
 fn mark(points: &mut [Point]) {
@@ -450,9 +448,14 @@ mod tests {
         a.groups[Group::Means as usize] = vec![3.0, 4.0];
         a.groups[Group::Sh0 as usize] = vec![1.0];
         let mut b = a.clone();
-        assert_eq!(difference(&a, &b), 0.0);
+        assert_eq!(difference(&a, &b).unwrap(), 0.0);
         b.groups[Group::Means as usize] = vec![3.0, 4.5];
-        assert!((difference(&a, &b) - 0.1).abs() < 1e-12);
+        assert!((difference(&a, &b).unwrap() - 0.1).abs() < 1e-12);
+        // One that is lost in a group that is looked at before others is not made good by these.
+        b.groups[Group::Means as usize] = vec![3.0, f32::NAN];
+        assert_eq!(difference(&a, &b).unwrap(), f64::INFINITY);
+        b.groups[Group::Means as usize] = vec![3.0];
+        assert!(difference(&a, &b).is_err());
     }
 
     #[test]
