@@ -7,7 +7,7 @@ use crate::harness::{add_passes, spans};
 use crate::process::cpu_seconds;
 use crate::report::Report;
 use crate::stats::Summary;
-use crate::workload::{LitScene, lit_settings};
+use crate::workload::{LitScene, lit_settings, plain};
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_train::Intrinsic;
 use std::time::Instant;
@@ -24,7 +24,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let ceiling = Ceiling::measure(&common.open_device()?)?;
     report.ceiling = Some(ceiling);
     let of_run = |file: &str| a.run.as_ref().map(|run| run.join(file));
-    let mut settings = lit_settings(a.config.clone().or(of_run("config.toml")).as_deref())?;
+    let mut settings = plain(&lit_settings(a.config.clone().or(of_run("config.toml")).as_deref())?);
     let path = a.scene.clone().or_else(|| a.run.as_ref().map(|_| settings.scene.clone()));
     let geometry = a.geometry.clone().or(of_run("scene.ply"));
     let (_, size) = Args::sizes(&device, a.gaussians, a.size);

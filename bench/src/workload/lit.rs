@@ -66,12 +66,12 @@ impl LitScene {
     }
 }
 
-/// Settings from a file, the defaults without one. Steps that compare with pseudo-views are other graphs: plain ones are measured.
+/// Settings from a file, the defaults without one.
 ///
 /// # Errors
 /// If the file cannot be read, or nothing would shine.
 pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
-    let mut settings = match file {
+    let settings = match file {
         Some(path) => {
             let context = || format!("\"{}\"", path.display());
             let table = std::fs::read_to_string(path).with_context(context)?.parse().with_context(context)?;
@@ -79,8 +79,15 @@ pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
         }
         None => Settings::default(),
     };
-    let i = &mut settings.intrinsic;
+    let i = &settings.intrinsic;
     ensure!(i.lights.enabled || i.environment.enabled, "There is nothing that gives light.");
-    (i.losses.cross_view, i.losses.relight) = (0.0, 0.0);
     Ok(settings)
+}
+
+/// The same for steps that are measured: those that compare with pseudo-views, or under other lights, are other graphs, so that plain
+/// ones are.
+pub fn plain(settings: &Settings) -> Settings {
+    let mut plain = settings.clone();
+    (plain.intrinsic.losses.cross_view, plain.intrinsic.losses.relight) = (0.0, 0.0);
+    plain
 }

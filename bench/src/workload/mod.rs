@@ -4,7 +4,7 @@ mod lit;
 mod room;
 mod synthetic;
 
-pub use lit::{LitScene, lit_settings};
+pub use lit::{LitScene, lit_settings, plain};
 pub use synthetic::{Synthetic, synthetic};
 
 use sgs_engine::{Device, DeviceBuffer};

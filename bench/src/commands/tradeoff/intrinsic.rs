@@ -13,7 +13,7 @@ use super::{Args, lit};
 use crate::common::Common;
 use crate::report::standing;
 use crate::stats::Summary;
-use crate::workload::{LitScene, lit_settings};
+use crate::workload::{LitScene, lit_settings, plain};
 use anyhow::{Context, ensure};
 use sgs_engine::Device;
 use sgs_passes::{Matrices, Tuning};
@@ -156,7 +156,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("environment", base.intrinsic.environment.resolution);
     report.setting("trained", a.train);
     report.setting("rounds", a.rounds);
-    let rows = measure(a, &device, scene, splats, &base, steps)?;
+    let mut rows = measure(a, &device, scene, splats, &plain(&base), steps)?;
+    if let Some(steps) = a.quality {
+        for row in &mut rows {
+            let trained = trained(&device, scene, splats, &of_training(&base, &row.choice, steps)?)?;
+            finite(row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
+            row.quality = Some(trained);
+        }
+    }
     for r in &rows {
         let name = r.choice.name;
         report.choice("step", name, r.step, r.of_exact.into());
@@ -210,6 +217,13 @@ fn settings(base: &Settings, choice: &Choice) -> anyhow::Result<Settings> {
     let mut table: toml::Table = toml::Table::try_from(base)?;
     overlay(&mut table, choice.over.clone());
     Ok(Settings::from_table(table)?)
+}
+
+/// Settings of a training of its own: with every loss that `base` has.
+fn of_training(base: &Settings, choice: &Choice, steps: u32) -> anyhow::Result<Settings> {
+    let mut settings = settings(base, choice)?;
+    settings.intrinsic.steps = steps;
+    Ok(settings)
 }
 
 fn measure(
@@ -333,15 +347,6 @@ fn measure(
         ..row
     };
     let mut rows: Vec<Row> = subjects.into_iter().zip(ratios).map(row).collect();
-    if let Some(quality) = a.quality {
-        for row in &mut rows {
-            let mut settings = settings(base, &row.choice)?;
-            settings.intrinsic.steps = quality;
-            let trained = trained(device, scene, splats, &settings)?;
-            finite(row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
-            row.quality = Some(trained);
-        }
-    }
     let same: Vec<(Ratio, f64)> = rows.iter().filter(|r| r.choice.shows()).map(|r| (r.of_exact, error(r))).collect();
     let standings = standings(&same);
     rows.iter_mut().filter(|r| r.choice.shows()).zip(standings).for_each(|(r, standing)| r.standing = standing);
@@ -456,4 +461,26 @@ fn table(rows: &[Row]) -> String {
         let _ = writeln!(out, "| {} |", cells.join(" | "));
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_plain_and_trainings_have_their_losses() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("config.toml");
+        std::fs::write(&config, "[intrinsic]\nrelight_from = 50\n[intrinsic.losses]\ncross_view = 0.3\n").unwrap();
+        let base = lit_settings(Some(&config)).unwrap();
+        let own = of_training(&base, &Choice::level("fast").unwrap(), 300).unwrap();
+        let i = &own.intrinsic;
+        assert_eq!((i.losses.cross_view, i.losses.relight, i.relight_from, i.steps), (0.3, 0.4, 50, 300));
+        let measured = settings(&plain(&base), &Choice::level("fast").unwrap()).unwrap();
+        assert_eq!((measured.intrinsic.losses.cross_view, measured.intrinsic.losses.relight), (0.0, 0.0));
+        // And nothing else.
+        let mut again = measured.clone();
+        (again.intrinsic.losses, again.intrinsic.steps) = (i.losses, 300);
+        assert_eq!(again, own);
+    }
 }
