@@ -12,6 +12,7 @@
 
 use super::{Report, standing};
 use crate::stats::Summary;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Standard deviations in the band.
@@ -60,6 +61,8 @@ pub struct Outcome {
     pub faster: Vec<Difference>,
     /// Choices that stood on the front, and are beaten now.
     pub fallen: Vec<String>,
+    /// Whether the runs' choices are not the same, so that nothing is said of how they stand: each stands among all others.
+    pub other_choices: bool,
     /// Names that only the baseline has.
     pub missing: Vec<String>,
     /// Share of the baseline that is always noise.
@@ -85,13 +88,9 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
         now.device.name,
         now.device.driver
     );
-    for (name, value) in &baseline.settings {
-        let other = now.settings.get(name);
-        anyhow::ensure!(
-            other == Some(value),
-            "The baseline has {name} {value}, this run {}.",
-            other.map_or("none".to_owned(), ToString::to_string)
-        );
+    if let Some((name, value)) = baseline.differs(now) {
+        let other = now.settings.get(name).map_or("none".to_owned(), ToString::to_string);
+        anyhow::bail!("The baseline has {name} {value}, this run {other}.");
     }
     let (before, after) = (times(baseline), times(now));
     let mut outcome = Outcome { tolerance, ..Default::default() };
@@ -110,12 +109,12 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
         }
     }
     outcome.slower.sort_by(|a, b| b.growth().total_cmp(&a.growth()));
-    let stands = |report: &Report, name: &str| report.facts.iter().find(|f| f.name == name).map(|f| f.value.clone());
-    for fact in baseline.facts.iter().filter(|f| f.value != standing::BEATEN) {
-        let Some(choice) = fact.name.strip_prefix(standing::PREFIX) else { continue };
-        if stands(now, &fact.name).is_some_and(|s| s == standing::BEATEN) {
-            outcome.fallen.push(choice.to_owned());
-        }
+    let (before, after) = (standings(baseline), standings(now));
+    if before.keys().eq(after.keys()) {
+        let fallen = |name: &&&str| before[**name] != standing::BEATEN && after[**name] == standing::BEATEN;
+        outcome.fallen = before.keys().filter(fallen).map(|name| (*name).to_owned()).collect();
+    } else {
+        outcome.other_choices = true;
     }
     anyhow::ensure!(outcome.compared > 0, "The baseline and this run have no time in common.");
     Ok(outcome)
@@ -133,6 +132,11 @@ fn exceeds(a: &Summary, b: &Summary, band: f64) -> bool {
 /// By how much a median may exceed another before it counts.
 pub fn noise_band(before: &Summary, now: &Summary, tolerance: f64, resolution: f64) -> f64 {
     DEVIATIONS * before.sigma().hypot(now.sigma()) + tolerance * before.median + resolution
+}
+
+/// How choices stand, by their names.
+fn standings(r: &Report) -> BTreeMap<&str, &serde_json::Value> {
+    r.facts.iter().filter_map(|f| Some((f.name.strip_prefix(standing::PREFIX)?, &f.value))).collect()
 }
 
 /// Name, unit, value and floor in that unit.
@@ -184,6 +188,11 @@ impl Outcome {
         for choice in &self.fallen {
             let _ = writeln!(out, "OFF THE FRONT: {choice}, which stood there or close to it");
         }
+        if self.other_choices {
+            out.push_str(
+                "the choices are not those of the baseline, so that how they stand among each other is not compared\n",
+            );
+        }
         for name in &self.missing {
             let _ = writeln!(out, "not measured now: {name}");
         }
@@ -197,7 +206,7 @@ impl Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{DeviceLine, PassRow};
+    use crate::report::{DeviceLine, FILTER, PassRow};
     use sgs_passes::reference::rng::Pcg;
 
     fn device() -> DeviceLine {
@@ -289,6 +298,43 @@ mod tests {
         }
         // Not measured, which is said of what is compared, and proves nothing.
         assert!(compare(&report(standing::FRONT), &run(1, 0.0, 1.0), 0.05).unwrap().fallen.is_empty());
+    }
+
+    #[test]
+    fn among_other_choices_nothing_falls() {
+        let report = |filter: Option<&str>, choices: &[(&str, &str)]| {
+            let mut report = run(1, 0.0, 1.0);
+            if let Some(filter) = filter {
+                report.setting(FILTER, filter);
+            }
+            choices.iter().for_each(|(name, how)| report.fact(&format!("{}{name}", standing::PREFIX), *how));
+            report
+        };
+        let few = report(Some("fast"), &[("fast", standing::FRONT)]);
+        let all = report(Some(""), &[("fast", standing::BEATEN), ("faster", standing::FRONT)]);
+        let outcome = compare(&few, &all, 0.05).unwrap();
+        assert!(outcome.fallen.is_empty() && outcome.text().contains("the choices are not those of the baseline"));
+        assert!(compare(&all, &few, 0.05).unwrap().other_choices);
+        // What was measured before filters were recorded is as good as its choices are.
+        let old = report(None, &[("fast", standing::FRONT), ("faster", standing::FRONT)]);
+        let outcome = compare(&old, &all, 0.05).unwrap();
+        assert!(outcome.fallen == ["fast"] && !outcome.text().contains("those of the baseline"));
+    }
+
+    #[test]
+    fn choices_of_other_settings_are_refused() {
+        let report = |settings: Option<&str>| {
+            let mut report = run(1, 0.0, 1.0);
+            if let Some(settings) = settings {
+                report.setting("settings", settings);
+            }
+            report
+        };
+        let (old, small, large) = (report(None), report(Some("levels=8")), report(Some("levels=16")));
+        let said = compare(&small, &large, 0.05).unwrap_err().to_string();
+        assert_eq!(said, "The baseline has settings \"levels=8\", this run \"levels=16\".");
+        // An old report does not say what its settings were.
+        assert!(compare(&old, &small, 0.05).is_ok() && compare(&small, &old, 0.05).is_err());
     }
 
     #[test]

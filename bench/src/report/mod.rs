@@ -21,6 +21,10 @@ pub mod standing {
     pub const BEATEN: &str = "beaten";
 }
 
+/// The setting that says which choices were measured at all. Reports of fewer choices are comparable; how choices stand among others
+/// then is not.
+pub const FILTER: &str = "filter";
+
 /// A report.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Report {
@@ -118,6 +122,13 @@ impl Report {
             facts: Vec::new(),
             checks: Vec::new(),
         }
+    }
+
+    /// The first setting that this report has and another has not, or otherwise: they are not comparable then. What only the other has
+    /// is not known of this one, which may be from before it was recorded.
+    pub fn differs(&self, other: &Report) -> Option<(&str, &serde_json::Value)> {
+        let same = |name: &str, value| name == FILTER || other.settings.get(name) == Some(value);
+        self.settings.iter().find(|(name, value)| !same(name, value)).map(|(name, value)| (name.as_str(), value))
     }
 
     /// States a size or choice.

@@ -38,14 +38,16 @@ impl ReportSet {
         set.map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))
     }
 
-    /// The report that another one can be set against: of the same command, with the same settings if there is one.
+    /// The report that another one can be set against: of the same command, with the same settings if there is one, or at least with
+    /// none that differs.
     ///
     /// # Errors
     /// If there is none of that command.
     pub fn like(&self, other: &Report) -> anyhow::Result<&Report> {
         let mut of_command = self.reports.iter().filter(|r| r.command == other.command);
         let same = of_command.clone().find(|r| r.settings == other.settings);
-        same.or_else(|| of_command.next())
+        same.or_else(|| of_command.clone().find(|r| r.differs(other).is_none()))
+            .or_else(|| of_command.next())
             .with_context(|| format!("The baseline has no report of \"{}\".", other.command))
     }
 
@@ -113,7 +115,7 @@ fn digits(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::DeviceLine;
+    use crate::report::{DeviceLine, FILTER};
     use crate::stats::Summary;
 
     fn report(command: &str, gaussians: u32) -> Report {
@@ -151,6 +153,13 @@ mod tests {
         assert_eq!(all.reports.iter().map(|r| r.command.as_str()).collect::<Vec<_>>(), ["passes", "step", "step"]);
         assert_eq!(all.like(&report("step", 200)).unwrap().settings["gaussians"], 200);
         assert!(all.like(&report("scaling", 200)).is_err());
+        // What is recorded since, or filtered, finds its like nevertheless.
+        let mut newer = report("step", 200);
+        newer.setting("settings", "the defaults");
+        newer.setting(FILTER, "t");
+        assert_eq!(all.like(&newer).unwrap().settings["gaussians"], 200);
+        newer.setting("gaussians", 300);
+        assert_eq!(all.like(&newer).unwrap().settings["gaussians"], 100);
         assert!(ReportSet::join(vec![single("step", 100), single("step", 100)]).is_err());
         let mut other = report("step", 300);
         other.device.driver = "c".into();

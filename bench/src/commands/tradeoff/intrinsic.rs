@@ -9,6 +9,7 @@
 use super::error::{self, PictureError, finite};
 use super::front::{Ratio, Standing, standings};
 use super::plot::{Mark, svg};
+use super::record::record;
 use super::{Args, lit};
 use crate::common::Common;
 use crate::report::standing;
@@ -155,9 +156,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("lights", base.intrinsic.lights.grid.pow(3));
     report.setting("environment", base.intrinsic.environment.resolution);
     report.setting("trained", a.train);
-    report.setting("rounds", a.rounds);
+    record(&mut report, a, &base)?;
     let mut rows = measure(a, &device, scene, splats, &plain(&base), steps)?;
     if let Some(steps) = a.quality {
+        report.fact("steps of a training of its own", steps);
         for row in &mut rows {
             let trained = trained(&device, scene, splats, &of_training(&base, &row.choice, steps)?)?;
             finite(row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;

@@ -15,6 +15,7 @@ mod intrinsic;
 mod lit;
 mod plot;
 mod quality;
+mod record;
 
 use super::step::{Args as StepArgs, Stage};
 use crate::common::{Common, parse_size};
@@ -29,6 +30,7 @@ use error::finite;
 use front::{Ratio, Standing, standings};
 use plot::Mark;
 use quality::Quality;
+use record::record;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
@@ -146,7 +148,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("scene", workload.name.clone());
     report.setting("size", format!("{}x{}", workload.largest[0], workload.largest[1]));
     report.setting("semantics", a.semantics);
-    report.setting("rounds", a.rounds);
+    record(&mut report, a, &workload.settings)?;
     if a.geometry.is_none() {
         let capacity = first_entry_capacity(workload.start.len());
         let mut trainer = Trainer::new(&device, &workload, BackwardKernel::Pixel, capacity)?;
@@ -156,6 +158,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     report.setting("gaussians", workload.start.len());
     let points = measure(common, a, &device, &workload)?;
+    if let Some(steps) = a.quality {
+        report.fact("steps of a training of its own", steps);
+    }
     for p in &points {
         for (what, time, of_exact) in [("step", p.step, p.of_exact[0]), ("frame", p.frame, p.of_exact[1])] {
             report.choice(what, &p.name, time, of_exact.into());

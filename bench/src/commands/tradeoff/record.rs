@@ -1,0 +1,80 @@
+//! What a report says choices are of, so that none is set against choices of something else.
+
+use super::Args;
+use crate::report::{FILTER, Report};
+use sgs_train::Settings;
+
+/// Records it.
+///
+/// # Errors
+/// If settings cannot be written.
+pub fn record(report: &mut Report, a: &Args, base: &Settings) -> anyhow::Result<()> {
+    report.setting("settings", differing(base)?);
+    report.setting(FILTER, a.filter.clone().unwrap_or_default());
+    report.setting("rounds", a.rounds);
+    report.setting("geometry", if a.geometry.is_some() { "given" } else { "made" });
+    Ok(())
+}
+
+/// Settings that are not the defaults, as `--set` would take them. The scene has a line of its own, and its folder is nobody's business.
+fn differing(settings: &Settings) -> anyhow::Result<String> {
+    let (mut own, defaults) = (settings.to_table()?, Settings::default().to_table()?);
+    own.remove("scene");
+    let mut all = Vec::new();
+    collect("", &own, &defaults, &mut all);
+    Ok(if all.is_empty() { "the defaults".to_owned() } else { all.join(", ") })
+}
+
+fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Vec<String>) {
+    for (key, value) in own {
+        let (name, default) = (format!("{prefix}{key}"), defaults.get(key));
+        match (value, default) {
+            (toml::Value::Table(own), Some(toml::Value::Table(defaults))) => {
+                collect(&format!("{name}."), own, defaults, all);
+            }
+            (toml::Value::Float(v), d) if d != Some(value) => {
+                // Most are of single precision, and have more digits than were meant.
+                let short = *v as f32;
+                let text = if f64::from(short) == *v { short.to_string() } else { v.to_string() };
+                all.push(format!("{name}={text}"));
+            }
+            (_, d) if d != Some(value) => all.push(format!("{name}={value}")),
+            _ => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_the_default_is_recorded() {
+        assert_eq!(differing(&Settings::default()).unwrap(), "the defaults");
+        let mut s = Settings { scene: "somewhere".into(), ..Settings::default() };
+        assert_eq!(differing(&s).unwrap(), "the defaults");
+        s.intrinsic.visibility.levels = 8;
+        s.intrinsic.rates.albedo = 0.03;
+        s.geometry.densify.enabled = false;
+        s.scale = 0.3;
+        let said = differing(&s).unwrap();
+        assert_eq!(
+            said,
+            "geometry.densify.enabled=false, intrinsic.rates.albedo=0.03, intrinsic.visibility.levels=8, scale=0.3"
+        );
+        // Every other size, rate and level is another report.
+        let others: [fn(&mut Settings); 6] = [
+            |s| s.intrinsic.visibility.finest = 256,
+            |s| s.intrinsic.rates.metallic = 0.03,
+            |s| s.intrinsic.environment.resolution = 32,
+            |s| s.intrinsic.lights.lobes = 6,
+            |s| s.intrinsic.scale = 0.5,
+            |s| s.intrinsic.losses.relight = 0.0,
+        ];
+        for change in others {
+            let mut other = s.clone();
+            change(&mut other);
+            assert_ne!(differing(&other).unwrap(), said);
+        }
+    }
+}
