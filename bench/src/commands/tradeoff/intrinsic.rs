@@ -6,21 +6,22 @@
 //! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
 //! at once, since some choices do not do the same in every step.
 
+use super::choices::{Choice, Kind, of_intrinsic};
 use super::error::{self, PictureError, finite};
 use super::front::{Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::record::record;
-use super::{Args, lit};
+use super::{Args, leave, lit};
 use crate::common::Common;
 use crate::report::standing;
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings, plain};
 use anyhow::{Context, ensure};
 use sgs_engine::Device;
-use sgs_passes::{Matrices, Tuning};
+use sgs_passes::Tuning;
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
-use sgs_train::{Intrinsic, Probe, Settings, Shading, accuracy_named, displayed, overlay, shaded_scene};
+use sgs_train::{Intrinsic, Probe, Settings, Shading, displayed, shaded_scene};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -30,96 +31,6 @@ const RHYTHM: u32 = 8;
 
 /// Steps after which a training that was put somewhere runs as ever.
 const WARM: u32 = 2;
-
-/// How choices of surroundings that move seldom begin.
-const SELDOM: &str = "surroundings every";
-
-/// One way to do it.
-#[derive(Clone, Debug)]
-struct Choice {
-    name: &'static str,
-    /// As a user would ask for it.
-    setting: String,
-    /// What differs from the settings that all have.
-    over: toml::Table,
-    /// Whether what is learned has the same shape as that of `exact`.
-    same: bool,
-}
-
-impl Choice {
-    fn new(name: &'static str, sets: &[impl AsRef<str>], same: bool) -> anyhow::Result<Choice> {
-        let mut over = toml::Table::new();
-        for set in sets {
-            overlay(&mut over, set.as_ref().parse().with_context(|| set.as_ref().to_owned())?);
-        }
-        let setting: Vec<String> = sets.iter().map(|s| format!("`{}`", s.as_ref())).collect();
-        Ok(Choice { name, setting: setting.join(", "), over, same })
-    }
-
-    /// Whether what it costs shows in one step: of surroundings that move seldom only a training can say it.
-    fn shows(&self) -> bool {
-        self.same && !self.name.starts_with(SELDOM)
-    }
-
-    fn level(name: &'static str) -> anyhow::Result<Choice> {
-        Ok(Choice { name, setting: format!("`--accuracy {name}`"), over: accuracy_named(name)?, same: true })
-    }
-}
-
-/// `exact` first, then every choice alone, then levels of accuracy, then all together.
-fn choices(base: &Settings, device: &Device) -> anyhow::Result<Vec<Choice>> {
-    let own = |name, sets: &[&str]| Choice::new(name, sets, true);
-    let mut all = vec![
-        Choice::level("exact")?,
-        own("weights anew", &["intrinsic.surface_bytes=1"])?,
-        own("surroundings every 4", &["intrinsic.environment.every=4"])?,
-        own("surroundings every 8", &["intrinsic.environment.every=8"])?,
-        own("one pair of 4", &["intrinsic.visibility.sample=4"])?,
-        own("one pair of 16", &["intrinsic.visibility.sample=16"])?,
-        own("lights culled, 0.002", &["intrinsic.cull_error=0.002"])?,
-        own("lights culled, 0.02", &["intrinsic.cull_error=0.02"])?,
-        own("half size", &["intrinsic.scale=0.5"])?,
-        own("weights in 16 bits", &["accuracy.weight_bits=16"])?,
-        own("tables in 16 bits", &["accuracy.table_bits=16"])?,
-    ];
-    if Matrices::for_device(device.info()).is_ok() {
-        all.push(own("field in 16 bits", &["accuracy.visibility_operands=16"])?);
-    }
-    let rows = Tuning::for_device(device.info()).tile[1];
-    for (name, rows) in [("tiles of half the rows", rows / 2), ("tiles of twice the rows", rows * 2)] {
-        all.push(own(name, &[&format!("train.tile_rows={rows}")])?);
-    }
-    all.extend([Choice::level("balanced")?, Choice::level("fast")?]);
-    let mut draft = Choice::level("fast")?;
-    overlay(&mut draft.over, "intrinsic.cull_error=0.02\nintrinsic.scale=0.5".parse()?);
-    draft.name = "fast, culled, half size";
-    draft.setting += ", `intrinsic.cull_error=0.02`, `intrinsic.scale=0.5`";
-    all.push(draft);
-    let s = &base.intrinsic;
-    let mut other = |name, sets: &[String]| -> anyhow::Result<()> {
-        all.push(Choice::new(name, sets, false)?);
-        Ok(())
-    };
-    if s.lights.grid > 1 {
-        other("fewer lights", &[format!("intrinsic.lights.grid={}", s.lights.grid - 1)])?;
-    }
-    if s.lights.lobes > 1 {
-        other("fewer lobes", &[format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)])?;
-    }
-    if s.environment.resolution > 16 {
-        let half = s.environment.resolution / 2;
-        other("coarser surroundings", &[format!("intrinsic.environment.resolution={half}")])?;
-    }
-    if s.visibility.levels > 4 {
-        let levels = s.visibility.levels / 2;
-        let ratio = f64::from(s.visibility.finest) / f64::from(s.visibility.coarsest.max(1));
-        let finest =
-            f64::from(s.visibility.coarsest) * ratio.powf(f64::from(levels - 1) / f64::from(s.visibility.levels - 1));
-        let sets = [("levels", f64::from(levels)), ("finest", finest.round())];
-        other("half of the field", &sets.map(|(k, v)| format!("intrinsic.visibility.{k}={v}")))?;
-    }
-    Ok(all)
-}
 
 /// What is known of one choice.
 struct Row {
@@ -143,7 +54,7 @@ struct Row {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
-    let mut base = settings(&lit_settings(a.config.as_deref())?, &Choice::level("exact")?)?;
+    let mut base = Choice::level("exact")?.settings(&lit_settings(a.config.as_deref())?)?;
     base.intrinsic.automatic.enabled = false;
     let (_, size) = super::StepArgs::sizes(&device, a.gaussians, a.size);
     let lit = LitScene::open(a.scene.as_deref(), a.geometry.as_deref(), size, &mut base)?;
@@ -162,12 +73,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.fact("steps of a training of its own", steps);
         for row in &mut rows {
             let trained = trained(&device, scene, splats, &of_training(&base, &row.choice, steps)?)?;
-            finite(row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
+            finite(&row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
             row.quality = Some(trained);
         }
     }
     for r in &rows {
-        let name = r.choice.name;
+        let name = &r.choice.name;
         report.choice("step", name, r.step, r.of_exact.into());
         report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[r.bytes as f64 / 1e6]));
         if r.choice.shows() {
@@ -189,41 +100,25 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             }
         }
     }
-    let best: Vec<&str> = rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name).collect();
+    let best: Vec<&str> =
+        rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name.as_str()).collect();
     report.fact("on the front", best.join(", "));
     report.check("the exact picture agrees with double precision");
-    let table = table(&rows);
-    if let Some(path) = &a.table {
-        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, table.as_bytes()))?;
-    }
-    if let Some(path) = &a.svg {
-        let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
-        let mark = |r: &Row| Mark {
-            name: r.choice.name.to_owned(),
-            time: r.of_exact.value,
-            error: error(r),
-            front: r.standing == Standing::Front,
-        };
-        let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.shows()).map(mark).collect();
-        let text = svg(&marks, &title, "error of gradients")?;
-        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
-    }
-    if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
-        println!("{table}");
-    }
+    let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
+    let mark = |r: &Row| Mark {
+        name: r.choice.name.clone(),
+        time: r.of_exact.value,
+        error: error(r),
+        front: r.standing == Standing::Front,
+    };
+    let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.shows()).map(mark).collect();
+    leave(common, a, &table(&rows), || svg(&marks, &title, "error of gradients"))?;
     common.finish(&report, &device)
-}
-
-/// A choice as settings.
-fn settings(base: &Settings, choice: &Choice) -> anyhow::Result<Settings> {
-    let mut table: toml::Table = toml::Table::try_from(base)?;
-    overlay(&mut table, choice.over.clone());
-    Ok(Settings::from_table(table)?)
 }
 
 /// Settings of a training of its own: with every loss that `base` has.
 fn of_training(base: &Settings, choice: &Choice, steps: u32) -> anyhow::Result<Settings> {
-    let mut settings = settings(base, choice)?;
+    let mut settings = choice.settings(base)?;
     settings.intrinsic.steps = steps;
     Ok(settings)
 }
@@ -236,22 +131,23 @@ fn measure(
     base: &Settings,
     steps: u32,
 ) -> anyhow::Result<Vec<Row>> {
-    let wanted = |c: &Choice| a.wants(c.name);
+    let wanted = |c: &Choice| a.wants(&c.name);
     let folder = tempfile::tempdir()?;
     // One training at a time is in memory; what each begins with is in a file.
     let mut subjects: Vec<(Row, PathBuf, Vec<f64>)> = Vec::new();
     let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
-    for choice in choices(base, device)?.into_iter().filter(wanted) {
-        let settings = settings(base, &choice)?;
+    for choice in of_intrinsic(base, &Tuning::for_device(device.info()))?.into_iter().filter(wanted) {
+        let settings = choice.settings(base)?;
+        let (name, same) = (choice.name.as_str(), choice.kind != Kind::Model);
         let before = device.memory_use().0;
         let mut training = Intrinsic::new(device, scene, &settings, splats)?;
-        if exact.is_none() || !choice.same {
+        if exact.is_none() || !same {
             training.train(a.train.next_multiple_of(RHYTHM).max(RHYTHM), |_| {}, || true)?;
         }
         if exact.is_none() {
             training.save(&start)?;
-        } else if choice.same {
+        } else if same {
             restore(&mut training, &start, &choice)?;
         }
         let probe = training.probe()?;
@@ -261,8 +157,7 @@ fn measure(
             let truth = lit::picture(&training.splats()?, &light, &probe.camera, base.geometry.background)?;
             exact = Some((probe.clone(), truth));
         }
-        if let (Some((of_exact, truth)), true) = (&exact, choice.same) {
-            let name = choice.name;
+        if let (Some((of_exact, truth)), true) = (&exact, same) {
             // Pictures of another size are of other pixels.
             if settings.intrinsic.scale == base.intrinsic.scale {
                 let e =
@@ -274,12 +169,12 @@ fn measure(
             finite(name, "gradient error", off[0] + off[1])?;
             gradients = Some(off);
         }
-        if choice.name == "exact" {
+        if name == "exact" {
             let db = picture.map_or(0.0, |p| p.psnr);
             ensure!(db > 50.0, "The exact picture is {db:.1} dB off double precision.");
         }
         let mut own = start.clone();
-        if !choice.same {
+        if !same {
             own = folder.path().join(subjects.len().to_string());
             training.save(&own)?;
         }
@@ -299,7 +194,7 @@ fn measure(
     }
     // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others.
     let made = |row: &Row| -> anyhow::Result<Intrinsic> {
-        Ok(Intrinsic::new(device, scene, &settings(base, &row.choice)?, splats)?)
+        Ok(Intrinsic::new(device, scene, &row.choice.settings(base)?, splats)?)
     };
     let (first, others) = subjects.split_at_mut(1);
     let (row, own, times) = &mut first[0];
@@ -341,7 +236,7 @@ fn measure(
     let ratios = std::iter::once(Ratio::EXACT).chain(ratios.iter().map(|r| Ratio::of(r)));
     let ratios: Vec<Ratio> = ratios.collect();
     for ((row, ..), ratio) in subjects.iter().zip(&ratios) {
-        finite(row.choice.name, "time of a step", ratio.value + ratio.off)?;
+        finite(&row.choice.name, "time of a step", ratio.value + ratio.off)?;
     }
     let row = |((row, _, times), of_exact): ((Row, PathBuf, Vec<f64>), Ratio)| Row {
         step: Summary::of(&times),
@@ -444,7 +339,7 @@ fn table(rows: &[Row]) -> String {
     let small = |v: f64| format!("{v:.1e}");
     for r in rows {
         let mut cells = vec![
-            r.choice.name.to_owned(),
+            r.choice.name.clone(),
             r.choice.setting.clone(),
             r.of_exact.to_string(),
             format!("{:.3}", r.bytes as f64 / exact.bytes as f64),
@@ -478,7 +373,7 @@ mod tests {
         let own = of_training(&base, &Choice::level("fast").unwrap(), 300).unwrap();
         let i = &own.intrinsic;
         assert_eq!((i.losses.cross_view, i.losses.relight, i.relight_from, i.steps), (0.3, 0.4, 50, 300));
-        let measured = settings(&plain(&base), &Choice::level("fast").unwrap()).unwrap();
+        let measured = Choice::level("fast").unwrap().settings(&plain(&base)).unwrap();
         assert_eq!((measured.intrinsic.losses.cross_view, measured.intrinsic.losses.relight), (0.0, 0.0));
         // And nothing else.
         let mut again = measured.clone();

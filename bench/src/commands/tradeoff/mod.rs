@@ -25,7 +25,7 @@ use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
 use anyhow::Context;
-use choices::{Choice, choices};
+use choices::{Choice, of_geometry};
 use error::finite;
 use front::{Ratio, Standing, standings};
 use plot::Mark;
@@ -38,9 +38,9 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
-use sgs_train::gaussian_data;
+use sgs_train::{Backward, Settings, gaussian_data};
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
@@ -96,10 +96,8 @@ impl Args {
 /// What is known of one choice.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Its name.
-    pub name: String,
-    /// The setting that makes it.
-    pub setting: String,
+    /// Which.
+    pub choice: Choice,
     /// Milliseconds of a step on the device.
     pub step: Summary,
     /// Milliseconds of a frame on the device.
@@ -124,7 +122,12 @@ pub struct Point {
 
 impl From<&Point> for Mark {
     fn from(p: &Point) -> Mark {
-        Mark { name: p.name.clone(), time: p.of_exact[0].value, error: p.mean, front: p.standing == Standing::Front }
+        Mark {
+            name: p.choice.name.clone(),
+            time: p.of_exact[0].value,
+            error: p.mean,
+            front: p.standing == Standing::Front,
+        }
     }
 }
 
@@ -162,38 +165,47 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.fact("steps of a training of its own", steps);
     }
     for p in &points {
+        let name = &p.choice.name;
         for (what, time, of_exact) in [("step", p.step, p.of_exact[0]), ("frame", p.frame, p.of_exact[1])] {
-            report.choice(what, &p.name, time, of_exact.into());
+            report.choice(what, name, time, of_exact.into());
         }
         for (what, value) in [("largest error", p.largest), ("mean error", p.mean), ("gradient error", p.gradient)] {
-            report.time(&format!("{what}, {}", p.name), "", Summary::of(&[value]));
+            report.time(&format!("{what}, {name}"), "", Summary::of(&[value]));
         }
-        report.fact(&format!("picture, {}, dB", p.name), p.psnr);
-        report.time(&format!("device memory of training, {}", p.name), "MB", Summary::of(&[p.bytes as f64 / 1e6]));
-        report.fact(&format!("{}{}", standing::PREFIX, p.name), p.standing.said());
+        report.fact(&format!("picture, {name}, dB"), p.psnr);
+        report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[p.bytes as f64 / 1e6]));
+        report.fact(&format!("{}{name}", standing::PREFIX), p.standing.said());
         if let Some(q) = p.quality {
-            report.fact(&format!("pictures after training, {}, dB", p.name), q.psnr);
+            report.fact(&format!("pictures after training, {name}, dB"), q.psnr);
             if let Some(degrees) = q.normals {
-                report.fact(&format!("normals after training, {}, degrees", p.name), degrees);
+                report.fact(&format!("normals after training, {name}, degrees"), degrees);
             }
         }
     }
-    let front: Vec<&str> = points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.name.as_str()).collect();
+    let front: Vec<&str> =
+        points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.choice.name.as_str()).collect();
     report.fact("on the front", front.join(", "));
     report.check("the exact picture agrees with double precision");
-    let table = table(&points);
+    let title = format!("{}, {} Gaussians, {}", workload.name, workload.start.len(), device.info().name);
+    let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
+    leave(common, a, &table(&points), || plot::svg(&marks, &title, "mean error of a picture"))?;
+    common.finish(&report, &device)
+}
+
+/// Leaves table and drawing where they are wanted.
+fn leave(common: &Common, a: &Args, table: &str, drawing: impl Fn() -> anyhow::Result<String>) -> anyhow::Result<()> {
+    let write =
+        |path: &Path, text: &str| sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()));
     if let Some(path) = &a.table {
-        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, table.as_bytes()))?;
+        write(path, table)?;
     }
     if let Some(path) = &a.svg {
-        let title = format!("{}, {} Gaussians, {}", workload.name, workload.start.len(), device.info().name);
-        let text = plot::svg(&points.iter().map(Mark::from).collect::<Vec<_>>(), &title, "mean error of a picture")?;
-        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+        write(path, &drawing()?)?;
     }
     if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
         println!("{table}");
     }
-    common.finish(&report, &device)
+    Ok(())
 }
 
 fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
@@ -213,6 +225,22 @@ fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
         workload.start = gaussian_data(&splats, workload.model);
     }
     Ok(workload)
+}
+
+/// What choices of geometry differ from. Which kernel goes backward is not measured as training does, since then each choice might have
+/// another.
+fn base_settings() -> Settings {
+    let mut base = Settings::default();
+    base.geometry.backward = Backward::Pixel;
+    base
+}
+
+fn kernel(backward: Backward) -> BackwardKernel {
+    match backward {
+        Backward::Auto | Backward::Pixel => BackwardKernel::Pixel,
+        Backward::Splat => BackwardKernel::Splat,
+        Backward::Atomic => BackwardKernel::Atomic,
+    }
 }
 
 /// One choice, ready to be timed.
@@ -252,8 +280,7 @@ impl Subject<'_> {
 }
 
 fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
-    let all = choices(Tuning::for_device(device.info()), workload.model.semantics);
-    let wanted = |c: &Choice| a.wants(&c.name) && c.backward.runs_on(device.info());
+    let base = base_settings();
     let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
     gaussians.upload(device, &workload.start)?;
     let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
@@ -272,12 +299,16 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     };
     let mut subjects = Vec::new();
     let mut exact: Option<GaussianData> = None;
-    let mut made = Vec::new();
-    for choice in all.into_iter().filter(wanted) {
-        let of = choice.clone();
+    for choice in of_geometry(&Tuning::for_device(device.info()), workload.model.semantics)? {
+        let settings = choice.settings(&base)?;
+        let (tuning, backward) = (settings.tuning(device.info()), kernel(settings.geometry.backward));
+        if !a.wants(&choice.name) || !backward.runs_on(device.info()) {
+            continue;
+        }
         let before = device.memory_use().0;
         let capacity = first_entry_capacity(workload.start.len());
-        let mut trainer = Trainer::with(device, workload, choice.tuning, choice.backward, choice.dense_adam, capacity)?;
+        let dense_adam = settings.geometry.dense_adam;
+        let mut trainer = Trainer::with(device, workload, tuning, backward, dense_adam, capacity)?;
         if let Some((decoder, parameters)) = &decoder {
             decoder.upload(device, parameters)?;
         }
@@ -287,7 +318,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         trainer.run(common.warmup.max(workload.views.len() as u32))?;
         trainer.set_timestamps(true)?;
         let bytes = device.memory_use().0 - before;
-        let (tuning, channels) = (choice.tuning, Channels::default());
+        let channels = Channels::default();
         let mut renderer = Renderer::with_features(device, tuning, &gaussians, workload.largest, channels)?;
         let picture = renderer.render(&gaussians, &camera, degree, background)?;
         let image = with_features(device, &renderer, picture)?;
@@ -305,8 +336,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let gradient_error = finite(&choice.name, "gradient error", off)?;
         exact.get_or_insert(gradient);
         let point = Point {
-            name: choice.name,
-            setting: choice.setting,
+            choice,
             step: Summary::default(),
             frame: Summary::default(),
             of_exact: [Ratio::EXACT; 2],
@@ -318,7 +348,6 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             standing: Standing::default(),
             quality: None,
         };
-        made.push(of);
         subjects.push(Subject { point, trainer, renderer, times: Default::default(), ratios: Default::default() });
     }
     // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others. As many steps as there are
@@ -345,16 +374,16 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         anyhow::ensure!(step.samples > 0, "The device has no timestamps.");
         let of_exact = if i == 0 { [Ratio::EXACT; 2] } else { s.ratios.map(|rounds| Ratio::of(&rounds)) };
         for (what, ratio) in ["time of a step", "time of a frame"].into_iter().zip(of_exact) {
-            finite(&s.point.name, what, ratio.value + ratio.off)?;
+            finite(&s.point.choice.name, what, ratio.value + ratio.off)?;
         }
         points.push(Point { step, frame, of_exact, ..s.point });
     }
     mark(&mut points);
     if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
         let scene = Scene::open(path, &workload.settings.scene_options())?;
-        for (point, choice) in points.iter_mut().zip(&made) {
-            let trained = quality::trained(device, &scene, choice, steps, a.semantics)?;
-            finite(&point.name, "error after training", trained.psnr + trained.normals.unwrap_or(0.0))?;
+        for point in &mut points {
+            let trained = quality::trained(device, &scene, &point.choice.settings(&base)?, steps, a.semantics)?;
+            finite(&point.choice.name, "error after training", trained.psnr + trained.normals.unwrap_or(0.0))?;
             point.quality = Some(trained);
         }
     }
@@ -405,8 +434,8 @@ fn table(points: &[Point]) -> String {
     let Some(exact) = points.first() else { return out };
     for p in points {
         let mut cells = vec![
-            p.name.clone(),
-            p.setting.clone(),
+            p.choice.name.clone(),
+            p.choice.setting.clone(),
             p.of_exact[0].to_string(),
             p.of_exact[1].to_string(),
             format!("{:.3}", p.bytes as f64 / exact.bytes as f64),
@@ -428,12 +457,12 @@ fn table(points: &[Point]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::choices::Kind;
     use super::*;
 
     fn point(name: &str, ms: f64, mean: f64) -> Point {
         Point {
-            name: name.to_owned(),
-            setting: String::new(),
+            choice: Choice::new(name, &[], Kind::Accuracy).unwrap(),
             step: Summary::of(&[ms]),
             frame: Summary::of(&[ms]),
             of_exact: [Ratio { value: ms / 10.0, off: 0.01, rounds: 8 }; 2],

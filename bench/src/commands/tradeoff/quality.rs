@@ -1,12 +1,10 @@
 //! What a scene's geometry comes to at its test views when it is trained with a choice. Measures are exact whatever it was
 //! trained with.
 
-use super::choices::Choice;
 use sgs_engine::Device;
 use sgs_passes::scene::{Gaussians, Model};
-use sgs_passes::splat::BackwardKernel;
 use sgs_scene::Scene;
-use sgs_train::{Backward, Geometry, Settings, evaluate, gaussian_data};
+use sgs_train::{Geometry, Settings, evaluate, gaussian_data};
 
 /// Decibels of pictures, and degrees of normals if the truth is known; of the training views where there are no others.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,24 +13,16 @@ pub struct Quality {
     pub normals: Option<f64>,
 }
 
-/// Trains from the scene's points, with classes or without.
+/// Trains from the scene's points by the settings of a choice, with classes or without.
 pub fn trained(
     device: &Device,
     scene: &Scene,
-    choice: &Choice,
+    choice: &Settings,
     steps: u32,
     semantics: bool,
 ) -> anyhow::Result<Quality> {
-    let tuning = choice.tuning;
-    let mut settings = Settings { scene: scene.root.clone(), accuracy: tuning.accuracy, ..Settings::default() };
-    settings.train.tile_rows = tuning.tile[1];
-    let g = &mut settings.geometry;
-    (g.steps, g.semantics, g.dense_adam) = (steps, semantics, choice.dense_adam);
-    g.backward = match choice.backward {
-        BackwardKernel::Pixel => Backward::Pixel,
-        BackwardKernel::Splat => Backward::Splat,
-        BackwardKernel::Atomic => Backward::Atomic,
-    };
+    let mut settings = Settings { scene: scene.root.clone(), ..choice.clone() };
+    (settings.geometry.steps, settings.geometry.semantics) = (steps, semantics);
     let mut training = Geometry::new(device, scene, &settings, None)?;
     training.train(steps, |_| {}, || true)?;
     let splats = training.splats()?;
