@@ -19,6 +19,8 @@ pub mod standing {
     pub const TIE: &str = "within noise of the front";
     /// Another surely is.
     pub const BEATEN: &str = "beaten";
+    /// It trades nothing, but comes to the same as `exact` in another way, so that it is not ranked.
+    pub const SAME: &str = "as exact";
 }
 
 /// The setting that says which choices were measured at all. Reports of fewer choices are comparable; how choices stand among others

@@ -1,8 +1,11 @@
 //! The choices of both stages, each as a user would ask for it: what is measured is what that comes to as settings.
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use sgs_passes::Tuning;
 use sgs_train::{Settings, accuracy_named, overlay};
+
+/// By how much gradients may differ that are sums of the same in another order; tests hold gradients to as much of finite differences.
+const ROUNDING: f64 = 1e-3;
 
 /// What a choice changes, and so what it can be held to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +60,16 @@ impl Choice {
         let settings = Settings::from_table(table)?;
         settings.check()?;
         Ok(settings)
+    }
+
+    /// The error of its gradient, if that is what may be of such a choice.
+    ///
+    /// # Errors
+    /// If it should come to the same as `exact` and does not.
+    pub fn held(&self, gradient: f64) -> anyhow::Result<f64> {
+        let held = self.kind != Kind::Same || gradient <= ROUNDING;
+        ensure!(held, "\"{}\" should come to the same as exact, but its gradient is {gradient:.1e} off.", self.name);
+        Ok(gradient)
     }
 
     /// Whether what it costs shows in one step.

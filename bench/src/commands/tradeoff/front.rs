@@ -1,5 +1,7 @@
-//! Which choices are worth choosing: those that no other beats, as far as times can be told apart.
+//! Which choices are worth choosing: those that no other beats, as far as times can be told apart. What comes to the same as `exact` in
+//! another way trades nothing and is not ranked: how fast it is says what suits a device, and nothing of a trade.
 
+use super::choices::Kind;
 use crate::report::standing;
 use crate::stats::Summary;
 use std::f64::consts::FRAC_PI_2;
@@ -78,6 +80,8 @@ pub enum Standing {
     /// Another is as close and surely faster.
     #[default]
     Beaten,
+    /// It comes to the same as `exact` in another way.
+    Same,
 }
 
 impl Standing {
@@ -87,6 +91,7 @@ impl Standing {
             Standing::Front => standing::FRONT,
             Standing::Tie => standing::TIE,
             Standing::Beaten => standing::BEATEN,
+            Standing::Same => standing::SAME,
         }
     }
 }
@@ -97,19 +102,44 @@ impl fmt::Display for Standing {
             Standing::Front => "yes",
             Standing::Tie => "within noise",
             Standing::Beaten => "",
+            Standing::Same => standing::SAME,
         })
     }
 }
 
-/// Where each stands: `all` are time and error, errors within one percent of each other are the same. What is not finite is beaten,
-/// and beats nothing.
-pub fn standings(all: &[(Ratio, f64)]) -> Vec<Standing> {
-    let finite = |p: &(Ratio, f64)| p.0.is_finite() && p.1.is_finite();
-    let of = |p: &(Ratio, f64)| {
-        let close = || all.iter().filter(|o| finite(o) && o.1 <= p.1);
-        if !finite(p) || close().any(|o| o.0.surely_below(&p.0)) {
+/// What a choice is ranked by.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// What it changes.
+    pub kind: Kind,
+    /// Its time.
+    pub time: Ratio,
+    /// How far off it is; within one percent of each other errors are the same.
+    pub error: f64,
+}
+
+impl Place {
+    fn is_finite(&self) -> bool {
+        self.time.is_finite() && self.error.is_finite()
+    }
+
+    /// Whether others are held to it. What is not finite beats nothing, and what trades nothing is no rival.
+    fn ranked(&self) -> bool {
+        self.kind != Kind::Same && self.is_finite()
+    }
+}
+
+/// Where each stands. What is not finite is beaten.
+pub fn standings(all: &[Place]) -> Vec<Standing> {
+    let of = |p: &Place| {
+        let close = || all.iter().filter(|o| o.ranked() && o.error <= p.error);
+        if !p.is_finite() {
             Standing::Beaten
-        } else if close().any(|o| o.0.value <= p.0.value && o.1 < 0.99 * p.1) {
+        } else if p.kind == Kind::Same {
+            Standing::Same
+        } else if close().any(|o| o.time.surely_below(&p.time)) {
+            Standing::Beaten
+        } else if close().any(|o| o.time.value <= p.time.value && o.error < 0.99 * p.error) {
             Standing::Tie
         } else {
             Standing::Front
@@ -121,12 +151,34 @@ pub fn standings(all: &[(Ratio, f64)]) -> Vec<Standing> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Standing::{Beaten, Front, Tie};
+    use Standing::{Beaten, Front, Same, Tie};
 
     fn standings_of(all: &[(f64, f64)], off: f64) -> Vec<Standing> {
-        standings(
-            &all.iter().map(|(value, error)| (Ratio { value: *value, off, rounds: 1 }, *error)).collect::<Vec<_>>(),
-        )
+        let place = |&(value, error)| place(Kind::Accuracy, value, off, error);
+        standings(&all.iter().map(place).collect::<Vec<_>>())
+    }
+
+    fn place(kind: Kind, value: f64, off: f64, error: f64) -> Place {
+        Place { kind, time: Ratio { value, off, rounds: 1 }, error }
+    }
+
+    #[test]
+    fn what_comes_to_the_same_is_not_ranked() {
+        let ranked = [(1.0, 1e-7), (0.97, 1e-3), (0.9, 1e-2)].map(|(t, e)| place(Kind::Accuracy, t, 0.005, e));
+        let alone = standings(&ranked);
+        assert_eq!(alone, [Front, Front, Front]);
+        // However fast it is it pushes nothing off the front, and however slow it stands for itself.
+        for time in [0.5, 0.95, 1.0, 1.5] {
+            for error in [0.0, 1e-7, 2e-7] {
+                let mut all = ranked.to_vec();
+                all.insert(1, place(Kind::Same, time, 0.005, error));
+                let mut found = standings(&all);
+                assert_eq!(found.remove(1), Same);
+                assert_eq!(found, alone, "{time} {error}");
+            }
+        }
+        assert_eq!((Same.said(), Same.to_string().as_str()), (standing::SAME, "as exact"));
+        assert_eq!(standings(&[place(Kind::Same, 1.0, 0.005, f64::NAN)]), [Beaten]);
     }
 
     #[test]
@@ -147,7 +199,8 @@ mod tests {
             assert_eq!(standings_of(&[(1.0, 1e-7), (0.5, wrong)], 0.01), [Front, Beaten], "{wrong}");
             assert_eq!(standings_of(&[(1.0, 1e-7), (wrong, 1e-9)], 0.01), [Front, Beaten], "{wrong}");
             assert_eq!(standings_of(&[(wrong, wrong)], 0.01), [Beaten], "{wrong}");
-            assert_eq!(standings(&[(Ratio::of(&[wrong, wrong]), 0.0)]), [Beaten], "{wrong}");
+            let time = Ratio::of(&[wrong, wrong]);
+            assert_eq!(standings(&[Place { kind: Kind::Accuracy, time, error: 0.0 }]), [Beaten], "{wrong}");
         }
         assert_eq!(standings_of(&[(1.0, 1e-7)], f64::NAN), [Beaten]);
     }

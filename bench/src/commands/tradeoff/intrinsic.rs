@@ -8,7 +8,7 @@
 
 use super::choices::{Choice, Kind, of_intrinsic};
 use super::error::{self, PictureError, finite};
-use super::front::{Ratio, Standing, standings};
+use super::front::{Place, Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::record::record;
 use super::{Args, leave, lit};
@@ -105,12 +105,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.fact("on the front", best.join(", "));
     report.check("the exact picture agrees with double precision");
     let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
-    let mark = |r: &Row| Mark {
-        name: r.choice.name.clone(),
-        time: r.of_exact.value,
-        error: error(r),
-        front: r.standing == Standing::Front,
-    };
+    let mark =
+        |r: &Row| Mark { name: r.choice.name.clone(), time: r.of_exact.value, error: error(r), standing: r.standing };
     let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.shows()).map(mark).collect();
     leave(common, a, &table(&rows), || svg(&marks, &title, "error of gradients"))?;
     common.finish(&report, &device)
@@ -166,7 +162,7 @@ fn measure(
                 picture = Some(e);
             }
             let off = difference(of_exact, &probe).with_context(|| format!("The gradient of \"{name}\""))?;
-            finite(name, "gradient error", off[0] + off[1])?;
+            choice.held(finite(name, "gradient error", off[0].max(off[1]))?)?;
             gradients = Some(off);
         }
         if name == "exact" {
@@ -244,8 +240,9 @@ fn measure(
         ..row
     };
     let mut rows: Vec<Row> = subjects.into_iter().zip(ratios).map(row).collect();
-    let same: Vec<(Ratio, f64)> = rows.iter().filter(|r| r.choice.shows()).map(|r| (r.of_exact, error(r))).collect();
-    let standings = standings(&same);
+    let place = |r: &Row| Place { kind: r.choice.kind, time: r.of_exact, error: error(r) };
+    let places: Vec<Place> = rows.iter().filter(|r| r.choice.shows()).map(place).collect();
+    let standings = standings(&places);
     rows.iter_mut().filter(|r| r.choice.shows()).zip(standings).for_each(|(r, standing)| r.standing = standing);
     Ok(rows)
 }

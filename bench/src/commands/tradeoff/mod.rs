@@ -5,7 +5,7 @@
 //! features are further channels where there are some, against the double-precision twin (which follows the definition of 3D
 //! Gaussian splatting), and error of the gradient of one step against that of `exact`, which tests hold to finite differences of
 //! the twin. Choices are measured in rounds, one after the other in each and in another order each time, with `exact` before and after each: times are ratios to these, which a machine
-//! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else is both faster and closer
+//! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else that trades is both faster and closer
 //! ([`front`]).
 
 mod choices;
@@ -27,7 +27,7 @@ use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_ca
 use anyhow::Context;
 use choices::{Choice, of_geometry};
 use error::finite;
-use front::{Ratio, Standing, standings};
+use front::{Place, Ratio, Standing, standings};
 use plot::Mark;
 use quality::Quality;
 use record::record;
@@ -114,7 +114,7 @@ pub struct Point {
     pub psnr: f64,
     /// Length of the difference of gradients over that of the exact one, the worst of all groups.
     pub gradient: f64,
-    /// Whether anything is both faster and closer.
+    /// How it compares with all others.
     pub standing: Standing,
     /// What a training with it comes to.
     pub quality: Option<Quality>,
@@ -122,12 +122,7 @@ pub struct Point {
 
 impl From<&Point> for Mark {
     fn from(p: &Point) -> Mark {
-        Mark {
-            name: p.choice.name.clone(),
-            time: p.of_exact[0].value,
-            error: p.mean,
-            front: p.standing == Standing::Front,
-        }
+        Mark { name: p.choice.name.clone(), time: p.of_exact[0].value, error: p.mean, standing: p.standing }
     }
 }
 
@@ -333,7 +328,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             None => difference(&gradient, &gradient),
         };
         let off = off.with_context(|| format!("The gradient of \"{}\"", choice.name))?;
-        let gradient_error = finite(&choice.name, "gradient error", off)?;
+        let gradient_error = choice.held(finite(&choice.name, "gradient error", off)?)?;
         exact.get_or_insert(gradient);
         let point = Point {
             choice,
@@ -409,7 +404,8 @@ fn difference(exact: &GaussianData, other: &GaussianData) -> anyhow::Result<f64>
 }
 
 fn mark(points: &mut [Point]) {
-    let all: Vec<(Ratio, f64)> = points.iter().map(|p| (p.of_exact[0], p.mean)).collect();
+    let place = |p: &Point| Place { kind: p.choice.kind, time: p.of_exact[0], error: p.mean };
+    let all: Vec<Place> = points.iter().map(place).collect();
     points.iter_mut().zip(standings(&all)).for_each(|(p, standing)| p.standing = standing);
 }
 
@@ -494,18 +490,35 @@ mod tests {
 
     #[test]
     fn the_picture_of_the_front_is_drawn() {
-        let mut points = [point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
-        mark(&mut points);
-        let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
-        let text = plot::svg(&marks, "a title", "errors").unwrap();
+        let mut points = vec![point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
+        let drawn = |points: &mut [Point]| {
+            mark(points);
+            let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
+            plot::svg(&marks, "a title", "errors").unwrap()
+        };
+        let text = drawn(&mut points);
         assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));
-        roxmltree::Document::parse(&text).unwrap();
+        let of = |text: &str| {
+            let document = roxmltree::Document::parse(text).unwrap();
+            let nodes = document.descendants().filter(|n| n.attribute("r") == Some("5"));
+            let filled = nodes.clone().filter(|n| n.attribute("fill") == Some("#0000FF")).count();
+            (nodes.count(), filled, text.matches("#808080").count())
+        };
+        assert_eq!(of(&text), (2, 2, 0));
+        // Another way to the same is a gray cross with a gray name, and takes nothing off the front.
+        points.push(point("another way", 4.0, 0.0));
+        points[2].choice.kind = Kind::Same;
+        assert_eq!(of(&drawn(&mut points)), (2, 2, 3));
+        assert!(table(&points).lines().last().unwrap().ends_with("| as exact |"));
+        points[2].choice.kind = Kind::Accuracy;
+        assert_eq!(of(&drawn(&mut points)), (3, 1, 0));
     }
 
     /// Two points side by side keep the order of their names.
     #[test]
     fn names_stand_as_points_do() {
-        let mark = |name: &str, error: f64| Mark { name: name.to_owned(), time: 1.0, error, front: false };
+        let mark =
+            |name: &str, error: f64| Mark { name: name.to_owned(), time: 1.0, error, standing: Standing::Beaten };
         let text = plot::svg(&[mark("exact", 1e-4), mark("lower", 1e-2), mark("upper", 1.2e-2)], "", "").unwrap();
         let document = roxmltree::Document::parse(&text).unwrap();
         let at = |name: &str| {

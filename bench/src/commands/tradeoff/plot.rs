@@ -1,10 +1,14 @@
 //! Time against error, as a drawing.
 
+use super::front::Standing;
 use anyhow::anyhow;
 use plotters::prelude::*;
 
 /// Errors below this are drawn here: exact ones would be at minus infinity.
 const LEAST: f64 = 1e-8;
+
+/// Of what is not ranked.
+const GRAY: RGBColor = RGBColor(128, 128, 128);
 
 /// Where a choice is drawn.
 #[derive(Clone, Debug)]
@@ -15,12 +19,12 @@ pub struct Mark {
     pub time: f64,
     /// Of whatever is compared.
     pub error: f64,
-    /// Whether nothing is both faster and closer.
-    pub front: bool,
+    /// How it compares with all others.
+    pub standing: Standing,
 }
 
 /// Step time by that of the first to the right, errors upwards in powers of ten; `what` they are of. Choices on the front are
-/// filled, and joined by a line.
+/// filled, and joined by a line; those that come to the same as `exact` are gray crosses beside it.
 pub fn svg(points: &[Mark], title: &str, what: &str) -> anyhow::Result<String> {
     let mut out = String::new();
     draw(points, title, what, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;
@@ -43,12 +47,12 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
         .build_cartesian_2d(low..high, (LEAST / 2.0..top).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("time of a training step, of exact")
+        .x_desc("time of a training step, of exact; crosses: the same as exact in another way")
         .y_desc(what)
         .y_label_formatter(&|v| format!("{v:.0e}"))
         .light_line_style(WHITE)
         .draw()?;
-    let mut front: Vec<(f64, f64)> = points.iter().filter(|p| p.front).map(at).collect();
+    let mut front: Vec<(f64, f64)> = points.iter().filter(|p| p.standing == Standing::Front).map(at).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     chart.draw_series(LineSeries::new(front, BLUE.mix(0.5).stroke_width(2)))?;
     let mut names: Vec<(i32, i32, i32)> = Vec::new();
@@ -56,8 +60,11 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
     let mut from_above: Vec<&Mark> = points.iter().collect();
     from_above.sort_by_key(|p| chart.backend_coord(&at(p)).1);
     for p in from_above {
-        let style = if p.front { BLUE.filled() } else { BLACK.mix(0.5).stroke_width(1) };
-        chart.draw_series([Circle::new(at(p), 5, style)])?;
+        match p.standing {
+            Standing::Same => chart.draw_series([Cross::new(at(p), 4, GRAY.stroke_width(1))])?,
+            Standing::Front => chart.draw_series([Circle::new(at(p), 5, BLUE.filled())])?,
+            _ => chart.draw_series([Circle::new(at(p), 5, BLACK.mix(0.5).stroke_width(1))])?,
+        };
         // Names move down until they lie on no other's: 6 pixels a letter, 12 a line.
         let (x, y) = chart.backend_coord(&at(p));
         let width = 6 * p.name.len() as i32;
@@ -66,7 +73,9 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
             down += 12;
         }
         names.push((x, y + down, width));
-        let name = EmptyElement::at(at(p)) + Text::new(p.name.clone(), (8, down), ("sans-serif", 12));
+        let color = if p.standing == Standing::Same { GRAY } else { BLACK };
+        let style = ("sans-serif", 12).into_font().color(&color);
+        let name = EmptyElement::at(at(p)) + Text::new(p.name.clone(), (8, down), style);
         chart.draw_series([name])?;
     }
     root.present()?;
