@@ -161,6 +161,9 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
     if s.lights.grid > 1 {
         add("fewer lights", &[&format!("intrinsic.lights.grid={}", s.lights.grid - 1)], Kind::Model)?;
     }
+    if s.lights.enabled && s.lights.prune == 0.0 {
+        add("faint lights off", &["intrinsic.lights.prune=0.05"], Kind::Model)?;
+    }
     if s.lights.lobes > 1 {
         add("fewer lobes", &[&format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)], Kind::Model)?;
     }
@@ -178,4 +181,151 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
         add("half of the field", &asks.each_ref().map(String::as_str), Kind::Model)?;
     }
     Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_engine::MatrixShape;
+    use sgs_passes::{Accuracy, Matrices};
+    use sgs_train::Backward;
+
+    /// All choices of a stage, on a device that has all there is.
+    fn all() -> [Vec<Choice>; 2] {
+        let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
+        let matrices = Some(Matrices { shape, units: false });
+        let own = Tuning { matrices, ..Tuning::for_subgroups(8) };
+        [of_geometry(&own, true).unwrap(), of_intrinsic(&Settings::default(), &own).unwrap()]
+    }
+
+    fn settings(choice: &Choice) -> Settings {
+        choice.settings(&Settings::default()).unwrap()
+    }
+
+    /// Names of what is traded that a choice has otherwise than `exact`. A new way to trade does not compile until it has a choice.
+    fn traded(a: &Accuracy) -> Vec<&'static str> {
+        let Accuracy {
+            depth_bits,
+            alpha_min,
+            transmittance_min,
+            keep_last,
+            fast_exp,
+            visibility_operands,
+            color_bits,
+            table_bits,
+            weight_bits,
+            feature_bits,
+        } = *a;
+        let exact = Accuracy::EXACT;
+        let all = [
+            ("depth_bits", depth_bits != exact.depth_bits),
+            ("alpha_min", alpha_min != exact.alpha_min),
+            ("transmittance_min", transmittance_min != exact.transmittance_min),
+            ("keep_last", keep_last != exact.keep_last),
+            ("fast_exp", fast_exp != exact.fast_exp),
+            ("visibility_operands", visibility_operands != exact.visibility_operands),
+            ("color_bits", color_bits != exact.color_bits),
+            ("table_bits", table_bits != exact.table_bits),
+            ("weight_bits", weight_bits != exact.weight_bits),
+            ("feature_bits", feature_bits != exact.feature_bits),
+        ];
+        all.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
+    }
+
+    #[test]
+    fn everything_that_is_traded_is_a_choice() {
+        let of = |choices: &[Choice]| choices.iter().flat_map(|c| traded(&settings(c).accuracy)).collect::<Vec<_>>();
+        let found = all().map(|choices| of(&choices)).concat();
+        let every = toml::Table::try_from(Accuracy::EXACT).unwrap();
+        for name in every.keys() {
+            assert!(found.contains(&name.as_str()), "no choice has another {name}");
+        }
+        assert!(traded(&Accuracy::EXACT).is_empty());
+        // Alone, too, but where one means nothing without another.
+        let alone = |name: &str| all().concat().iter().any(|c| traded(&settings(c).accuracy) == [name]);
+        assert!(every.keys().all(|name| alone(name) || name == "transmittance_min"));
+        let with_last = |c: &Choice| traded(&settings(c).accuracy) == ["transmittance_min", "keep_last"];
+        assert!(all()[0].iter().any(with_last));
+        // And what else costs accuracy for speed in training.
+        let [_, lit] = all();
+        let intrinsic: Vec<_> = lit.iter().map(|c| settings(c).intrinsic).collect();
+        assert!(intrinsic.iter().any(|s| s.environment.every > 1) && intrinsic.iter().any(|s| s.visibility.sample > 1));
+        assert!(intrinsic.iter().any(|s| s.cull_error > 0.0) && intrinsic.iter().any(|s| s.scale < 1.0));
+        assert!(intrinsic.iter().any(|s| s.lights.prune > 0.0) && intrinsic.iter().any(|s| s.lights.lobes < 12));
+    }
+
+    /// What `sgs train --accuracy ... --set ...` makes of what the table shows.
+    fn asked(shown: &str) -> Settings {
+        let mut table = toml::Table::new();
+        for ask in shown.split(", ") {
+            let ask = ask.strip_prefix('`').and_then(|a| a.strip_suffix('`')).unwrap();
+            if let Some(level) = ask.strip_prefix("--accuracy ") {
+                assert!(table.is_empty(), "\"{shown}\": levels go before settings");
+                table = accuracy_named(level).unwrap();
+                continue;
+            }
+            let (key, value) = ask.split_once('=').unwrap();
+            let parsed = format!("x = {value}").parse::<toml::Table>().ok().and_then(|mut t| t.remove("x"));
+            let mut over = parsed.unwrap_or_else(|| toml::Value::String(value.to_owned()));
+            for part in key.rsplit('.') {
+                over = toml::Value::Table([(part.to_owned(), over)].into_iter().collect());
+            }
+            let toml::Value::Table(over) = over else { unreachable!() };
+            overlay(&mut table, over);
+        }
+        Settings::from_table(table).unwrap()
+    }
+
+    #[test]
+    fn what_is_shown_is_what_is_measured() {
+        for choice in all().concat() {
+            assert_eq!(asked(&choice.setting), settings(&choice), "{}", choice.name);
+        }
+        let of = |name: &str| settings(all()[0].iter().find(|c| c.name == name).unwrap());
+        let exact = Accuracy::EXACT;
+        for (name, accuracy) in [
+            ("exact", exact),
+            ("depth of 16 bits", Accuracy { depth_bits: 16, ..exact }),
+            ("alpha from 1/128", Accuracy { alpha_min: 1.0 / 128.0, ..exact }),
+            ("alpha from 1/64", Accuracy { alpha_min: 1.0 / 64.0, ..exact }),
+            ("alpha from 1/32", Accuracy { alpha_min: 1.0 / 32.0, ..exact }),
+            ("transmittance to 0.05, last splat kept", Accuracy { transmittance_min: 0.05, keep_last: true, ..exact }),
+            ("balanced", Accuracy::BALANCED),
+            ("fast", Accuracy::FAST),
+            ("fast, features in 16 bits", Accuracy { feature_bits: 16, ..Accuracy::FAST }),
+            ("tiles of 8x32", exact),
+        ] {
+            assert_eq!(of(name).accuracy, accuracy, "{name}");
+        }
+        let ways = ["backward by splats", "backward by atomics"].map(|name| of(name).geometry.backward);
+        assert_eq!(ways, [Backward::Splat, Backward::Atomic]);
+        assert_eq!((of("tiles of 8x8").train.tile_rows, of("tiles of 8x32").train.tile_rows), (8, 32));
+        assert!(of("Adam of all").geometry.dense_adam);
+    }
+
+    #[test]
+    fn no_two_are_the_same_and_the_first_is_exact() {
+        for choices in all() {
+            assert!(choices[0].name == "exact" && settings(&choices[0]) == Settings::default());
+            for (i, a) in choices.iter().enumerate() {
+                let twin = choices[..i].iter().find(|b| b.name == a.name || settings(b) == settings(a));
+                assert!(twin.is_none(), "{} is {}", a.name, twin.unwrap().name);
+            }
+        }
+    }
+
+    #[test]
+    fn what_comes_to_the_same_has_the_accuracy_of_exact() {
+        let same: Vec<Choice> = all().concat().into_iter().filter(|c| c.kind == Kind::Same).collect();
+        let names: Vec<&str> = same.iter().map(|c| c.name.as_str()).collect();
+        let tiles = ["tiles of half the rows", "tiles of twice the rows"];
+        let geometry = ["tiles of 8x8", "tiles of 8x32", "backward by splats", "backward by atomics", "Adam of all"];
+        assert_eq!(names, [&geometry[..], &["weights anew"], &tiles].concat());
+        assert!(same.iter().all(|c| c.shows() && settings(c).accuracy == Accuracy::EXACT));
+        // It is held to that, and nothing else is.
+        assert_eq!(same[0].held(1e-4).unwrap(), 1e-4);
+        let said = same[0].held(0.01).unwrap_err().to_string();
+        assert_eq!(said, "\"tiles of 8x8\" should come to the same as exact, but its gradient is 1.0e-2 off.");
+        assert!(Choice::level("fast").unwrap().held(0.5).is_ok());
+    }
 }
