@@ -48,6 +48,20 @@ fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Ve
 mod tests {
     use super::*;
 
+    /// That of docs/ABLATION.md, without what levels of accuracy say.
+    #[test]
+    fn the_small_setting_is_what_it_is_said_to_be() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
+        let small = crate::workload::lit_settings(Some(&file)).unwrap();
+        small.check().unwrap();
+        assert_eq!(
+            differing(&small).unwrap(),
+            "intrinsic.environment.resolution=32, intrinsic.lights.grid=3, intrinsic.rates.albedo=0.03, \
+             intrinsic.rates.metallic=0.03, intrinsic.rates.roughness=0.03, intrinsic.relight_from=50, \
+             intrinsic.visibility.finest=256, intrinsic.visibility.levels=8, intrinsic.visibility.log2_table=14"
+        );
+    }
+
     #[test]
     fn what_is_not_the_default_is_recorded() {
         assert_eq!(differing(&Settings::default()).unwrap(), "the defaults");
