@@ -8,6 +8,8 @@
 //! that is slow for a while does not change, and said with their standard error. A choice stands on the front if nothing else that trades is both faster and closer
 //! ([`front`]).
 
+#[cfg(test)]
+mod baseline;
 mod choices;
 mod error;
 mod front;
