@@ -11,7 +11,7 @@ use super::error::{self, PictureError, finite};
 use super::front::{Place, Ratio, Standing, standings};
 use super::plot::{Mark, svg};
 use super::record::record;
-use super::{Args, leave, lit};
+use super::{Args, StepArgs, leave, lit};
 use crate::common::Common;
 use crate::report::standing;
 use crate::stats::Summary;
@@ -56,7 +56,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut report = common.report("tradeoff", &device);
     let mut base = Choice::level("exact")?.settings(&lit_settings(a.config.as_deref())?)?;
     base.intrinsic.automatic.enabled = false;
-    let (_, size) = super::StepArgs::sizes(&device, a.gaussians, a.size);
+    let (_, size) = StepArgs::sizes(&device, a.gaussians, a.size);
     let lit = LitScene::open(a.scene.as_deref(), a.geometry.as_deref(), size, &mut base)?;
     let (scene, splats) = (&lit.scene, &lit.splats);
     let steps = common.repeats.div_ceil(RHYTHM) * RHYTHM;

@@ -1,0 +1,441 @@
+//! The choices of the geometry stage, on Gaussians that stay as they are while it is measured.
+//!
+//! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture, of which
+//! features are further channels where there are some, against the double-precision twin (which follows the definition of 3D
+//! Gaussian splatting), and error of the gradient of one step against that of `exact`, which tests hold to finite differences of
+//! the twin.
+
+use super::choices::{Choice, of_geometry};
+use super::error::{self, finite};
+use super::front::{Place, Ratio, Standing, standings};
+use super::plot::{self, Mark};
+use super::quality::{self, Quality};
+use super::record::record;
+use super::{Args, StepArgs, leave};
+use crate::common::Common;
+use crate::harness::spans;
+use crate::report::standing;
+use crate::stats::Summary;
+use crate::trainer::{Trainer, first_entry_capacity};
+use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
+use anyhow::Context;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::reference::blend::render;
+use sgs_passes::scene::{GaussianData, Gaussians, Group};
+use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_scene::{Scene, Splats};
+use sgs_train::{Backward, Settings, gaussian_data};
+use std::fmt::Write;
+
+/// What is known of one choice.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Which.
+    pub choice: Choice,
+    /// Milliseconds of a step on the device.
+    pub step: Summary,
+    /// Milliseconds of a frame on the device.
+    pub frame: Summary,
+    /// Both by those of `exact`.
+    pub of_exact: [Ratio; 2],
+    /// Device memory of a trainer, bytes.
+    pub bytes: u64,
+    /// Of one picture, largest and mean.
+    pub largest: f64,
+    /// Mean of the absolute differences.
+    pub mean: f64,
+    /// Decibels of the picture.
+    pub psnr: f64,
+    /// Length of the difference of gradients over that of the exact one, the worst of all groups.
+    pub gradient: f64,
+    /// How it compares with all others.
+    pub standing: Standing,
+    /// What a training with it comes to.
+    pub quality: Option<Quality>,
+}
+
+impl From<&Point> for Mark {
+    fn from(p: &Point) -> Mark {
+        Mark { name: p.choice.name.clone(), time: p.of_exact[0].value, error: p.mean, standing: p.standing }
+    }
+}
+
+/// Runs it.
+///
+/// # Errors
+/// As for all stages.
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    let device = common.open_device()?;
+    let mut report = common.report("tradeoff", &device);
+    let mut workload = workload(&device, a)?;
+    report.setting("scene", workload.name.clone());
+    report.setting("size", format!("{}x{}", workload.largest[0], workload.largest[1]));
+    report.setting("semantics", a.semantics);
+    record(&mut report, a, &workload.settings)?;
+    if a.geometry.is_none() {
+        let capacity = first_entry_capacity(workload.start.len());
+        let mut trainer = Trainer::new(&device, &workload, BackwardKernel::Pixel, capacity)?;
+        trainer.run(a.train.max(1))?;
+        workload.start = trainer.gaussians.download(&device)?;
+        report.setting("trained", a.train);
+    }
+    report.setting("gaussians", workload.start.len());
+    let points = measure(common, a, &device, &workload)?;
+    if let Some(steps) = a.quality {
+        report.fact("steps of a training of its own", steps);
+    }
+    for p in &points {
+        let name = &p.choice.name;
+        for (what, time, of_exact) in [("step", p.step, p.of_exact[0]), ("frame", p.frame, p.of_exact[1])] {
+            report.choice(what, name, time, of_exact.into());
+        }
+        for (what, value) in [("largest error", p.largest), ("mean error", p.mean), ("gradient error", p.gradient)] {
+            report.time(&format!("{what}, {name}"), "", Summary::of(&[value]));
+        }
+        report.fact(&format!("picture, {name}, dB"), p.psnr);
+        report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[p.bytes as f64 / 1e6]));
+        report.fact(&format!("{}{name}", standing::PREFIX), p.standing.said());
+        if let Some(q) = p.quality {
+            report.fact(&format!("pictures after training, {name}, dB"), q.psnr);
+            if let Some(degrees) = q.normals {
+                report.fact(&format!("normals after training, {name}, degrees"), degrees);
+            }
+        }
+    }
+    let front: Vec<&str> =
+        points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.choice.name.as_str()).collect();
+    report.fact("on the front", front.join(", "));
+    report.check("the exact picture agrees with double precision");
+    let title = format!("{}, {} Gaussians, {}", workload.name, workload.start.len(), device.info().name);
+    let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
+    leave(common, a, &table(&points), || plot::svg(&marks, &title, "mean error of a picture"))?;
+    common.finish(&report, &device)
+}
+
+fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
+    let Some(path) = &a.scene else {
+        let (gaussians, size) = StepArgs::sizes(device, a.gaussians, a.size);
+        return synthetic(device, &Synthetic { gaussians, size, normals: false, densify: false, sh_degree: 3 });
+    };
+    let priors = Priors { semantics: a.semantics, ..Priors::default() };
+    let mut workload = directory(device, path, priors, false, 3)?;
+    if let Some(file) = &a.geometry {
+        let splats = Splats::read_ply(file)?;
+        anyhow::ensure!(
+            !a.semantics || splats.semantic.is_some(),
+            "\"{}\" has no semantic features: without --geometry some are trained first.",
+            file.display()
+        );
+        workload.start = gaussian_data(&splats, workload.model);
+    }
+    Ok(workload)
+}
+
+/// What choices of geometry differ from. Which kernel goes backward is not measured as training does, since then each choice might have
+/// another.
+fn base_settings() -> Settings {
+    let mut base = Settings::default();
+    base.geometry.backward = Backward::Pixel;
+    base
+}
+
+fn kernel(backward: Backward) -> BackwardKernel {
+    match backward {
+        Backward::Auto | Backward::Pixel => BackwardKernel::Pixel,
+        Backward::Splat => BackwardKernel::Splat,
+        Backward::Atomic => BackwardKernel::Atomic,
+    }
+}
+
+/// One choice, ready to be timed.
+struct Subject<'w> {
+    /// What is known of it so far.
+    point: Point,
+    trainer: Trainer<'w>,
+    renderer: Renderer,
+    /// Of steps and of frames: times, and of each round the ratio to `exact`.
+    times: [Vec<f64>; 2],
+    ratios: [Vec<f64>; 2],
+}
+
+impl Subject<'_> {
+    /// Takes the time of some steps and of as many frames; the sum of each.
+    fn take(
+        &mut self,
+        device: &Device,
+        workload: &Workload,
+        gaussians: &Gaussians,
+        steps: u32,
+    ) -> anyhow::Result<[f64; 2]> {
+        let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
+        self.trainer.gaussians.upload(device, &workload.start)?;
+        self.trainer.run(2)?;
+        let trained = spans(&self.trainer.run(steps)?.times);
+        self.renderer.executor().take_times();
+        for i in 0..steps as usize {
+            let (camera, _) = workload.views[i % workload.views.len()];
+            self.renderer.render(gaussians, &camera, degree, background)?;
+        }
+        let all = [trained, spans(&self.renderer.executor().take_times())];
+        let sums = [all[0].iter().sum(), all[1].iter().sum()];
+        self.times.iter_mut().zip(all).for_each(|(times, taken)| times.extend(taken));
+        Ok(sums)
+    }
+}
+
+fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> anyhow::Result<Vec<Point>> {
+    let base = base_settings();
+    let gaussians = Gaussians::new(device, workload.model, workload.start.len() as u32, false)?;
+    gaussians.upload(device, &workload.start)?;
+    let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
+    let camera = workload.views[0].0;
+    let truth = render(
+        &twin_gaussians(&workload.start),
+        &twin_camera(&camera),
+        degree as usize,
+        false,
+        background.map(f64::from),
+    );
+    // All share one decoder, which moves with every step; gradients are to be those of the same one.
+    let decoder = match workload.semantics.as_deref() {
+        Some((_, decoder)) => Some((decoder, decoder.download(device)?)),
+        None => None,
+    };
+    let mut subjects = Vec::new();
+    let mut exact: Option<GaussianData> = None;
+    for choice in of_geometry(&Tuning::for_device(device.info()), workload.model.semantics)? {
+        let settings = choice.settings(&base)?;
+        let (tuning, backward) = (settings.tuning(device.info()), kernel(settings.geometry.backward));
+        if !a.wants(&choice.name) || !backward.runs_on(device.info()) {
+            continue;
+        }
+        let before = device.memory_use().0;
+        let capacity = first_entry_capacity(workload.start.len());
+        let dense_adam = settings.geometry.dense_adam;
+        let mut trainer = Trainer::with(device, workload, tuning, backward, dense_adam, capacity)?;
+        if let Some((decoder, parameters)) = &decoder {
+            decoder.upload(device, parameters)?;
+        }
+        let gradient = trainer.gradients(&workload.start)?;
+        trainer.gaussians.upload(device, &workload.start)?;
+        // Every view once, so that none finds too little room later.
+        trainer.run(common.warmup.max(workload.views.len() as u32))?;
+        trainer.set_timestamps(true)?;
+        let bytes = device.memory_use().0 - before;
+        let channels = Channels::default();
+        let mut renderer = Renderer::with_features(device, tuning, &gaussians, workload.largest, channels)?;
+        let picture = renderer.render(&gaussians, &camera, degree, background)?;
+        let image = with_features(device, &renderer, picture)?;
+        let e =
+            error::of_picture(&image, &truth.image).with_context(|| format!("The picture of \"{}\"", choice.name))?;
+        if choice.name == "exact" {
+            anyhow::ensure!(e.psnr > 55.0, "The exact picture is {:.1} dB off double precision.", e.psnr);
+        }
+        let mean = finite(&choice.name, "mean error", e.mean)?;
+        let off = match &exact {
+            Some(exact) => difference(exact, &gradient),
+            None => difference(&gradient, &gradient),
+        };
+        let off = off.with_context(|| format!("The gradient of \"{}\"", choice.name))?;
+        let gradient_error = choice.held(finite(&choice.name, "gradient error", off)?)?;
+        exact.get_or_insert(gradient);
+        let point = Point {
+            choice,
+            step: Summary::default(),
+            frame: Summary::default(),
+            of_exact: [Ratio::EXACT; 2],
+            bytes,
+            largest: e.largest,
+            mean,
+            psnr: e.psnr,
+            gradient: gradient_error,
+            standing: Standing::default(),
+            quality: None,
+        };
+        subjects.push(Subject { point, trainer, renderer, times: Default::default(), ratios: Default::default() });
+    }
+    // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others. As many steps as there are
+    // views, or a multiple of it, so that all see the same.
+    let steps = common.repeats.next_multiple_of(workload.views.len().max(1) as u32);
+    let (exact, others) = subjects.split_at_mut(1);
+    let count = others.len();
+    for round in 0..a.rounds as usize {
+        let mut before = exact[0].take(device, workload, &gaussians, steps)?;
+        for i in 0..count {
+            let i = (i + round / 2 * 5) % count;
+            let s = &mut others[if round % 2 == 0 { i } else { count - 1 - i }];
+            let own = s.take(device, workload, &gaussians, steps)?;
+            let after = exact[0].take(device, workload, &gaussians, steps)?;
+            for k in 0..2 {
+                s.ratios[k].push(2.0 * own[k] / (before[k] + after[k]));
+            }
+            before = after;
+        }
+    }
+    let mut points = Vec::new();
+    for (i, s) in subjects.into_iter().enumerate() {
+        let [step, frame] = s.times.map(|times| Summary::of(&times).scaled(1e-6));
+        anyhow::ensure!(step.samples > 0, "The device has no timestamps.");
+        let of_exact = if i == 0 { [Ratio::EXACT; 2] } else { s.ratios.map(|rounds| Ratio::of(&rounds)) };
+        for (what, ratio) in ["time of a step", "time of a frame"].into_iter().zip(of_exact) {
+            finite(&s.point.choice.name, what, ratio.value + ratio.off)?;
+        }
+        points.push(Point { step, frame, of_exact, ..s.point });
+    }
+    mark(&mut points);
+    if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
+        let scene = Scene::open(path, &workload.settings.scene_options())?;
+        for point in &mut points {
+            let trained = quality::trained(device, &scene, &point.choice.settings(&base)?, steps, a.semantics)?;
+            finite(&point.choice.name, "error after training", trained.psnr + trained.normals.unwrap_or(0.0))?;
+            point.quality = Some(trained);
+        }
+    }
+    Ok(points)
+}
+
+/// Colors, and behind those of each pixel its features, if there are any: the channels of the twin.
+fn with_features(device: &Device, renderer: &Renderer, picture: Picture) -> anyhow::Result<Vec<f32>> {
+    let Some(buffer) = renderer.features() else { return Ok(picture.image) };
+    let wide = Group::Semantics.width() as usize;
+    let pixels = picture.image.chunks_exact(picture.channels as usize);
+    let features = device.download_as::<f32>(buffer, wide * pixels.len())?;
+    Ok(pixels.zip(features.chunks_exact(wide)).flat_map(|(color, own)| color.iter().chain(own)).copied().collect())
+}
+
+/// Relative difference of gradients, the worst of all groups.
+fn difference(exact: &GaussianData, other: &GaussianData) -> anyhow::Result<f64> {
+    let mut worst = 0.0_f64;
+    for g in Group::ALL {
+        worst = worst.max(error::of_gradient(exact.group(g), other.group(g))?);
+    }
+    Ok(worst)
+}
+
+fn mark(points: &mut [Point]) {
+    let place = |p: &Point| Place { kind: p.choice.kind, time: p.of_exact[0], error: p.mean };
+    let all: Vec<Place> = points.iter().map(place).collect();
+    points.iter_mut().zip(standings(&all)).for_each(|(p, standing)| p.standing = standing);
+}
+
+fn table(points: &[Point]) -> String {
+    let trained = points.iter().any(|p| p.quality.is_some());
+    let mut heads = vec![
+        "choice",
+        "setting",
+        "step, of exact",
+        "frame, of exact",
+        "memory, of exact",
+        "largest error",
+        "mean error",
+        "picture, dB",
+        "gradient error",
+        "front",
+    ];
+    if trained {
+        heads.extend(["pictures after training, dB", "normals, °"]);
+    }
+    let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
+    let Some(exact) = points.first() else { return out };
+    for p in points {
+        let mut cells = vec![
+            p.choice.name.clone(),
+            p.choice.setting.clone(),
+            p.of_exact[0].to_string(),
+            p.of_exact[1].to_string(),
+            format!("{:.3}", p.bytes as f64 / exact.bytes as f64),
+            format!("{:.1e}", p.largest),
+            format!("{:.1e}", p.mean),
+            format!("{:.1}", p.psnr),
+            format!("{:.1e}", p.gradient),
+            p.standing.to_string(),
+        ];
+        if trained {
+            let cell = |v: Option<f64>| v.map_or(String::new(), |v| format!("{v:.2}"));
+            cells.push(cell(p.quality.map(|q| q.psnr)));
+            cells.push(cell(p.quality.and_then(|q| q.normals)));
+        }
+        let _ = writeln!(out, "| {} |", cells.join(" | "));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::choices::Kind;
+    use super::*;
+
+    fn point(name: &str, ms: f64, mean: f64) -> Point {
+        Point {
+            choice: Choice::new(name, &[], Kind::Accuracy).unwrap(),
+            step: Summary::of(&[ms]),
+            frame: Summary::of(&[ms]),
+            of_exact: [Ratio { value: ms / 10.0, off: 0.01, rounds: 8 }; 2],
+            bytes: 1,
+            largest: mean,
+            mean,
+            psnr: 0.0,
+            gradient: 0.0,
+            standing: Standing::default(),
+            quality: None,
+        }
+    }
+
+    #[test]
+    fn gradients_differ_by_their_worst_group() {
+        let mut a = GaussianData::default();
+        a.groups[Group::Means as usize] = vec![3.0, 4.0];
+        a.groups[Group::Sh0 as usize] = vec![1.0];
+        let mut b = a.clone();
+        assert_eq!(difference(&a, &b).unwrap(), 0.0);
+        b.groups[Group::Means as usize] = vec![3.0, 4.5];
+        assert!((difference(&a, &b).unwrap() - 0.1).abs() < 1e-12);
+        // One that is lost in a group that is looked at before others is not made good by these.
+        b.groups[Group::Means as usize] = vec![3.0, f32::NAN];
+        assert_eq!(difference(&a, &b).unwrap(), f64::INFINITY);
+        b.groups[Group::Means as usize] = vec![3.0];
+        assert!(difference(&a, &b).is_err());
+    }
+
+    #[test]
+    fn the_picture_of_the_front_is_drawn() {
+        let mut points = vec![point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
+        let drawn = |points: &mut [Point]| {
+            mark(points);
+            let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
+            plot::svg(&marks, "a title", "errors").unwrap()
+        };
+        let text = drawn(&mut points);
+        assert!(text.starts_with("<svg") && text.contains("fast") && text.contains("a title"));
+        let of = |text: &str| {
+            let document = roxmltree::Document::parse(text).unwrap();
+            let nodes = document.descendants().filter(|n| n.attribute("r") == Some("5"));
+            let filled = nodes.clone().filter(|n| n.attribute("fill") == Some("#0000FF")).count();
+            (nodes.count(), filled, text.matches("#808080").count())
+        };
+        assert_eq!(of(&text), (2, 2, 0));
+        // Another way to the same is a gray cross with a gray name, and takes nothing off the front.
+        points.push(point("another way", 4.0, 0.0));
+        points[2].choice.kind = Kind::Same;
+        assert_eq!(of(&drawn(&mut points)), (2, 2, 3));
+        assert!(table(&points).lines().last().unwrap().ends_with("| as exact |"));
+        points[2].choice.kind = Kind::Accuracy;
+        assert_eq!(of(&drawn(&mut points)), (3, 1, 0));
+    }
+
+    /// Two points side by side keep the order of their names.
+    #[test]
+    fn names_stand_as_points_do() {
+        let mark =
+            |name: &str, error: f64| Mark { name: name.to_owned(), time: 1.0, error, standing: Standing::Beaten };
+        let text = plot::svg(&[mark("exact", 1e-4), mark("lower", 1e-2), mark("upper", 1.2e-2)], "", "").unwrap();
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let at = |name: &str| {
+            let node = document.descendants().find(|n| n.has_tag_name("text") && n.text().map(str::trim) == Some(name));
+            node.unwrap().attribute("y").unwrap().parse::<f64>().unwrap()
+        };
+        assert!(at("upper") + 11.0 < at("lower"), "{} and {}", at("upper"), at("lower"));
+    }
+}
