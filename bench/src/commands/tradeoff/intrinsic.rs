@@ -40,8 +40,8 @@ struct Row {
     bytes: u64,
     /// Error of a picture against double precision.
     picture: Option<PictureError>,
-    /// Relative difference of gradients: all but the visibility field's, the worst, and the field's.
-    gradients: Option<[f64; 2]>,
+    /// Error of gradients against those of `exact`.
+    gradients: Option<GradientError>,
     /// What a training with it comes to.
     quality: Option<Quality>,
     standing: Standing,
@@ -89,9 +89,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             report.time(&format!("mean error, {name}"), "", Summary::of(&[mean]));
             report.fact(&format!("picture, {name}, dB"), psnr);
         }
-        if let Some([all, field]) = r.gradients {
-            report.time(&format!("gradient error, {name}"), "", Summary::of(&[all]));
-            report.time(&format!("gradient error of the field, {name}"), "", Summary::of(&[field]));
+        if let Some(g) = &r.gradients {
+            report.time(&format!("gradient error, {name}"), "", Summary::of(&[g.all]));
+            report.time(&format!("gradient error of the field, {name}"), "", Summary::of(&[g.field]));
+            if !g.left_out.is_empty() {
+                report.fact(&format!("not in the gradient error, {name}"), g.left_out.join(", "));
+            }
         }
         if let Some(q) = r.quality {
             report.fact(&format!("shaded pictures after training, {name}, dB"), q.pictures);
@@ -162,7 +165,7 @@ fn measure(
                 picture = Some(e);
             }
             let off = difference(of_exact, &probe).with_context(|| format!("The gradient of \"{name}\""))?;
-            choice.held(finite(name, "gradient error", off[0].max(off[1]))?)?;
+            choice.held(finite(name, "gradient error", off.all.max(off.field))?)?;
             gradients = Some(off);
         }
         if name == "exact" {
@@ -262,19 +265,42 @@ fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::R
 /// What a choice goes by: its gradients, or its picture if that is farther off. Those of the field are left out: where few pairs teach
 /// it they are far off in one step, and right in the mean.
 fn error(row: &Row) -> f64 {
-    let gradients = row.gradients.map_or(0.0, |[all, _]| all);
+    let gradients = row.gradients.as_ref().map_or(0.0, |g| g.all);
     gradients.max(row.picture.map_or(0.0, |p| p.mean))
 }
 
-/// Relative differences of gradients: the worst of all but the field's, and the field's.
-fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<[f64; 2]> {
-    let mut worst = [0.0_f64; 2];
-    for (name, a) in &exact.gradients {
-        let Some((_, b)) = other.gradients.iter().find(|(n, _)| n == name) else { continue };
-        let of = usize::from(name.starts_with("visibility_"));
-        worst[of] = worst[of].max(error::of_gradient(a, b).with_context(|| (*name).to_owned())?);
+/// Relative differences of gradients.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct GradientError {
+    /// The worst of all but the visibility field's.
+    all: f64,
+    /// The field's.
+    field: f64,
+    /// Of what a step has none: what does not move with every step.
+    left_out: Vec<&'static str>,
+}
+
+impl GradientError {
+    /// For the table.
+    fn cell(&self) -> String {
+        match self.left_out.is_empty() {
+            true => format!("{:.1e}", self.all),
+            false => format!("{:.1e}, without {}", self.all, self.left_out.join(", ")),
+        }
     }
-    Ok(worst)
+}
+
+fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<GradientError> {
+    let mut found = GradientError::default();
+    for (name, a) in &exact.gradients {
+        let Some((_, b)) = other.gradients.iter().find(|(n, _)| n == name) else {
+            found.left_out.push(name);
+            continue;
+        };
+        let worst = if name.starts_with("visibility_") { &mut found.field } else { &mut found.all };
+        *worst = worst.max(error::of_gradient(a, b).with_context(|| (*name).to_owned())?);
+    }
+    Ok(found)
 }
 
 /// Decibels at the test views, of the training views where there are none.
@@ -343,8 +369,8 @@ fn table(rows: &[Row]) -> String {
             cell(r.picture.map(|p| p.largest), &small),
             cell(r.picture.map(|p| p.mean), &small),
             cell(r.picture.map(|p| p.psnr), &|v| format!("{v:.1}")),
-            cell(r.gradients.map(|g| g[0]), &small),
-            cell(r.gradients.map(|g| g[1]), &small),
+            r.gradients.as_ref().map_or(String::new(), GradientError::cell),
+            cell(r.gradients.as_ref().map(|g| g.field), &small),
             r.standing.to_string(),
         ];
         if trained {
@@ -360,6 +386,24 @@ fn table(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn gradients_that_a_step_does_not_have_are_named() {
+        let probe = |gradients: &[(&'static str, &[f32])]| Probe {
+            gradients: gradients.iter().map(|(name, values)| (*name, values.to_vec())).collect(),
+            ..Probe::default()
+        };
+        let exact = probe(&[("albedo", &[3.0, 4.0]), ("environment", &[1.0]), ("visibility_mlp", &[1.0])]);
+        assert_eq!(difference(&exact, &exact).unwrap(), GradientError::default());
+        let seldom = probe(&[("albedo", &[3.0, 4.5]), ("visibility_mlp", &[1.5])]);
+        let found = difference(&exact, &seldom).unwrap();
+        assert!((found.all - 0.1).abs() < 1e-12 && found.field == 0.5 && found.left_out == ["environment"]);
+        assert_eq!(found.cell(), "1.0e-1, without environment");
+        // What is no number stays so beside others, and what is missing in part is refused.
+        let wrong = probe(&[("albedo", &[f32::NAN, 4.0]), ("environment", &[1.0]), ("visibility_mlp", &[1.0])]);
+        assert_eq!(difference(&exact, &wrong).unwrap().all, f64::INFINITY);
+        assert!(difference(&exact, &probe(&[("albedo", &[3.0])])).is_err());
+    }
 
     #[test]
     fn steps_are_plain_and_trainings_have_their_losses() {
