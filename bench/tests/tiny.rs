@@ -21,6 +21,12 @@ fn succeeds(arguments: &[&str]) -> Value {
     serde_json::from_slice(&out.stdout).unwrap()
 }
 
+/// Facts whose names begin so.
+fn facts_of<'r>(report: &'r Value, prefix: &str) -> Vec<&'r Value> {
+    let all = report["facts"].as_array().unwrap().iter();
+    all.filter(|f| f["name"].as_str().unwrap().starts_with(prefix)).map(|f| &f["value"]).collect()
+}
+
 fn names(report: &Value) -> Vec<&str> {
     report["passes"].as_array().unwrap().iter().map(|p| p["pass"].as_str().unwrap()).collect()
 }
@@ -144,6 +150,10 @@ fn the_trade_between_time_and_accuracy_is_measured() {
         |name: &str| report["facts"].as_array().unwrap().iter().find(|f| f["name"] == name).unwrap()["value"].clone();
     assert!(fact("on the front").as_str().unwrap().len() > 3);
     assert!(fact("standing, exact").is_string() && fact("standing, fast").is_string());
+    // Other ways to the same stand beside these.
+    assert!(facts_of(&report, "standing, tiles of").iter().all(|s| *s == "as exact"));
+    assert_eq!(facts_of(&report, "standing, tiles of").len(), 2);
+    assert!(!fact("on the front").as_str().unwrap().contains("tiles"));
 
     // Against a baseline with slower and equally good choices nothing is worse; an error that has grown is.
     let mut baseline = report.clone();
@@ -231,8 +241,67 @@ fn the_trade_of_materials_and_lights_is_measured() {
     assert!(value("gradient error, fast, culled, half size") > 1e-3);
     assert!(value("gradient error of the field, fast, culled, half size") > 1e-2);
     let facts = report["facts"].as_array().unwrap();
-    let fact = |name: &str| facts.iter().find(|f| f["name"] == name).unwrap()["value"].as_f64().unwrap();
-    assert!(fact("albedo after training, fast, culled, half size, dB") > 3.0);
+    let fact = |name: &str| &facts.iter().find(|f| f["name"] == name).unwrap()["value"];
+    assert!(fact("albedo after training, fast, culled, half size, dB").as_f64().unwrap() > 3.0);
+    assert!(fact("standing, fast, culled, half size").is_string() && fact("standing, exact") != "as exact");
+}
+
+/// Choices of another model, and such that show in a training alone, beside those that are ranked.
+#[test]
+fn choices_of_every_kind_of_materials_and_lights_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (room, table, config, baseline) = (path("room"), path("front.md"), path("tiny.toml"), path("baseline.json"));
+    let size = sgs_synth::SynthOptions { views: 2, test_views: 1, width: 24, height: 18, ..Default::default() };
+    let options = sgs_synth::SynthOptions { points: 500, samples_per_pixel: 16, relit: false, ..size };
+    sgs_synth::generate(Path::new(&room), &options, &|_, _| {}).unwrap();
+    let tiny = "[intrinsic.lights]\ngrid = 2\nlobes = 2\n[intrinsic.environment]\nresolution = 16\n\
+                [intrinsic.visibility]\nlevels = 2\nlog2_table = 8\ncoarsest = 4\nfinest = 16\n";
+    std::fs::write(&config, tiny).unwrap();
+    let all = ["tradeoff", "--stage", "intrinsic", "--scene", &room, "--config", &config, "--train", "2"];
+    let how = [&all[..], &["--rounds", "1", "--repeats", "1", "--table", &table]].concat();
+    let fact = |report: &Value, name: &str| {
+        report["facts"].as_array().unwrap().iter().find(|f| f["name"] == name).map(|f| f["value"].clone())
+    };
+    let number = |report: &Value, name: &str| {
+        let row = report["values"].as_array().unwrap().iter().find(|v| v["name"] == name);
+        row.map(|r| r["value"]["median"].as_f64().unwrap())
+    };
+
+    // Another model has measures of a training, and no gradients to go by.
+    let models = succeeds(&[&how[..], &["--filter", "fewer lights", "--quality", "3"]].concat());
+    for (name, ranked) in [("exact", true), ("fewer lights", false)] {
+        for what in ["shaded pictures", "albedo"] {
+            let db = fact(&models, &format!("{what} after training, {name}, dB")).unwrap();
+            assert!(db.as_f64().unwrap() > 1.0, "{what}, {name}: {db}");
+        }
+        assert_eq!(fact(&models, &format!("standing, {name}")).is_some(), ranked, "{name}");
+        assert_eq!(number(&models, &format!("gradient error, {name}")).is_some(), ranked, "{name}");
+    }
+    assert!(number(&models, "step, fewer lights, of exact").unwrap() > 0.0);
+    assert_eq!(fact(&models, "steps of a training of its own"), Some(3.into()));
+    // What choices are of is recorded.
+    let settings = models["settings"]["settings"].as_str().unwrap();
+    assert!(
+        settings.contains("intrinsic.lights.lobes=2") && models["settings"]["filter"] == "fewer lights",
+        "{settings}"
+    );
+
+    // Of surroundings that move seldom a step says nothing, and has no gradient of them; pairs that are left out are seen. Against
+    // other choices nothing is said of how they stand.
+    std::fs::write(&baseline, models.to_string()).unwrap();
+    let seldom = ["--filter", "4", "--json", "--validate", "--compare", &baseline, "--tolerance", "1000"];
+    let out = bench(&[&how[..], &seldom].concat());
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.success() && said.contains("how they stand among each other is not compared"), "{said}");
+    let report: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(fact(&report, "standing, surroundings every 4"), None);
+    assert_eq!(fact(&report, "not in the gradient error, surroundings every 4"), Some("environment".into()));
+    assert_eq!(fact(&report, "not in the gradient error, one pair of 4"), None);
+    assert!(fact(&report, "standing, one pair of 4").is_some_and(|s| s.is_string()));
+    assert!(number(&report, "gradient error of the field, one pair of 4").unwrap() > 1e-2);
+    let text = std::fs::read_to_string(&table).unwrap();
+    assert!(text.lines().any(|l| l.starts_with("| surroundings every 4 |") && l.contains(", without environment |")));
 }
 
 #[test]
