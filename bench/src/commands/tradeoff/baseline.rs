@@ -2,7 +2,8 @@
 
 use super::choices::{Choice, of_geometry, of_intrinsic};
 use super::front::{Place, Ratio, Standing, standings};
-use crate::report::{Report, set::ReportSet, standing};
+use crate::report::compare::compare;
+use crate::report::{FILTER, Report, set::ReportSet, standing};
 use crate::workload::lit_settings;
 use sgs_passes::Tuning;
 use std::path::{Path, PathBuf};
@@ -51,4 +52,21 @@ fn levels_of_accuracy_are_beaten_by_nothing_that_was_measured() {
         assert!(ranked.iter().any(|(name, stands)| name.starts_with("tiles of") && *stands == Standing::Same));
     }
     assert!(wrong.is_empty(), "beaten: {}", wrong.join(", "));
+}
+
+/// What is recorded since they were made, and which choices a run is of, keeps no run from them.
+#[test]
+fn reports_from_before_are_found_and_compared() {
+    let set = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap();
+    for old in &set.reports {
+        let mut now = old.clone();
+        for (name, value) in [("settings", "the defaults"), ("geometry", "given")] {
+            now.settings.entry(name.to_owned()).or_insert_with(|| value.into());
+        }
+        now.setting(FILTER, "fast");
+        let found = set.like(&now).unwrap();
+        assert_eq!(found.settings, old.settings);
+        let outcome = compare(found, &now, 0.05).unwrap();
+        assert!(outcome.slower.is_empty() && outcome.fallen.is_empty() && !outcome.other_choices);
+    }
 }
