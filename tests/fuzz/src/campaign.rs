@@ -15,6 +15,9 @@ use std::time::{Duration, Instant};
 /// Memory that is always allowed.
 const FREE: usize = 64 << 20;
 
+/// And no more beyond, whatever its size: the largest picture that is read, a few times over.
+const MOST: usize = 512 << 20;
+
 /// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.
 const MOST_GROWN: usize = 4000;
 
@@ -225,7 +228,7 @@ pub(crate) fn attempt(target: &Target, input: &[u8]) -> Result<(String, usize), 
         return Err(std::mem::take(&mut *PANIC.lock().unwrap_or_else(PoisonError::into_inner)));
     };
     // Some inputs are files of other sizes by the time they are read.
-    let allowed = FREE + target.per_byte.saturating_mul(input.len());
+    let allowed = FREE + target.per_byte.saturating_mul(input.len()).min(MOST);
     match memory > allowed {
         true => Err(format!("memory: {memory} bytes for an input of {}", input.len())),
         false => Ok((said, memory)),
