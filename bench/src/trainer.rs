@@ -11,7 +11,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
 use sgs_passes::scene::{GaussianData, Gaussians};
 use sgs_passes::splat::{BackwardKernel, Channels};
-use sgs_train::{Correspondence, Schedule};
+use sgs_train::{Correspondence, Look, Schedule};
 use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
@@ -236,9 +236,14 @@ impl<'w> Trainer<'w> {
             self.exec.submit(&values)?;
             return Ok(());
         };
-        let look = (values.sh_degree, values.background);
+        let look = Look {
+            sh_degree: values.sh_degree,
+            background: values.background,
+            largest: self.options.largest,
+            entries: self.options.entry_capacity,
+        };
         let (mut c, seed) = (locked(c)?, self.workload.settings.seed);
-        let pseudo = c.steps(&self.device, &self.gaussians, look, seed, view, &mut values)?;
+        let pseudo = c.steps(&self.device, &self.gaussians, &look, seed, view, &mut values)?;
         self.exec.submit_views(&values, &pseudo.context("Nobody says where regions are.")?)?;
         Ok(())
     }

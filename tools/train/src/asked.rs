@@ -23,7 +23,7 @@ use sgs_scene::{Camera, Image};
 pub(crate) const FRAMES: usize = 3;
 
 /// How what a network is shown is rendered.
-pub(crate) struct Look {
+pub struct Look {
     /// Bands of harmonics.
     pub sh_degree: u32,
     /// What is behind everything.

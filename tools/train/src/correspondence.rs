@@ -90,7 +90,7 @@ impl Correspondence {
     ///
     /// # Errors
     /// If the provider fails and training may not go on without.
-    pub(crate) fn steps(
+    pub fn steps(
         &mut self,
         device: &Device,
         gaussians: &Gaussians,

@@ -35,6 +35,7 @@ mod shaded;
 mod shadows;
 mod visibility;
 
+pub use asked::Look;
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use convert::{camera, gaussian_data, splats};
 pub use correspondence::Correspondence;
