@@ -4,6 +4,8 @@
 //   alpha = opacity * exp2(-(p*p + q*q)),  p = factor.x*dx + factor.y*dy,  q = factor.z*dy.
 // The factored form has no cancellation for needles, where the usual quadratic form loses several digits.
 
+#include "finite.glsl"
+
 // What may be traded for speed (passes/src/accuracy.rs); the defaults are those of 3D Gaussian splatting.
 layout(constant_id = 20) const float ALPHA_MIN = 1.0 / 255.0;
 layout(constant_id = 21) const float TRANSMITTANCE_MIN = 1e-4;
@@ -89,13 +91,14 @@ struct Projection {
     Splat splat;
 };
 
-// False if the splat cannot be seen: behind the near plane, too faint, or not finite.
+// False if the splat cannot be seen: behind the near plane, too faint, or of a place, a scale or an opacity that is not finite.
 bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, float opacity_logit, out Projection o) {
+    // Before anything is compared or clamped: what compilers make of a NaN there is theirs.
+    if (!finite_bits(mean) || !finite_bits(log_scale) || !finite_bits(opacity_logit)) return false;
     o.point = to_camera(camera, mean);
     o.splat.opacity = 1.0 / (1.0 + exp(-opacity_logit));
     float z = o.point.z;
-    // Written so that NaN anywhere fails.
-    if (!(z >= camera.near) || !(o.splat.opacity >= ALPHA_MIN) || isinf(z)) return false;
+    if (!finite_bits(z) || z < camera.near || o.splat.opacity < ALPHA_MIN) return false;
     o.scale = exp(clamp(log_scale, LOG_SCALE_MIN, LOG_SCALE_MAX));
     o.rotation = unit_quaternion(quaternion, o.inverse_norm);
     mat3 m = quaternion_matrix(o.rotation);
@@ -122,9 +125,8 @@ bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, fl
     float root_det = inversesqrt(o.determinant);
     o.splat.factor =
         FACTOR_SCALE * vec3(o.covariance.z * root * root_det, -b * root * root_det, root);
-    bool finite = !(isnan(o.determinant) || isinf(o.determinant) || isnan(o.splat.mean.x) || isnan(o.splat.mean.y) ||
-                    isinf(o.splat.mean.x) || isinf(o.splat.mean.y)) && o.splat.factor.x > 0.0 && o.splat.factor.z > 0.0;
-    return finite;
+    return finite_bits(o.determinant) && finite_bits(o.splat.mean.x) && finite_bits(o.splat.mean.y) &&
+           o.splat.factor.x > 0.0 && o.splat.factor.z > 0.0;
 }
 
 // Inclusive range of pixels, empty if low > high.

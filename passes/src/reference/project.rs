@@ -138,7 +138,8 @@ fn project_one(
     let mean = DVec3::from_slice(&g.means[3 * i..]);
     let p = camera.rotation * mean + camera.translation;
     let opacity = 1.0 / (1.0 + (-g.opacity_logits[i]).exp());
-    if !(p.z >= camera.near && p.z.is_finite() && opacity >= alpha_min) {
+    let finite = mean.is_finite() && g.log_scales[3 * i..3 * i + 3].iter().all(|s| s.is_finite());
+    if !(finite && g.opacity_logits[i].is_finite() && p.z >= camera.near && p.z.is_finite() && opacity >= alpha_min) {
         return None;
     }
     let scale = DVec3::from_slice(&g.log_scales[3 * i..]).clamp(DVec3::splat(-16.0), DVec3::splat(8.0)).map(f64::exp);
