@@ -17,6 +17,7 @@ const float DILATION = 0.3;         // px² added to the projected covariance
 const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image center
 const float LOG_SCALE_MIN = -16.0;
 const float LOG_SCALE_MAX = 8.0;    // beyond it a splat is flat over any image, and squares would overflow
+const float DEPTH_MAX = 1e18;       // of what is blended: its square is, too, and must stay finite
 const float FACTOR_SCALE = 0.84932180028801904; // sqrt(log2(e)/2): exp(-x/2) = exp2(-FACTOR_SCALE² x)
 
 struct Splat {

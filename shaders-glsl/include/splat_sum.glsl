@@ -55,8 +55,9 @@ Visible visible_splat(uint v) {
                    shown.z > 0.0 ? colors[2u % CHANNELS] : 0.0);
     float depth = 0.0;
     if (HAS_DEPTH) {
-        // The last two channels: z and z².
-        depth = colors[(CHANNELS - 2u) % CHANNELS] + 2.0 * p.point.z * colors[(CHANNELS - 1u) % CHANNELS];
+        // The last two channels: z and z²; the largest z that they tell has no gradient.
+        float z = p.point.z;
+        if (z < DEPTH_MAX) depth = colors[(CHANNELS - 2u) % CHANNELS] + 2.0 * z * colors[(CHANNELS - 1u) % CHANNELS];
     }
     s.normal = vec3(0.0);
     if (HAS_NORMALS) {

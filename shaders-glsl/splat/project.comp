@@ -132,7 +132,8 @@ void main() {
         at += 3u;
     }
     if (HAS_DEPTH) {
-        features[at] = floatBitsToUint(p.point.z);
-        features[at + 1u] = floatBitsToUint(p.point.z * p.point.z);
+        float z = min(p.point.z, DEPTH_MAX);
+        features[at] = floatBitsToUint(z);
+        features[at + 1u] = floatBitsToUint(z * z);
     }
 }

@@ -165,7 +165,9 @@ fn project_one(
         features.extend((n / n.length().max(1e-3)).to_array());
     }
     if with_depth {
-        features.extend([p.z, p.z * p.z]);
+        // Squares that single precision can hold.
+        let z = p.z.min(1e18);
+        features.extend([z, z * z]);
     }
     if !g.semantics.is_empty() {
         let width = SEMANTIC_FEATURES as usize;
