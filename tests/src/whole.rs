@@ -2,6 +2,7 @@
 
 use crate::{Gpu, scenes};
 use sgs_engine::Location;
+use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Renderer, Status, StepReport};
 use sgs_passes::reference::project::{Camera, Gaussians as Twin};
 use sgs_passes::scene::{GaussianData, Gaussians, Model};
@@ -17,10 +18,15 @@ pub fn degree(g: &Twin) -> u32 {
 }
 
 fn upload(gpu: &Gpu, g: &Twin, training: bool) -> sgs_engine::Result<Gaussians> {
-    let model = Model { sh_degree: degree(g), normals: false, semantics: false };
+    let model = Model { sh_degree: degree(g), normals: !g.normals.is_empty(), semantics: false };
     let gaussians = Gaussians::new(gpu.device(), model, (g.len() as u32).max(1), training)?;
     gaussians.upload(gpu.device(), &scenes::data(g))?;
     Ok(gaussians)
+}
+
+/// Colors and what else the Gaussians have and is asked for.
+fn channels(g: &Twin, depth: bool) -> Channels {
+    Channels { colors: true, normals: !g.normals.is_empty(), depth }
 }
 
 /// Colors and transmittance of one view.
@@ -28,14 +34,16 @@ fn upload(gpu: &Gpu, g: &Twin, training: bool) -> sgs_engine::Result<Gaussians> 
 /// # Errors
 /// What the engine says.
 pub fn picture(gpu: &Gpu, g: &Twin, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
+    channels_of(gpu, g, camera, false)
+}
+
+/// Colors, normals if the Gaussians have any, depth and its square if asked for; and transmittance.
+///
+/// # Errors
+/// What the engine says.
+pub fn channels_of(gpu: &Gpu, g: &Twin, camera: &Camera, depth: bool) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
     let gaussians = upload(gpu, g, false)?;
-    let mut renderer = Renderer::new(
-        gpu.device(),
-        gpu.tuning(),
-        &gaussians,
-        camera.size,
-        Channels { colors: true, ..Default::default() },
-    )?;
+    let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels(g, depth))?;
     let background = BACKGROUND.map(|b| b as f32);
     let picture = renderer.render(&gaussians, &scenes::gpu_camera(camera), degree(g), background)?;
     Ok((picture.image, picture.transmittance))
@@ -46,16 +54,33 @@ pub fn picture(gpu: &Gpu, g: &Twin, camera: &Camera) -> sgs_engine::Result<(Vec<
 /// # Errors
 /// What the engine says.
 pub fn steps(gpu: &Gpu, g: &Twin, camera: &Camera, count: u32) -> sgs_engine::Result<(Vec<StepReport>, GaussianData)> {
+    steps_of(gpu, g, camera, false, count)
+}
+
+/// The same with the losses of depth, if asked for, and of normals, which have priors, if the Gaussians have any.
+///
+/// # Errors
+/// What the engine says.
+pub fn steps_of(
+    gpu: &Gpu,
+    g: &Twin,
+    camera: &Camera,
+    depth: bool,
+    count: u32,
+) -> sgs_engine::Result<(Vec<StepReport>, GaussianData)> {
     let device = gpu.device();
     let gaussians = upload(gpu, g, true)?;
     let pixels = camera.size[0] as usize * camera.size[1] as usize;
     let targets = device.buffer("targets", 4 * pixels as u64, Location::Device)?;
     device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels]))?;
-    let inputs = Inputs { targets: &targets, normals: None, semantics: None, regions: None, pseudo_regions: None };
+    let priors = device.buffer("priors", 4 * pixels as u64, Location::Device)?;
+    device.upload(&priors, 0, bytemuck::cast_slice(&vec![octahedral_encode([0.6, -0.2, -0.7]); pixels]))?;
+    let normals = (!g.normals.is_empty()).then_some(&priors);
+    let inputs = Inputs { targets: &targets, normals, semantics: None, regions: None, pseudo_regions: None };
     let mut options = GeometryOptions {
         largest: camera.size,
         entry_capacity: 1 << 14,
-        channels: Channels { colors: true, ..Default::default() },
+        channels: channels(g, depth),
         statistics: false,
         dense_adam: false,
         backward: BackwardKernel::Pixel,
