@@ -458,7 +458,7 @@ const HAZARDS: &[Hazard] = &[
     ),
     (
         "normals of zero",
-        "no direction and no gradient",
+        "no direction; blended ones are divided by 1e-3 at least, so what is asked of them is a thousand times as large at most; those that light learns have no gradient",
         &[("geometry_loss", "geometry_loss_at_extremes"), ("learned_normals", "extremes_are_finite")],
     ),
     (

@@ -140,6 +140,19 @@ fn geometry_loss_at_extremes() {
     };
     let found = check(&gpu, &s, [width as u32, height as u32]);
     assert!(found.normals.iter().chain(&found.depths).chain(&found.transmittance).all(|&g| g == 0.0));
+    // With priors they are asked for a direction: a thousand times what is asked of a pixel.
+    let asked = |g: &[f32]| g.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt() * n as f64 / 1e3;
+    let priors = vec![octahedral_encode([0.6, -0.3, -0.7]); n];
+    let mut s = Scene { priors: Some(priors), ..s };
+    let found = check(&gpu, &s, [width as u32, height as u32]);
+    assert!(found.normals.chunks_exact(3).all(|g| (asked(g) / WEIGHTS.normal - 1.0).abs() < 1e-3));
+    // Among others, neighbors ask for less than two of each coordinate, in both directions.
+    let others = random_scene(width, height, 3).normals.unwrap();
+    s.normals.as_mut().unwrap().iter_mut().zip(others).step_by(2).for_each(|(zero, other)| *zero = other);
+    let found = check(&gpu, &s, [width as u32, height as u32]);
+    let zeros = || found.normals.chunks_exact(3).skip(1).step_by(2);
+    let bound = WEIGHTS.normal + 4.0 * WEIGHTS.normal_smooth;
+    assert!(zeros().all(|g| asked(g) < bound) && zeros().any(|g| asked(g) > 1.5 * WEIGHTS.normal));
 }
 
 #[test]
