@@ -53,36 +53,42 @@ fn resident() -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
+/// Losses that must not creep up, the first ones of a course.
+const HELD: usize = 4;
+
 /// What is kept of a long training: the losses of its tenths, and memory at the middle and the end.
 #[derive(Default)]
 struct Course {
     steps: u32,
-    sums: [[f64; 4]; 10],
+    sums: [[f64; 10]; 10],
     counts: [u32; 10],
     resident: [Option<u64>; 2],
 }
 
 impl Course {
-    fn see(&mut self, step: u32, losses: [f32; 4]) {
+    fn see(&mut self, step: u32, losses: &[f32]) {
         assert!(losses.iter().all(|l| l.is_finite()), "step {step}: {losses:?}");
         let tenth = ((step - 1) as u64 * 10 / u64::from(self.steps)) as usize;
         self.counts[tenth] += 1;
-        (0..4).for_each(|i| self.sums[tenth][i] += f64::from(losses[i]));
+        self.sums[tenth].iter_mut().zip(losses).for_each(|(s, l)| *s += f64::from(*l));
         // In the second half the device's compiler has made all that it will make, and Gaussians are as many as there may be.
         if step == self.steps / 2 || step == self.steps {
             self.resident[usize::from(step == self.steps)] = resident();
         }
     }
 
-    /// Fails if it has got worse, or larger.
-    fn check(&self, what: &str, device: &sgs_engine::Device) {
+    /// Fails if it has got worse, or larger, or if a loss was off in some tenth; `names` are those of the losses that were seen.
+    fn check(&self, what: &str, names: &[&str], device: &sgs_engine::Device) {
         let mean = |tenth: usize| self.sums[tenth].map(|s| s / f64::from(self.counts[tenth]));
         for tenth in 0..10 {
-            println!("{what} {tenth}: {:.5?}", mean(tenth));
+            println!("{what} {tenth}: {:.5?}", &mean(tenth)[..names.len()]);
+            for (name, loss) in names.iter().zip(mean(tenth)) {
+                assert!(loss > 0.0, "{what}: {name} was off in the tenth number {tenth}");
+            }
         }
         println!("resident {:?}, device {:?}", self.resident, device.memory_use());
-        for (i, (second, last)) in mean(1).into_iter().zip(mean(9)).enumerate() {
-            assert!(last <= 1.05 * second + 1e-4, "{what}: loss {i} went from {second} to {last}");
+        for ((name, second), last) in names.iter().zip(mean(1)).zip(mean(9)).take(HELD) {
+            assert!(last <= 1.05 * second + 1e-4, "{what}: {name} went from {second} to {last}");
         }
         if let [Some(then), Some(now)] = self.resident {
             assert!(now < then + (16 << 20), "{what}: {then} bytes in memory became {now}");
@@ -105,13 +111,17 @@ fn geometry_with_every_loss() {
         if let Progress::Step(r) = p {
             let l = &r.losses;
             assert!(l.total.is_finite() && l.depth_variance.is_finite() && l.correspondence.is_finite());
-            course.see(r.step, [0.8 * l.l1 + 0.2 * (1.0 - l.ssim), l.normal, l.semantic, l.semantic_class]);
+            let held = [0.8 * l.l1 + 0.2 * (1.0 - l.ssim), l.normal, l.semantic, l.semantic_class];
+            let others = [l.normal_smooth, l.depth_smooth, l.depth_variance, l.correspondence, l.correspondence_class];
+            course.see(r.step, &[&held[..], &others].concat());
             compared += l.correspondence_pairs;
             skipped = r.skipped;
         }
     };
     training.train(s.geometry.steps, heard, || true).unwrap();
-    course.check("geometry", gpu.device());
+    let names = ["photographs", "normals", "features", "classes", "smoothness of normals", "smoothness of depth"];
+    let others = ["spread of depth", "correspondence", "correspondence of classes"];
+    course.check("geometry", &[&names[..], &others].concat(), gpu.device());
     assert!(compared > 0 && skipped == 0, "{compared} regions were compared, {skipped} gradients were skipped");
     let splats = training.splats().unwrap();
     let all = [splats.means.as_flattened(), splats.log_scales.as_flattened(), splats.rotations.as_flattened()];
@@ -126,6 +136,10 @@ fn materials_with_every_loss() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
     (s.geometry.steps, s.intrinsic.steps) = (100, steps(600));
+    // Reports have no numbers of these.
+    let l = &s.intrinsic.losses;
+    let unreported = [l.environment_smooth, l.light_position, l.light_value, l.visibility_jitter];
+    assert!(unreported.iter().all(|weight| *weight > 0.0), "{unreported:?}");
     if s.intrinsic.steps > 10_000 {
         // Filtering them takes three quarters of a step that shades so few pixels.
         s.intrinsic.environment.every = 8;
@@ -138,12 +152,15 @@ fn materials_with_every_loss() {
     let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
     let (mut crossed, mut relit, mut skipped) = (0, 0, 0);
     let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
-        course.see(r.step, [r.shaded, r.albedo, r.roughness, r.metallic]);
-        assert!(r.materials.total.is_finite());
+        let m = &r.materials;
+        let others = [m.albedo_msg, m.roughness_msg, m.albedo_edge, m.roughness_edge, m.cross_view, m.relight];
+        course.see(r.step, &[&[r.shaded, r.albedo, r.roughness, r.metallic][..], &others].concat());
         (crossed, relit, skipped) = (crossed + r.materials.cross_pairs, relit + r.materials.relight_count, r.skipped);
     };
     training.train(s.intrinsic.steps, heard, || true).unwrap();
-    course.check("materials", gpu.device());
+    let names = ["photographs", "albedo", "roughness", "metallic", "gradients of albedo", "gradients of roughness"];
+    let others = ["edges of albedo", "edges of roughness", "cross-view", "relit"];
+    course.check("materials", &[&names[..], &others].concat(), gpu.device());
     assert!(crossed > 0 && relit > 0 && skipped == 0, "{crossed} {relit} {skipped}");
     let trained = training.splats().unwrap();
     let all = [trained.albedo.as_ref().unwrap().as_flattened(), trained.roughness.as_ref().unwrap()];
