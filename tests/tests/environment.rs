@@ -10,9 +10,12 @@ use sgs_passes::shade::environment::{
     Environment, EnvironmentSums, EnvironmentView, Kept, environment_background, environment_bwd, environment_clamp,
     environment_filter, environment_filter_bwd, environment_filter_kept, environment_filter_kept_bwd,
 };
+use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_shaders::structs::Step;
 use sgs_tests::environment::{BEFORE, CAMERA, Given, MAP, WEIGHT, bytes, made, pixel, room, run, surfaces, unit};
+use sgs_tests::intrinsic::{place, settings};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference, worst};
+use sgs_train::Intrinsic;
 
 fn levels_of(e: &Environment, texels: &[f32]) -> Vec<Cube> {
     let cube = Cube::from_floats(e.size() as usize, texels);
@@ -38,6 +41,31 @@ fn level_gradients(e: &Environment, pixels: &[Pixel], gradient: &[f32]) -> Vec<C
         twin::shade_bwd(&mut made, e.split_sum(), camera(), p, [g[0], g[1], g[2]].map(f64::from));
     }
     made
+}
+
+/// Texels that a training step pushes below zero are zero after it, and after one in which they move once in several.
+#[test]
+fn training_leaves_no_texel_below_zero() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    for every in [1, 2] {
+        let mut s = settings(4);
+        s.intrinsic.environment.every = every;
+        // Far too bright; and Adam's first step is as long as the rate, whatever the gradient: more than any texel.
+        s.intrinsic.environment.start = 20.0;
+        s.intrinsic.rates.environment = 1e3;
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap().data;
+        let before = texels(&training);
+        assert!(before.iter().all(|t| *t > 0.0));
+        training.train(every, |_| {}, || true).unwrap();
+        let after = texels(&training);
+        assert!(after.iter().all(|t| *t >= 0.0 && t.is_finite()), "every {every}");
+        let black = after.iter().filter(|t| **t == 0.0).count();
+        assert!(black > after.len() / 10, "every {every}: {black} of {}", after.len());
+    }
 }
 
 /// As other subgroup sizes would have kernels cut, as far as this device can run it.

@@ -400,12 +400,19 @@ const HAZARDS: &[Hazard] = &[
     (
         "texels of the surroundings below zero",
         "zero after each step",
-        &[("environment", "the_background_is_the_cube_along_rays_and_negative_texels_become_black")],
+        &[
+            ("environment", "the_background_is_the_cube_along_rays_and_negative_texels_become_black"),
+            ("environment", "training_leaves_no_texel_below_zero"),
+        ],
     ),
     (
         "opacity near one at a pixel",
         "at most 0.99",
-        &[("splat_bwd", "hard_splats_have_finite_gradients"), ("extremes", "opacities_at_both_ends")],
+        &[
+            ("splat_bwd", "hard_splats_have_finite_gradients"),
+            ("extremes", "opacities_at_both_ends"),
+            ("properties", "gradients_agree_with_the_twin"),
+        ],
     ),
     (
         "depths whose squares overflow",
