@@ -95,30 +95,38 @@ fn gradients_at_the_edges() {
     assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
 }
 
-/// A share of the pairs, counted for as many: some of them in each draw, and the mean over draws is the whole.
+/// A share of the pairs, counted for as many: some of them in each draw, and the mean over draws is the whole. So it is for what a jitter
+/// of places is asked for alone.
 #[test]
 fn sampled_pairs_are_unbiased() {
     let gpu = Gpu::new();
-    let mut case = Case::random(FieldConfig::new(1, 8, 5, 5), 160, 6, 18);
-    let mut asked = Asked::random(&case, 1.0, 19);
-    asked.options.regularized = false;
-    let all = case.backward(&gpu, &asked).mlp;
-    asked.options.sample = 3;
-    let draws = 60;
-    let mut mean = vec![0.0_f64; all.len()];
-    let mut first = Vec::new();
-    for seed in 0..draws {
-        case.step.seed = seed;
-        let found = case.backward(&gpu, &asked).mlp;
-        mean.iter_mut().zip(&found).for_each(|(m, f)| *m += f64::from(*f) / f64::from(draws));
-        first = if seed == 0 { found } else { first };
+    for (scale, regularizer) in [(1.0, 0.0), (0.0, 0.3)] {
+        let mut case = Case::random(FieldConfig::new(1, 8, 5, 5), 160, 6, 18);
+        case.step.regularizer = regularizer;
+        let mut asked = Asked::random(&case, scale, 19);
+        asked.options.regularized = regularizer > 0.0;
+        let draws = 60;
+        let [mut all, mut mean] = [0, 1].map(|_| vec![0.0_f64; case.mlp.len()]);
+        let mut first = [vec![], vec![]];
+        for seed in 0..draws {
+            // The jitter is another one with each seed.
+            case.step.seed = seed;
+            let found = [1, 3].map(|sample| {
+                asked.options.sample = sample;
+                case.backward(&gpu, &asked).mlp.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>()
+            });
+            for (sum, found) in [&mut all, &mut mean].into_iter().zip(&found) {
+                sum.iter_mut().zip(found).for_each(|(m, f)| *m += f / f64::from(draws));
+            }
+            first = if seed == 0 { found } else { first };
+        }
+        let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
+        let size = norm(&mut all.iter().copied());
+        let away = |a: &[f64], b: &[f64]| norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / size;
+        let (one, many) = (away(&first[1], &first[0]), away(&mean, &all));
+        assert!(size > 0.0 && one > 0.05, "one draw {one} of {size}");
+        assert!(many < 3.0 * one / f64::from(draws).sqrt(), "regularizer {regularizer}: {one}, mean of {draws} {many}");
     }
-    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
-    let size = norm(&mut all.iter().map(|x| f64::from(*x)));
-    let away = |v: &[f64]| norm(&mut v.iter().zip(&all).map(|(a, b)| a - f64::from(*b))) / size;
-    let one = away(&first.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>());
-    let many = away(&mean);
-    assert!(one > 0.05 && many < 3.0 * one / f64::from(draws).sqrt(), "one draw {one}, mean of {draws} {many}");
 }
 
 /// The comparison would notice an entry's gradient that is off by a hundredth.
