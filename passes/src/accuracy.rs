@@ -27,7 +27,7 @@ pub struct Accuracy {
     pub fast_exp: bool,
     /// Bits of the numbers that the visibility field's second layer multiplies, 32 or 16. With 16 matrix units do it where there are
     /// any ([`Matrices`](crate::Matrices)), and where there are none nothing changes. Sums and everything else keep 32 bits, and
-    /// gradients are those of 32. Visibility is off by 1e-4 with layers as they start, 1e-3 with such four times as large.
+    /// gradients are those of 32. Visibility is off by 2e-4 at most with layers as they start, by 2e-3 with such four times as large.
     pub visibility_operands: u32,
     /// Bits of a channel of splats' colors between projection and blending, 32 or 16. With 16 each is rounded to half precision,
     /// to nearest: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14, and never above 65504. A picture is off by no

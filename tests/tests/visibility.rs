@@ -98,10 +98,15 @@ fn values_are_finite_at_the_edges() {
     case.lights[1] = [-100.0, 0.0, 0.0];
     case.lights[2] = case.high;
     assert_close("edges", &case.expected(None), &case.forward(&gpu, None, true), VALUES);
+    let mut huge = case.clone();
+    huge.tables.iter_mut().enumerate().for_each(|(i, t)| *t = if i % 3 == 0 { -1e30 } else { 1e30 });
+    assert!(huge.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v)));
     case.mlp.iter_mut().for_each(|w| *w *= 300.0);
     let found = case.forward(&gpu, Some(0), true);
     assert!(found.iter().all(|v| (0.0..=1.0).contains(v)));
     assert_close("saturated", &case.expected(Some(0)), &found, Tolerance::new(2e-3, 0.0));
+    // Under layers 300 times as large as at the start tables of 1e30 leave the range of numbers, and infinities of both signs have no
+    // sum. Where they have one it is a share.
     case.tables.fill(1e30);
     assert!(case.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v) || v.is_nan()));
     let mut none = Case::random(SMALL, 64, 4, 6);
@@ -116,7 +121,7 @@ fn values_are_finite_at_the_edges() {
 /// leave nothing but black and white.
 #[test]
 fn half_operands_cost_little() {
-    for (scale, most) in [(1.0_f32, 1e-3), (4.0, 1e-2), (1e5, 1.0)] {
+    for (scale, most, usual) in [(1.0_f32, 2e-4, 3e-5), (4.0, 2e-3, 1e-4), (1e5, 1.0, 0.1)] {
         let mut case = Case::random(SMALL, 500, 6, 9);
         let (inputs, width) = (case.config.inputs(), 32);
         case.mlp[width * inputs..].iter_mut().for_each(|w| *w *= scale);
@@ -137,7 +142,7 @@ fn half_operands_cost_little() {
             "layers times {scale}: off by {worst:.2e} at most, {mean:.2e} in the mean, {wrong} of 3000 on another side"
         );
         // Black and white are the same in both.
-        assert!((worst > 0.0) == (scale < 100.0) && worst <= most && mean < 0.1 * most, "{worst} {mean}");
+        assert!((worst > 0.0) == (scale < 100.0) && worst <= most && mean < usual, "{worst} {mean}");
         assert!(wrong < 30, "{wrong} of 3000 are on another side");
     }
 }
