@@ -8,7 +8,7 @@ use sgs_passes::reference::environment as twin;
 use sgs_passes::reference::environment::{Cube, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::Environment;
-use sgs_tests::drawn::{runner, signed, spread};
+use sgs_tests::drawn::{Compared, runner, signed, spread};
 use sgs_tests::environment::{BEFORE, CAMERA, Given, made, narrow, run, unit};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -91,6 +91,7 @@ fn check(
     sky: (f64, f64, f64, u32),
     all: &[Drawn],
     planted: Option<usize>,
+    compared: &Compared,
 ) -> Result<(), TestCaseError> {
     let texels = texels(e, sky);
     let pixels: Vec<Pixel> = all.iter().map(|d| d.pixel).collect();
@@ -144,6 +145,7 @@ fn check(
             // Gradients are added to what was there.
             let before = if k < 3 { 0.0 } else { 1e-7 };
             let t = slack + size + before + 1e-30;
+            compared.see(expected[k], t);
             prop_assert!((is - expected[k]).abs() <= t, "{}, {} is {} and not {}, to {}", i, k, is, expected[k], t);
         }
     }
@@ -154,7 +156,9 @@ fn check(
 fn surroundings_agree_with_the_twin() {
     let (gpu, e) = (Gpu::new(), made(SIZE));
     let cases = (sky(), prop::collection::vec(drawn(), 1..20));
-    runner(24).run(&cases, |(sky, all)| check(&gpu, &e, sky, &all, None)).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    runner(24).run(&cases, |(sky, all)| check(&gpu, &e, sky, &all, None, &compared)).unwrap_or_else(|e| panic!("{e}"));
+    compared.check(1000, 0.7);
 }
 
 /// A hundredth is noticed, of every number.
@@ -165,8 +169,9 @@ fn checks_of_surroundings_can_fail() {
     let pixel = sgs_tests::environment::pixel(&mut rng, 0.4, 0.6);
     let all = [Drawn { pixel, gradient: [10.0, -7.0, 3.0] }];
     let sky = (1.0, 20.0, 0.1, 3);
-    assert!(check(&gpu, &e, sky, &all, None).is_ok());
+    let compared = Compared::default();
+    assert!(check(&gpu, &e, sky, &all, None, &compared).is_ok());
     for k in 0..8 {
-        assert!(check(&gpu, &e, sky, &all, Some(k)).is_err(), "number {k}");
+        assert!(check(&gpu, &e, sky, &all, Some(k), &compared).is_err(), "number {k}");
     }
 }

@@ -12,7 +12,7 @@ use sgs_passes::reference::photometric as color;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
 use sgs_tests::Gpu;
-use sgs_tests::drawn::{log_uniform, powers, runner, spread};
+use sgs_tests::drawn::{Compared, log_uniform, powers, runner, spread};
 use sgs_tests::materials::{self, Asked, Painted};
 use sgs_tests::photographs::{WEIGHTS, run_photometric};
 use sgs_tests::surfaces::{self, narrow};
@@ -78,7 +78,7 @@ impl Colors {
 }
 
 /// With gradients times `planted`.
-fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64) -> Result<(), TestCaseError> {
+fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
     let (shape, (image, targets)) = (drawn.shape(), drawn.pictures());
     let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
     let weights = WEIGHTS.map(f64::from);
@@ -100,6 +100,7 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64) -> Result<(), TestCaseE
     for i in (0..expected.len()).filter(|i| i % shape.channels < 3) {
         let is = f64::from(found[i]) * planted;
         let t = (if blind < 1.0 { 4.0 } else { 20.0 }) * off[i] + 3e-6 * size[i] + 0.1 * blind * weights[0] / n;
+        compared.see(expected[i], t);
         prop_assert!((is - expected[i]).abs() <= t, "element {}: {} is not {}, to {}", i, is, expected[i], t);
     }
     let losses = color::photometric(&wide, &targets, shape);
@@ -116,7 +117,9 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64) -> Result<(), TestCaseE
 #[test]
 fn losses_of_colors_agree_with_the_twin() {
     let gpu = Gpu::new();
-    runner(32).run(&colors(), |d| check_colors(&gpu, &d, 1.0)).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    runner(32).run(&colors(), |d| check_colors(&gpu, &d, 1.0, &compared)).unwrap_or_else(|e| panic!("{e}"));
+    compared.check(20_000, 0.6);
 }
 
 /// What was blended at the pixels of a view: log-uniform opacities, depths, spreads and lengths of normals.
@@ -208,7 +211,12 @@ fn moved(s: &Scene, rng: &mut Pcg) -> Scene {
 }
 
 /// With the `planted`-th gradient a hundredth larger, if there is one.
-fn check_surfaces(gpu: &Gpu, drawn: &Surfaces, planted: Option<usize>) -> Result<(), TestCaseError> {
+fn check_surfaces(
+    gpu: &Gpu,
+    drawn: &Surfaces,
+    planted: Option<usize>,
+    compared: &Compared,
+) -> Result<(), TestCaseError> {
     let (s, weights) = (drawn.scene(), drawn.weights());
     let size = drawn.size.map(|n| n as u32);
     let found = surfaces::run(gpu, gpu.tuning(), &s, size, &weights);
@@ -225,6 +233,7 @@ fn check_surfaces(gpu: &Gpu, drawn: &Surfaces, planted: Option<usize>) -> Result
     for (i, x) in is.iter().enumerate() {
         let x = f64::from(*x) * if planted == Some(i) { 1.01 } else { 1.0 };
         let t = 4.0 * off[i] + 3e-6 * made_of[i] + 1e-36;
+        compared.see(expected[i], t);
         prop_assert!((x - expected[i]).abs() <= t, "number {}: {} is not {}, to {}", i, x, expected[i], t);
     }
     Ok(())
@@ -233,7 +242,9 @@ fn check_surfaces(gpu: &Gpu, drawn: &Surfaces, planted: Option<usize>) -> Result
 #[test]
 fn losses_of_surfaces_agree_with_the_twin() {
     let gpu = Gpu::new();
-    runner(48).run(&views(), |d| check_surfaces(&gpu, &d, None)).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    runner(48).run(&views(), |d| check_surfaces(&gpu, &d, None, &compared)).unwrap_or_else(|e| panic!("{e}"));
+    compared.check(60_000, 0.9);
 }
 
 /// Views of materials: log-uniform distances of albedo and roughness from their priors, and what is asked of them.
@@ -279,7 +290,7 @@ impl Materials {
 }
 
 /// With gradients times `planted`.
-fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64) -> Result<(), TestCaseError> {
+fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
     let views = drawn.views();
     let found = materials::run(gpu, gpu.tuning(), &views, drawn.asked);
     let row = |e: &materials::Expected| [e.albedo.concat(), e.roughness.clone()].concat();
@@ -306,6 +317,7 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64) -> Result<(), Tes
     for (i, x) in is.iter().enumerate() {
         let x = f64::from(*x) * planted;
         let t = 8.0 * off[i] + 1e-5 * all[i].abs() + 5e-6 * largest + 1e-30;
+        compared.see(all[i], t);
         prop_assert!((x - all[i]).abs() <= t, "number {}: {} is not {}, to {}", i, x, all[i], t);
     }
     let total = f64::from(found.stats.total);
@@ -317,15 +329,17 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64) -> Result<(), Tes
 #[test]
 fn losses_of_materials_agree_with_the_twin() {
     let gpu = Gpu::new();
-    runner(32).run(&materials(), |d| check_materials(&gpu, &d, 1.0)).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    runner(32).run(&materials(), |d| check_materials(&gpu, &d, 1.0, &compared)).unwrap_or_else(|e| panic!("{e}"));
+    compared.check(50_000, 0.7);
 }
 
 /// A hundredth is noticed.
 #[test]
 fn checks_of_losses_can_fail() {
-    let gpu = Gpu::new();
+    let (gpu, compared) = (Gpu::new(), Compared::default());
     let drawn = Colors { size: [23, 17], channels: 3, off: [-2.0, 0.0], flat: None, holes: 0.1, seed: 5 };
-    assert!(check_colors(&gpu, &drawn, 1.0).is_ok() && check_colors(&gpu, &drawn, 1.01).is_err());
+    assert!(check_colors(&gpu, &drawn, 1.0, &compared).is_ok() && check_colors(&gpu, &drawn, 1.01, &compared).is_err());
     let drawn = Surfaces {
         size: [11, 9],
         normals: true,
@@ -340,12 +354,15 @@ fn checks_of_losses_can_fail() {
     };
     let all = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true };
     let painted = Materials { sizes: vec![[20, 30], [17, 9]], off: [-2.0, 0.0], flat: 0.2, asked: all, seed: 4 };
-    assert!(check_materials(&gpu, &painted, 1.0).is_ok() && check_materials(&gpu, &painted, 1.01).is_err());
-    assert!(check_surfaces(&gpu, &drawn, None).is_ok());
+    assert!(
+        check_materials(&gpu, &painted, 1.0, &compared).is_ok()
+            && check_materials(&gpu, &painted, 1.01, &compared).is_err()
+    );
+    assert!(check_surfaces(&gpu, &drawn, None, &compared).is_ok());
     let expected = row(&surface::geometry_loss_bwd(&drawn.scene(), &drawn.weights()));
     let n = 99;
     for range in [0..3 * n, 3 * n..5 * n, 5 * n..6 * n] {
         let largest = range.max_by(|a, b| expected[*a].abs().total_cmp(&expected[*b].abs()));
-        assert!(check_surfaces(&gpu, &drawn, largest).is_err(), "number {largest:?}");
+        assert!(check_surfaces(&gpu, &drawn, largest, &compared).is_err(), "number {largest:?}");
     }
 }

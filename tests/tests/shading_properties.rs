@@ -9,7 +9,7 @@ use sgs_passes::reference::brdf::{Material, V3, along, cross, dot, unit};
 use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
 use sgs_passes::shade::lights::{Axes, LightModel, Shape};
 use sgs_tests::Gpu;
-use sgs_tests::drawn::{runner, signed, spread};
+use sgs_tests::drawn::{Compared, runner, signed, spread};
 use sgs_tests::lit::{Lit, narrow, run};
 
 /// Of a value, beside what rounding of its inputs does to it.
@@ -238,12 +238,13 @@ fn slack(case: &Lit, truth_: &Answer) -> Vec<f64> {
 }
 
 /// With what a name begins a hundredth larger, if there is one.
-fn check(gpu: &Gpu, case: &Lit, planted: Option<&str>) -> Result<(), TestCaseError> {
+fn check(gpu: &Gpu, case: &Lit, planted: Option<&str>, compared: &Compared) -> Result<(), TestCaseError> {
     let (expected, found) = (truth(case), found(gpu, case));
     let slack = slack(case, &expected);
     for (i, name) in found.names.iter().enumerate() {
         let factor = if planted.is_some_and(|p| name.starts_with(p)) { 1.01 } else { 1.0 };
         let (e, f, slack) = (expected.values[i], factor * found.values[i], slack[i]);
+        compared.see(e, slack);
         prop_assert!((f - e).abs() <= slack, "{} is {} and not {}, to {}", name, f, e, slack);
     }
     Ok(())
@@ -252,7 +253,9 @@ fn check(gpu: &Gpu, case: &Lit, planted: Option<&str>) -> Result<(), TestCaseErr
 #[test]
 fn lights_agree_with_the_twin() {
     let gpu = Gpu::new();
-    runner(96).run(&case(), |case| check(&gpu, &case, None)).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    runner(96).run(&case(), |case| check(&gpu, &case, None, &compared)).unwrap_or_else(|e| panic!("{e}"));
+    compared.check(1000, 0.6);
 }
 
 /// A hundredth is noticed, of every kind of number.
@@ -263,8 +266,9 @@ fn checks_of_lights_can_fail() {
     case.before = 0.0;
     let light = case.raw.positions[..3].to_vec();
     case.pixels[0].normal = unit(along([light[0], light[1], light[2]], -1.0, case.pixels[0].point)).map(narrow);
-    check(&gpu, &case, None).unwrap_or_else(|e| panic!("{e}"));
+    let compared = Compared::default();
+    check(&gpu, &case, None, &compared).unwrap_or_else(|e| panic!("{e}"));
     for name in NAMES {
-        assert!(check(&gpu, &case, Some(name)).is_err(), "{name}");
+        assert!(check(&gpu, &case, Some(name), &compared).is_err(), "{name}");
     }
 }
