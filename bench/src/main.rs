@@ -37,6 +37,8 @@ enum Command {
     Scaling(commands::scaling::Args),
     /// What every choice that trades accuracy for speed costs and saves, and which are worth it.
     Tradeoff(commands::tradeoff::Args),
+    /// Table and drawing of a report of `tradeoff` that is there.
+    Front(commands::tradeoff::again::Args),
     /// What each saving of the intrinsic stage is worth, against the same without it.
     Savings(commands::savings::Args),
     /// What the device can do at best: copies, arithmetic, dispatches, barriers.
@@ -67,6 +69,7 @@ fn main() {
         Command::Step(a) => commands::step::run(&cli.common, a),
         Command::Scaling(a) => commands::scaling::run(&cli.common, a),
         Command::Tradeoff(a) => commands::tradeoff::run(&cli.common, a),
+        Command::Front(a) => commands::tradeoff::again::run(a),
         Command::Savings(a) => commands::savings::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),

@@ -27,6 +27,26 @@ fn facts_of<'r>(report: &'r Value, prefix: &str) -> Vec<&'r Value> {
     all.filter(|f| f["name"].as_str().unwrap().starts_with(prefix)).map(|f| &f["value"]).collect()
 }
 
+/// Asserts that a report is shown as the run itself has shown it.
+#[track_caller]
+fn shown_again(report: &Value, table: &str, drawing: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (file, own_table, own_drawing) = (path("report.json"), path("table.md"), path("drawing.svg"));
+    std::fs::write(&file, report.to_string()).unwrap();
+    let scene = format!("scene={}", report["settings"]["scene"].as_str().unwrap());
+    let out = bench(&["front", &file, &scene, "--table", &own_table, "--svg", &own_drawing]);
+    assert!(out.status.success() && out.stdout.is_empty(), "{}", String::from_utf8_lossy(&out.stderr));
+    let read = |path: &str| std::fs::read_to_string(path).unwrap();
+    assert_eq!(read(&own_table), read(table));
+    assert!(read(&own_drawing) == read(drawing));
+    let out = bench(&["front", &file]);
+    assert_eq!(String::from_utf8_lossy(&out.stdout), read(table));
+    let out = bench(&["front", &file, "scene=nowhere"]);
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(1) && said.contains(&scene), "{said}");
+}
+
 fn names(report: &Value) -> Vec<&str> {
     report["passes"].as_array().unwrap().iter().map(|p| p["pass"].as_str().unwrap()).collect()
 }
@@ -136,6 +156,7 @@ fn the_trade_between_time_and_accuracy_is_measured() {
     let report = succeeds(&[&all, &TINY[..]].concat());
     let read = |path: &str| std::fs::read_to_string(path).unwrap();
     assert!(read(&drawing).starts_with("<svg"));
+    shown_again(&report, &table, &drawing);
     let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
     assert!(rows.len() >= 4 && rows[0].starts_with("| exact"), "{rows:?}");
     let value = |name: &str| {
@@ -227,6 +248,7 @@ fn the_trade_of_materials_and_lights_is_measured() {
     let report = succeeds(&[&what[..], &how].concat());
     let read = |path: &str| std::fs::read_to_string(path).unwrap();
     assert!(read(&drawing).contains("error of gradients"));
+    shown_again(&report, &table, &drawing);
     let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
     assert!(
         rows.len() == 2 && rows[0].starts_with("| exact") && rows[1].starts_with("| fast, culled, half size"),

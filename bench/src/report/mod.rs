@@ -138,6 +138,11 @@ impl Report {
         self.settings.insert(name.to_owned(), value.into());
     }
 
+    /// A size or choice as text.
+    pub fn said(&self, name: &str) -> Option<String> {
+        self.settings.get(name).map(|value| value.as_str().map_or_else(|| value.to_string(), str::to_owned))
+    }
+
     /// Adds a fact.
     pub fn fact(&mut self, name: &str, value: impl Into<serde_json::Value>) {
         self.facts.push(Fact { name: name.to_owned(), value: value.into() });

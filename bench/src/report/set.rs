@@ -51,6 +51,24 @@ impl ReportSet {
             .with_context(|| format!("The baseline has no report of \"{}\".", other.command))
     }
 
+    /// The only report of a command with such settings. One that says no stage is of geometry.
+    ///
+    /// # Errors
+    /// If there is none, or there are several, with a sentence that names them.
+    pub fn only(&self, command: &str, settings: &[(String, String)]) -> anyhow::Result<&Report> {
+        let all: Vec<&Report> = self.reports.iter().filter(|r| r.command == command).collect();
+        anyhow::ensure!(!all.is_empty(), "There is no report of \"{command}\".");
+        let fits = |r: &&Report| settings.iter().all(|(name, value)| said(r, name).as_ref() == Some(value));
+        let found: Vec<&Report> = all.iter().copied().filter(fits).collect();
+        let wanted: Vec<String> = settings.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        let wanted = if wanted.is_empty() { String::new() } else { format!(" with {}", wanted.join(", ")) };
+        match found[..] {
+            [one] => Ok(one),
+            [] => anyhow::bail!("There is no report of \"{command}\"{wanted}, but:{}", told_apart(&all)),
+            _ => anyhow::bail!("Reports of \"{command}\"{wanted} are:{}", told_apart(&found)),
+        }
+    }
+
     /// Puts several into one, in the order of their commands and settings.
     ///
     /// # Errors
@@ -69,6 +87,24 @@ impl ReportSet {
 
 fn key(r: &Report) -> (String, String) {
     (r.command.clone(), serde_json::to_string(&r.settings).unwrap_or_default())
+}
+
+/// A setting as text.
+fn said(report: &Report, name: &str) -> Option<String> {
+    report.said(name).or_else(|| (name == "stage").then(|| "geometry".to_owned()))
+}
+
+/// A line a report, with the settings in which they differ.
+fn told_apart(reports: &[&Report]) -> String {
+    let mut names: Vec<&str> = reports.iter().flat_map(|r| r.settings.keys()).map(String::as_str).collect();
+    names.sort_unstable();
+    names.dedup();
+    names.retain(|name| *name == "scene" || reports.iter().any(|r| said(r, name) != said(reports[0], name)));
+    let line = |r: &&Report| {
+        let all = names.iter().filter_map(|name| Some(format!("{name}={}", said(r, name)?)));
+        format!("\n  {}", all.collect::<Vec<_>>().join(", "))
+    };
+    reports.iter().map(line).collect()
 }
 
 /// The table: a line a time, with its spread, and a few facts.
@@ -164,6 +200,32 @@ mod tests {
         let mut other = report("step", 300);
         other.device.driver = "c".into();
         assert!(ReportSet::join(vec![single("step", 100), ReportSet { reports: vec![other] }]).is_err());
+    }
+
+    #[test]
+    fn one_of_several_is_picked_by_its_settings() {
+        let of = |scene: &str, stage: Option<&str>| {
+            let mut report = report("tradeoff", 100);
+            report.setting("scene", scene);
+            stage.iter().for_each(|s| report.setting("stage", *s));
+            report
+        };
+        let reports = vec![report("step", 100), of("fox", None), of("room", None), of("room", Some("intrinsic"))];
+        let set = ReportSet { reports };
+        let only = |command: &str, settings: &[(&str, &str)]| {
+            let settings: Vec<_> = settings.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
+            set.only(command, &settings).map(|r| (r.said("scene"), r.said("stage"))).map_err(|e| e.to_string())
+        };
+        assert_eq!(only("tradeoff", &[("scene", "fox")]), Ok((Some("fox".into()), None)));
+        assert_eq!(only("tradeoff", &[("scene", "room"), ("stage", "geometry")]), Ok((Some("room".into()), None)));
+        assert!(only("tradeoff", &[("stage", "intrinsic")]).unwrap().1.is_some() && only("step", &[]).is_ok());
+        assert_eq!(
+            only("tradeoff", &[("scene", "room")]).unwrap_err(),
+            "Reports of \"tradeoff\" with scene=room are:\n  scene=room, stage=geometry\n  scene=room, stage=intrinsic"
+        );
+        let said = only("tradeoff", &[("gaussians", "7")]).unwrap_err();
+        assert!(said.starts_with("There is no report of \"tradeoff\" with gaussians=7, but:\n  scene=fox"), "{said}");
+        assert_eq!(only("scaling", &[]).unwrap_err(), "There is no report of \"scaling\".");
     }
 
     #[test]

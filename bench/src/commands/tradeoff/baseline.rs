@@ -1,55 +1,32 @@
 //! What was measured before, ranked as it would be now.
 
-use super::choices::{Choice, of_geometry, of_intrinsic};
-use super::front::{Place, Ratio, Standing, standings};
+use super::again::shown;
+use super::front::Standing;
 use crate::report::compare::compare;
-use crate::report::{FILTER, Report, set::ReportSet, standing};
-use crate::workload::lit_settings;
-use sgs_passes::Tuning;
+use crate::report::{FILTER, set::ReportSet};
 use std::path::{Path, PathBuf};
 
 fn here(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// Choices of a report that were ranked when it was made, and where each stands now.
-fn ranked(report: &Report, choices: &[Choice]) -> Vec<(String, Standing)> {
-    let value = |name: String| report.values.iter().find(|v| v.name == name).map(|v| v.value);
-    let names = report.facts.iter().filter_map(|f| f.name.strip_prefix(standing::PREFIX));
-    let place = |name: &str| {
-        let choice = choices.iter().find(|c| c.name == name).unwrap_or_else(|| panic!("\"{name}\" is no choice"));
-        let time = value(format!("step, {name}, of exact")).map_or(Ratio::EXACT, Ratio::from);
-        assert!(name == "exact" || time != Ratio::EXACT, "\"{name}\" has no time");
-        // Pictures of half the size have no error; geometry goes by its pictures alone.
-        let mut error = value(format!("mean error, {name}")).map_or(0.0, |v| v.median);
-        if report.settings.contains_key("stage") {
-            error = error.max(value(format!("gradient error, {name}")).unwrap().median);
-        }
-        Place { kind: choice.kind, time, error }
-    };
-    let (names, places): (Vec<String>, Vec<Place>) = names.map(|name| (name.to_owned(), place(name))).unzip();
-    names.into_iter().zip(standings(&places)).collect()
-}
-
 #[test]
 fn levels_of_accuracy_are_beaten_by_nothing_that_was_measured() {
     let reports = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap().reports;
     assert!(reports.iter().filter(|r| r.settings.contains_key("stage")).count() >= 1 && reports.len() >= 4);
-    let (own, small) = (Tuning::for_subgroups(8), lit_settings(Some(&here("small.toml"))).unwrap());
+    let small = here("small.toml");
     let mut wrong = Vec::new();
     for report in &reports {
-        let choices = match report.settings.contains_key("stage") {
-            true => of_intrinsic(&small, &own),
-            false => of_geometry(&own, report.settings["semantics"] == true),
-        };
-        let ranked = ranked(report, &choices.unwrap());
+        let unsaid = report.said("stage").is_some() && report.said("settings").is_none();
+        let (shown, unknown) = shown(report, unsaid.then_some(small.as_path())).unwrap();
+        assert!(unknown.is_empty(), "no choices: {unknown:?}");
         for level in ["exact", "balanced", "fast"] {
-            let (_, stands) = ranked.iter().find(|(name, _)| name == level).unwrap();
-            if *stands == Standing::Beaten {
+            let mark = shown.marks.iter().find(|m| m.name == level).unwrap();
+            if mark.standing == Standing::Beaten {
                 wrong.push(format!("{level} of {}", report.settings["scene"]));
             }
         }
-        assert!(ranked.iter().any(|(name, stands)| name.starts_with("tiles of") && *stands == Standing::Same));
+        assert!(shown.marks.iter().any(|m| m.name.starts_with("tiles of") && m.standing == Standing::Same));
     }
     assert!(wrong.is_empty(), "beaten: {}", wrong.join(", "));
 }

@@ -79,7 +79,7 @@ impl Choice {
 }
 
 /// A setting as a table; a word need not be quoted.
-fn set(pair: &str) -> anyhow::Result<toml::Table> {
+pub fn set(pair: &str) -> anyhow::Result<toml::Table> {
     let (key, value) = pair.split_once('=').with_context(|| format!("\"{pair}\" sets nothing."))?;
     let quoted = || format!("{key} = \"{value}\"").parse();
     format!("{key} = {value}").parse().or_else(|_| quoted()).with_context(|| format!("\"{pair}\""))

@@ -5,16 +5,17 @@
 //! Gaussian splatting), and error of the gradient of one step against that of `exact`, which tests hold to finite differences of
 //! the twin.
 
+use super::again::Figures;
 use super::choices::{Choice, of_geometry};
 use super::error::{self, finite};
 use super::front::{Place, Ratio, Standing, standings};
-use super::plot::{self, Mark};
+use super::plot::Mark;
 use super::quality::{self, Quality};
 use super::record::record;
-use super::{Args, StepArgs, leave};
+use super::{Args, Shown, StepArgs};
 use crate::common::Common;
 use crate::harness::spans;
-use crate::report::standing;
+use crate::report::{Report, standing};
 use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
@@ -86,7 +87,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(steps) = a.quality {
         report.fact("steps of a training of its own", steps);
     }
-    for p in &points {
+    put(&mut report, &points);
+    report.check("the exact picture agrees with double precision");
+    shown(&report, &points).leave(common, a)?;
+    common.finish(&report, &device)
+}
+
+/// What a report has of the choices.
+fn put(report: &mut Report, points: &[Point]) {
+    for p in points {
         let name = &p.choice.name;
         for (what, time, of_exact) in [("step", p.step, p.of_exact[0]), ("frame", p.frame, p.of_exact[1])] {
             report.choice(what, name, time, of_exact.into());
@@ -107,11 +116,45 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let front: Vec<&str> =
         points.iter().filter(|p| p.standing == Standing::Front).map(|p| p.choice.name.as_str()).collect();
     report.fact("on the front", front.join(", "));
-    report.check("the exact picture agrees with double precision");
-    let title = format!("{}, {} Gaussians, {}", workload.name, workload.start.len(), device.info().name);
-    let marks: Vec<Mark> = points.iter().map(Mark::from).collect();
-    leave(common, a, &table(&points), || plot::svg(&marks, &title, "mean error of a picture"))?;
-    common.finish(&report, &device)
+}
+
+/// The same choices of what a report has, as they are ranked now.
+///
+/// # Errors
+/// If it lacks a figure.
+pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Point>> {
+    let point = |choice: Choice| -> anyhow::Result<Point> {
+        let of = Figures { report, choice: &choice.name };
+        let normals = || of.fact("normals after training", "degrees");
+        let quality = |psnr| Quality { psnr, normals: normals() };
+        Ok(Point {
+            step: of.summary("step")?,
+            frame: of.summary("frame")?,
+            of_exact: [of.ratio("step")?, of.ratio("frame")?],
+            bytes: of.bytes()?,
+            largest: of.number("largest error")?,
+            mean: of.number("mean error")?,
+            psnr: of.fact("picture", "dB").context("A picture has no decibels.")?,
+            gradient: of.number("gradient error")?,
+            standing: Standing::default(),
+            quality: of.fact("pictures after training", "dB").map(quality),
+            choice,
+        })
+    };
+    let mut points = choices.into_iter().map(point).collect::<anyhow::Result<Vec<_>>>()?;
+    mark(&mut points);
+    Ok(points)
+}
+
+/// What is shown of it.
+pub fn shown(report: &Report, points: &[Point]) -> Shown {
+    let said = |name| report.said(name).unwrap_or_default();
+    Shown {
+        table: table(points),
+        marks: points.iter().map(Mark::from).collect(),
+        title: format!("{}, {} Gaussians, {}", said("scene"), said("gaussians"), report.device.name),
+        errors: "mean error of a picture",
+    }
 }
 
 fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
@@ -364,7 +407,9 @@ fn table(points: &[Point]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::again::{comes_back, report};
     use super::super::choices::Kind;
+    use super::super::plot;
     use super::*;
 
     fn point(name: &str, ms: f64, mean: f64) -> Point {
@@ -423,6 +468,39 @@ mod tests {
         assert!(table(&points).lines().last().unwrap().ends_with("| as exact |"));
         points[2].choice.kind = Kind::Accuracy;
         assert_eq!(of(&drawn(&mut points)), (3, 1, 0));
+    }
+
+    #[test]
+    fn a_report_has_all_that_is_shown() {
+        let choices = of_geometry(&Tuning::for_subgroups(8), true).unwrap();
+        for trained in [false, true] {
+            let some = |(i, choice): (usize, Choice)| {
+                let (x, exact) = (i as f64, i == 0);
+                let ratio = |rounds: &[f64]| if exact { Ratio::EXACT } else { Ratio::of(rounds) };
+                Point {
+                    choice,
+                    of_exact: [ratio(&[0.8 + 0.03 * x, 0.81, 0.7]), ratio(&[0.903, 1.0 - 0.01 * x])],
+                    bytes: 123_456_789 + i as u64,
+                    largest: 1e-3 * x,
+                    psnr: 99.96 - x,
+                    gradient: 1e-2 * x,
+                    quality: trained.then_some(Quality { psnr: 30.0 + x, normals: (i % 3 > 0).then_some(7.123) }),
+                    ..point("", 1.0, 1e-5 * (x - 4.0).abs())
+                }
+            };
+            let mut points: Vec<Point> = choices.clone().into_iter().enumerate().map(some).collect();
+            mark(&mut points);
+            let mut report = report(&[("scene", "room".into()), ("gaussians", 17.into()), ("semantics", true.into())]);
+            put(&mut report, &points);
+            let shown = shown(&report, &points);
+            assert!(
+                shown.title == "room, 17 Gaussians, a" && shown.table.contains("| within noise |"),
+                "{}",
+                shown.table
+            );
+            assert!(shown.table.contains("| yes |") && shown.table.contains("| as exact |"), "{}", shown.table);
+            comes_back(&report, &shown);
+        }
     }
 
     /// Two points side by side keep the order of their names.

@@ -6,14 +6,15 @@
 //! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
 //! at once, since some choices do not do the same in every step.
 
+use super::again::Figures;
 use super::choices::{Choice, Kind, of_intrinsic};
 use super::error::{self, PictureError, finite};
 use super::front::{Place, Ratio, Standing, standings};
-use super::plot::{Mark, svg};
+use super::plot::Mark;
 use super::record::record;
-use super::{Args, StepArgs, leave, lit};
+use super::{Args, Shown, StepArgs, lit};
 use crate::common::Common;
-use crate::report::standing;
+use crate::report::{Report, standing};
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings, plain};
 use anyhow::{Context, ensure};
@@ -22,6 +23,7 @@ use sgs_passes::Tuning;
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
 use sgs_train::{Intrinsic, Probe, Settings, Shading, displayed, shaded_scene};
+use std::borrow::Cow;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -33,7 +35,7 @@ const RHYTHM: u32 = 8;
 const WARM: u32 = 2;
 
 /// What is known of one choice.
-struct Row {
+pub struct Row {
     choice: Choice,
     step: Summary,
     of_exact: Ratio,
@@ -77,7 +79,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             row.quality = Some(trained);
         }
     }
-    for r in &rows {
+    put(&mut report, &rows);
+    report.check("the exact picture agrees with double precision");
+    shown(&report, &rows).leave(common, a)?;
+    common.finish(&report, &device)
+}
+
+/// What a report has of the choices.
+fn put(report: &mut Report, rows: &[Row]) {
+    for r in rows {
         let name = &r.choice.name;
         report.choice("step", name, r.step, r.of_exact.into());
         report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[r.bytes as f64 / 1e6]));
@@ -106,13 +116,61 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let best: Vec<&str> =
         rows.iter().filter(|r| r.standing == Standing::Front).map(|r| r.choice.name.as_str()).collect();
     report.fact("on the front", best.join(", "));
-    report.check("the exact picture agrees with double precision");
-    let title = format!("materials and lights, {} Gaussians, {}", splats.len(), device.info().name);
+}
+
+/// The same choices of what a report has, as they are ranked now.
+///
+/// # Errors
+/// If it lacks a figure.
+pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Row>> {
+    let row = |choice: Choice| -> anyhow::Result<Row> {
+        let of = Figures { report, choice: &choice.name };
+        let picture = match of.fact("picture", "dB") {
+            Some(psnr) => {
+                Some(PictureError { largest: of.number("largest error")?, mean: of.number("mean error")?, psnr })
+            }
+            None => None,
+        };
+        let gradients = match of.any("gradient error") {
+            Some(all) => {
+                let left_out = of
+                    .text("not in the gradient error")
+                    .map_or_else(Vec::new, |names| names.split(", ").map(|name| name.to_owned().into()).collect());
+                Some(GradientError { all: all.median, field: of.number("gradient error of the field")?, left_out })
+            }
+            None => None,
+        };
+        let albedo = of.fact("albedo after training", "dB");
+        Ok(Row {
+            step: of.summary("step")?,
+            of_exact: of.ratio("step")?,
+            bytes: of.bytes()?,
+            picture,
+            gradients,
+            quality: of.fact("shaded pictures after training", "dB").map(|pictures| Quality { pictures, albedo }),
+            standing: Standing::default(),
+            choice,
+        })
+    };
+    let mut rows = choices.into_iter().map(row).collect::<anyhow::Result<Vec<_>>>()?;
+    mark(&mut rows);
+    Ok(rows)
+}
+
+/// What is shown of it.
+pub fn shown(report: &Report, rows: &[Row]) -> Shown {
     let mark =
         |r: &Row| Mark { name: r.choice.name.clone(), time: r.of_exact.value, error: error(r), standing: r.standing };
-    let marks: Vec<Mark> = rows.iter().filter(|r| r.choice.shows()).map(mark).collect();
-    leave(common, a, &table(&rows), || svg(&marks, &title, "error of gradients"))?;
-    common.finish(&report, &device)
+    Shown {
+        table: table(rows),
+        marks: rows.iter().filter(|r| r.choice.shows()).map(mark).collect(),
+        title: format!(
+            "materials and lights, {} Gaussians, {}",
+            report.said("gaussians").unwrap_or_default(),
+            report.device.name
+        ),
+        errors: "error of gradients",
+    }
 }
 
 /// Settings of a training of its own: with every loss that `base` has.
@@ -243,11 +301,15 @@ fn measure(
         ..row
     };
     let mut rows: Vec<Row> = subjects.into_iter().zip(ratios).map(row).collect();
+    mark(&mut rows);
+    Ok(rows)
+}
+
+fn mark(rows: &mut [Row]) {
     let place = |r: &Row| Place { kind: r.choice.kind, time: r.of_exact, error: error(r) };
     let places: Vec<Place> = rows.iter().filter(|r| r.choice.shows()).map(place).collect();
     let standings = standings(&places);
     rows.iter_mut().filter(|r| r.choice.shows()).zip(standings).for_each(|(r, standing)| r.standing = standing);
-    Ok(rows)
 }
 
 /// Milliseconds of a step, of so many.
@@ -277,7 +339,7 @@ struct GradientError {
     /// The field's.
     field: f64,
     /// Of what a step has none: what does not move with every step.
-    left_out: Vec<&'static str>,
+    left_out: Vec<Cow<'static, str>>,
 }
 
 impl GradientError {
@@ -294,7 +356,7 @@ fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<GradientError> {
     let mut found = GradientError::default();
     for (name, a) in &exact.gradients {
         let Some((_, b)) = other.gradients.iter().find(|(n, _)| n == name) else {
-            found.left_out.push(name);
+            found.left_out.push((*name).into());
             continue;
         };
         let worst = if name.starts_with("visibility_") { &mut found.field } else { &mut found.all };
@@ -385,6 +447,8 @@ fn table(rows: &[Row]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::again::{comes_back, report};
+    use super::super::record::differing;
     use super::*;
 
     #[test]
@@ -403,6 +467,46 @@ mod tests {
         let wrong = probe(&[("albedo", &[f32::NAN, 4.0]), ("environment", &[1.0]), ("visibility_mlp", &[1.0])]);
         assert_eq!(difference(&exact, &wrong).unwrap().all, f64::INFINITY);
         assert!(difference(&exact, &probe(&[("albedo", &[3.0])])).is_err());
+    }
+
+    #[test]
+    fn a_report_has_all_that_is_shown() {
+        let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
+        let base = lit_settings(Some(&config)).unwrap();
+        let choices = of_intrinsic(&base, &Tuning::for_subgroups(8)).unwrap();
+        for trained in [false, true] {
+            let some = |(i, choice): (usize, Choice)| {
+                let x = i as f64;
+                let picture = PictureError { largest: 1e-3 * x, mean: 1e-5 * x, psnr: 99.96 - x };
+                let left_out = if choice.kind == Kind::Later { vec!["a".into(), "b".into()] } else { Vec::new() };
+                let gradients = GradientError { all: 1e-4 * (x - 5.0).abs(), field: 0.1 * x, left_out };
+                let same = choice.kind != Kind::Model;
+                Row {
+                    step: Summary::of(&[x]),
+                    of_exact: if i == 0 { Ratio::EXACT } else { Ratio::of(&[0.9 + 0.02 * x, 0.81, 0.7]) },
+                    bytes: 123_456_789 + i as u64,
+                    picture: (same && i != 8).then_some(picture),
+                    gradients: same.then_some(gradients),
+                    quality: trained.then_some(Quality { pictures: 30.0 + x, albedo: (i % 3 > 0).then_some(24.125) }),
+                    standing: Standing::default(),
+                    choice,
+                }
+            };
+            let mut rows: Vec<Row> = choices.clone().into_iter().enumerate().map(some).collect();
+            mark(&mut rows);
+            let mut report = report(&[("stage", "intrinsic".into()), ("gaussians", 17.into())]);
+            report.setting("settings", differing(&base).unwrap());
+            put(&mut report, &rows);
+            let shown = shown(&report, &rows);
+            assert!(shown.title == "materials and lights, 17 Gaussians, a", "{}", shown.title);
+            assert!(
+                shown.table.contains(", without a, b |") && shown.table.contains("| as exact |"),
+                "{}",
+                shown.table
+            );
+            assert!(shown.table.contains("| yes |") && shown.table.contains("lights.grid=2"), "{}", shown.table);
+            comes_back(&report, &shown);
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! choice stands on the front if nothing else that trades is both faster and closer ([`front`]); one that comes to the same as `exact`
 //! in another way ([`choices::Kind::Same`]) trades nothing.
 
+pub mod again;
 #[cfg(test)]
 mod baseline;
 mod choices;
@@ -19,6 +20,7 @@ mod record;
 
 use super::step::{Args as StepArgs, Stage};
 use crate::common::{Common, parse_size};
+use plot::Mark;
 use std::path::{Path, PathBuf};
 
 /// Options of the command.
@@ -89,18 +91,40 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     geometry::run(common, a)
 }
 
-/// Leaves table and drawing where they are wanted.
-fn leave(common: &Common, a: &Args, table: &str, drawing: impl Fn() -> anyhow::Result<String>) -> anyhow::Result<()> {
-    let write =
-        |path: &Path, text: &str| sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()));
-    if let Some(path) = &a.table {
-        write(path, table)?;
+/// What is shown of the choices of a stage.
+pub struct Shown {
+    /// In Markdown.
+    table: String,
+    /// What is drawn, under which title, and what its errors are of.
+    marks: Vec<Mark>,
+    title: String,
+    errors: &'static str,
+}
+
+impl Shown {
+    fn svg(&self) -> anyhow::Result<String> {
+        plot::svg(&self.marks, &self.title, self.errors)
     }
-    if let Some(path) = &a.svg {
-        write(path, &drawing()?)?;
+
+    /// Leaves table and drawing where they are wanted.
+    fn write(&self, table: Option<&Path>, svg: Option<&Path>) -> anyhow::Result<()> {
+        let write =
+            |path: &Path, text: &str| sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()));
+        if let Some(path) = table {
+            write(path, &self.table)?;
+        }
+        if let Some(path) = svg {
+            write(path, &self.svg()?)?;
+        }
+        Ok(())
     }
-    if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
-        println!("{table}");
+
+    /// The same after a run, which prints the table unless its report goes there.
+    fn leave(&self, common: &Common, a: &Args) -> anyhow::Result<()> {
+        self.write(a.table.as_deref(), a.svg.as_deref())?;
+        if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {
+            println!("{}", self.table);
+        }
+        Ok(())
     }
-    Ok(())
 }

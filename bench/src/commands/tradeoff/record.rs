@@ -1,8 +1,9 @@
 //! What a report says choices are of, so that none is set against choices of something else.
 
 use super::Args;
+use super::choices::set;
 use crate::report::{FILTER, Report};
-use sgs_train::Settings;
+use sgs_train::{Settings, overlay};
 
 /// Records it.
 ///
@@ -16,13 +17,40 @@ pub fn record(report: &mut Report, a: &Args, base: &Settings) -> anyhow::Result<
     Ok(())
 }
 
+/// The settings that were recorded; none in reports from before they were.
+///
+/// # Errors
+/// If they are no settings.
+pub fn recorded(report: &Report) -> anyhow::Result<Option<Settings>> {
+    let Some(text) = report.said("settings") else { return Ok(None) };
+    let mut table = Settings::default().to_table()?;
+    if text == DEFAULTS {
+        return Ok(Some(Settings::default()));
+    }
+    // Lists have commas of their own.
+    let mut all: Vec<String> = Vec::new();
+    for part in text.split(", ") {
+        match all.last_mut() {
+            Some(list) if !part.contains('=') => *list += &format!(", {part}"),
+            _ => all.push(part.to_owned()),
+        }
+    }
+    for pair in &all {
+        overlay(&mut table, set(pair)?);
+    }
+    Ok(Some(Settings::from_table(table)?))
+}
+
+/// Of settings that are.
+const DEFAULTS: &str = "the defaults";
+
 /// Settings that are not the defaults, as `--set` would take them. The scene has a line of its own, and its folder is nobody's business.
-fn differing(settings: &Settings) -> anyhow::Result<String> {
+pub fn differing(settings: &Settings) -> anyhow::Result<String> {
     let (mut own, defaults) = (settings.to_table()?, Settings::default().to_table()?);
     own.remove("scene");
     let mut all = Vec::new();
     collect("", &own, &defaults, &mut all);
-    Ok(if all.is_empty() { "the defaults".to_owned() } else { all.join(", ") })
+    Ok(if all.is_empty() { DEFAULTS.to_owned() } else { all.join(", ") })
 }
 
 fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Vec<String>) {
@@ -76,6 +104,16 @@ mod tests {
             said,
             "geometry.densify.enabled=false, intrinsic.rates.albedo=0.03, intrinsic.visibility.levels=8, scale=0.3"
         );
+        // And is found again in a report.
+        let mut report = super::super::again::report(&[]);
+        assert_eq!(recorded(&report).unwrap(), None);
+        for settings in [Settings { scene: "".into(), ..s.clone() }, Settings::default()] {
+            report.setting("settings", differing(&settings).unwrap());
+            assert_eq!(recorded(&report).unwrap().unwrap(), settings);
+        }
+        report.setting("settings", "geometry.background=[0.5, 0.25, 1], train.tile_rows=8");
+        let found = recorded(&report).unwrap().unwrap();
+        assert_eq!((found.geometry.background, found.train.tile_rows), ([0.5, 0.25, 1.0], 8));
         // Every other size, rate and level is another report.
         let others: [fn(&mut Settings); 6] = [
             |s| s.intrinsic.visibility.finest = 256,

@@ -1,0 +1,216 @@
+//! `engine-bench front`: table and drawing of a report that is there, as a run would leave them. Figures are the report's; what choices
+//! are asked for by, what they are held to and where each stands is the program's.
+
+use super::choices::{Choice, of_geometry, of_intrinsic};
+use super::front::Ratio;
+use super::record::recorded;
+use super::{Shown, geometry, intrinsic};
+use crate::report::{Report, set::ReportSet};
+use crate::stats::Summary;
+use crate::workload::lit_settings;
+use anyhow::{Context, bail, ensure};
+use sgs_engine::MatrixShape;
+use sgs_passes::{Matrices, Tuning};
+use sgs_train::Settings;
+use std::path::{Path, PathBuf};
+
+/// Options of the command.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// A report of `tradeoff`, or all of a device.
+    file: PathBuf,
+    /// Which of them, by settings of the report, such as scene=fox or stage=geometry.
+    #[arg(value_name = "NAME=VALUE", value_parser = setting)]
+    which: Vec<(String, String)>,
+    /// Settings of the intrinsic stage, for a report from before they were recorded.
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// Draw time against error.
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+    /// Write the table in Markdown; it is printed if nothing is written.
+    #[arg(long, value_name = "FILE.md")]
+    table: Option<PathBuf>,
+}
+
+fn setting(text: &str) -> Result<(String, String), String> {
+    let pair = text.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
+    pair.ok_or_else(|| "a setting looks like scene=fox".into())
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the file cannot be read, not one report of it is meant, a figure is missing, or a file cannot be written.
+pub fn run(a: &Args) -> anyhow::Result<()> {
+    let set = ReportSet::read(&a.file)?;
+    let (shown, unknown) = shown(set.only("tradeoff", &a.which)?, a.config.as_deref())?;
+    for name in unknown {
+        eprintln!("\"{name}\" is no choice any more, and left out.");
+    }
+    shown.write(a.table.as_deref(), a.svg.as_deref())?;
+    if a.table.is_none() && a.svg.is_none() {
+        print!("{}", shown.table);
+    }
+    Ok(())
+}
+
+/// What is shown of a report, and choices of it that are none any more.
+pub fn shown(report: &Report, config: Option<&Path>) -> anyhow::Result<(Shown, Vec<String>)> {
+    // Whatever the device had.
+    let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
+    let matrices = Some(Matrices { shape, units: false });
+    let own = Tuning { matrices, ..Tuning::for_subgroups(report.device.subgroup_size) };
+    if report.said("stage").is_some() {
+        let (choices, unknown) = chosen(report, of_intrinsic(&base(report, config)?, &own)?)?;
+        return Ok((intrinsic::shown(report, &intrinsic::again(report, choices)?), unknown));
+    }
+    ensure!(config.is_none(), "--config is for reports of the intrinsic stage.");
+    let (choices, unknown) = chosen(report, of_geometry(&own, true)?)?;
+    Ok((geometry::shown(report, &geometry::again(report, choices)?), unknown))
+}
+
+/// What its choices differ from.
+fn base(report: &Report, config: Option<&Path>) -> anyhow::Result<Settings> {
+    let settings = match (recorded(report)?, config) {
+        (Some(settings), None) => return Ok(settings),
+        (Some(_), Some(_)) => bail!("The report has settings of its own: --config is for those that have none."),
+        (None, None) => bail!("The report is from before settings were recorded: --config says which they were."),
+        (None, Some(file)) => lit_settings(Some(file))?,
+    };
+    let i = &settings.intrinsic;
+    for (name, given) in [("lights", i.lights.grid.pow(3)), ("environment", i.environment.resolution)] {
+        let own = report.said(name).unwrap_or_default();
+        ensure!(own == given.to_string(), "The report has {name} {own}, the settings of --config {given}.");
+    }
+    Ok(settings)
+}
+
+/// The choices of a report in its order, and names of those that are not known.
+fn chosen(report: &Report, known: Vec<Choice>) -> anyhow::Result<(Vec<Choice>, Vec<String>)> {
+    let times = report.values.iter().filter(|v| v.unit == "ms");
+    let (mut choices, mut unknown) = (Vec::new(), Vec::new());
+    for name in times.filter_map(|v| v.name.strip_prefix("step, ")) {
+        match known.iter().find(|c| c.name == name) {
+            Some(choice) => choices.push(choice.clone()),
+            None => unknown.push(name.to_owned()),
+        }
+    }
+    ensure!(choices.first().is_some_and(|c| c.name == "exact"), "The first choice of the report is not \"exact\".");
+    Ok((choices, unknown))
+}
+
+/// What a report has of one choice.
+pub struct Figures<'r> {
+    /// The report.
+    pub report: &'r Report,
+    /// Its name.
+    pub choice: &'r str,
+}
+
+impl Figures<'_> {
+    /// A measurement, if there is such a one.
+    pub fn any(&self, what: &str) -> Option<Summary> {
+        let name = format!("{what}, {}", self.choice);
+        self.report.values.iter().find(|v| v.name == name).map(|v| v.value)
+    }
+
+    /// A measurement.
+    pub fn summary(&self, what: &str) -> anyhow::Result<Summary> {
+        self.any(what).with_context(|| format!("The report has no {what} of \"{}\".", self.choice))
+    }
+
+    /// One that is a single number.
+    pub fn number(&self, what: &str) -> anyhow::Result<f64> {
+        Ok(self.summary(what)?.median)
+    }
+
+    /// A time by that of `exact`.
+    pub fn ratio(&self, what: &str) -> anyhow::Result<Ratio> {
+        if self.choice == "exact" {
+            return Ok(Ratio::EXACT);
+        }
+        let of_exact = Figures { choice: &format!("{}, of exact", self.choice), ..*self };
+        Ok(of_exact.summary(what)?.into())
+    }
+
+    /// Device memory.
+    pub fn bytes(&self) -> anyhow::Result<u64> {
+        Ok((self.number("device memory of training")? * 1e6).round() as u64)
+    }
+
+    /// A fact that is a number, in its unit.
+    pub fn fact(&self, what: &str, unit: &str) -> Option<f64> {
+        let name = format!("{what}, {}, {unit}", self.choice);
+        self.report.facts.iter().find(|f| f.name == name)?.value.as_f64()
+    }
+
+    /// A fact in words.
+    pub fn text(&self, what: &str) -> Option<&str> {
+        let name = format!("{what}, {}", self.choice);
+        self.report.facts.iter().find(|f| f.name == name)?.value.as_str()
+    }
+}
+
+/// An empty report with some settings.
+#[cfg(test)]
+pub fn report(settings: &[(&str, serde_json::Value)]) -> Report {
+    let device = crate::report::DeviceLine {
+        name: "a".into(),
+        kind: "cpu".into(),
+        driver: "b".into(),
+        api: "1.3.0".into(),
+        subgroup_size: 8,
+    };
+    let mut report = Report::new("tradeoff", device, 1, 0);
+    settings.iter().for_each(|(name, value)| report.setting(name, value.clone()));
+    report
+}
+
+/// Asserts that a report, read back, is shown as it was.
+#[cfg(test)]
+pub fn comes_back(report: &Report, first: &Shown) {
+    let mut report: Report = serde_json::from_str(&serde_json::to_string(report).unwrap()).unwrap();
+    // How choices stood is not taken from it.
+    report.facts.retain(|f| !f.name.starts_with(crate::report::standing::PREFIX));
+    let (again, unknown) = shown(&report, None).unwrap();
+    assert!(unknown.is_empty(), "{unknown:?}");
+    assert_eq!(again.table, first.table);
+    assert!(again.svg().unwrap() == first.svg().unwrap());
+    // A choice that is none any more is left out.
+    for figure in &mut report.values {
+        figure.name = figure.name.replace(", balanced", ", of old");
+    }
+    let (again, unknown) = shown(&report, None).unwrap();
+    assert_eq!(unknown, ["of old"]);
+    assert_eq!(again.table.lines().count() + 1, first.table.lines().count());
+    report.values.retain(|v| v.name != "device memory of training, fast");
+    let said = shown(&report, None).err().unwrap().to_string();
+    assert_eq!(said, "The report has no device memory of training of \"fast\".");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_were_not_recorded_are_asked_for() {
+        let small = Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
+        let of = |lights: u32| {
+            report(&[("stage", "intrinsic".into()), ("lights", lights.into()), ("environment", 32.into())])
+        };
+        assert_eq!(base(&of(27), Some(&small)).unwrap().intrinsic.visibility.levels, 8);
+        let said = |report: &Report, config| base(report, config).unwrap_err().to_string();
+        assert!(said(&of(27), None).contains("--config says which they were"));
+        assert_eq!(said(&of(64), Some(&small)), "The report has lights 64, the settings of --config 27.");
+        let mut newer = of(27);
+        newer.setting("settings", "intrinsic.lights.grid=2");
+        assert_eq!(base(&newer, None).unwrap().intrinsic.lights.grid, 2);
+        assert!(said(&newer, Some(&small)).contains("settings of its own"));
+        // Those of geometry have none that matter.
+        let said = shown(&report(&[]), Some(&small)).err().unwrap().to_string();
+        assert_eq!(said, "--config is for reports of the intrinsic stage.");
+        assert_eq!(setting("size=3x2"), Ok(("size".into(), "3x2".into())));
+        assert!(setting("fox").is_err());
+    }
+}
