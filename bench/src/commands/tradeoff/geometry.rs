@@ -515,5 +515,12 @@ mod tests {
             node.unwrap().attribute("y").unwrap().parse::<f64>().unwrap()
         };
         assert!(at("upper") + 11.0 < at("lower"), "{} and {}", at("upper"), at("lower"));
+        // A name that would lie on the next mark stands below it.
+        let marks = [mark("exact", 1e-4), Mark { time: 1.005, ..mark("beside", 1e-4) }];
+        let text = plot::svg(&marks, "", "").unwrap();
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let node = |name: &str| document.descendants().find(|n| n.text().map(str::trim) == Some(name)).unwrap();
+        let y = |name: &str| node(name).attribute("y").unwrap().parse::<f64>().unwrap();
+        assert!(y("exact") > y("beside") + 11.0, "{} and {}", y("exact"), y("beside"));
     }
 }

@@ -59,17 +59,21 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
     // So that of two names the upper one is that of the upper point.
     let mut from_above: Vec<&Mark> = points.iter().collect();
     from_above.sort_by_key(|p| chart.backend_coord(&at(p)).1);
+    let marks: Vec<(i32, i32)> = from_above.iter().map(|p| chart.backend_coord(&at(p))).collect();
     for p in from_above {
         match p.standing {
             Standing::Same => chart.draw_series([Cross::new(at(p), 4, GRAY.stroke_width(1))])?,
             Standing::Front => chart.draw_series([Circle::new(at(p), 5, BLUE.filled())])?,
             _ => chart.draw_series([Circle::new(at(p), 5, BLACK.mix(0.5).stroke_width(1))])?,
         };
-        // Names move down until they lie on no other's: 6 pixels a letter, 12 a line.
+        // Names move down until they lie on no other's, and on no mark beside their own: 6 pixels a letter, 12 a line.
         let (x, y) = chart.backend_coord(&at(p));
         let width = 6 * p.name.len() as i32;
         let mut down = -6;
-        while names.iter().any(|&(a, b, w)| (b - y - down).abs() < 12 && a < x + width && x < a + w) {
+        let on_name =
+            |down: i32| names.iter().any(|&(a, b, w)| (b - y - down).abs() < 12 && a < x + width && x < a + w);
+        let beside = marks.iter().any(|&(a, b)| (b - y).abs() < 9 && x + 5 < a && a < x + width);
+        while on_name(down) || (beside && down < 0) {
             down += 12;
         }
         names.push((x, y + down, width));
