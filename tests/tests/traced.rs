@@ -130,12 +130,15 @@ fn a_surface_does_not_shadow_itself_but_a_wall_does() {
 #[test]
 fn what_cannot_be_seen_is_not_in_the_tree() {
     let mut splats = random_splats(50, 31);
-    let seen = splats.iter().filter(|s| 1.0 / (1.0 + (-s.opacity_logit).exp()) >= 1.0 / 255.0).count();
-    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), seen);
+    let shown = |s: &&Splat| 1.0 / (1.0 + (-s.opacity_logit).exp()) >= 1.0 / 255.0;
+    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats.iter().filter(shown).count());
     splats[0].mean[1] = f64::NAN;
     splats[1].log_scale[2] = f64::NAN;
     splats[2].opacity_logit = f64::NAN;
-    assert!(TracedTree::new(&splat_data(&splats)).unwrap().splats() <= seen);
+    splats[3].log_scale[0] = f64::NEG_INFINITY;
+    splats[4].log_scale[1] = f64::INFINITY;
+    splats[5].opacity_logit = f64::INFINITY;
+    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats[6..].iter().filter(shown).count());
     // Many in one place are still a tree.
     let heap = vec![Splat { opacity_logit: 1.0, ..random_splats(1, 1)[0] }; 5000];
     assert_eq!(TracedTree::new(&splat_data(&heap)).unwrap().splats(), 5000);

@@ -43,7 +43,9 @@ pub fn meet(s: &Splat, from: V3, along: V3) -> Met {
     let (o, d) = (white(std::array::from_fn(|k| from[k] - s.mean[k])), white(along));
     let t = -dot(o, d) / dot(d, d);
     let r = std::array::from_fn(|k| o[k] + t * d[k]);
-    let opacity = 1.0 / (1.0 + (-s.opacity_logit).exp());
+    // What is not finite is not drawn, and in nobody's way.
+    let there = s.mean.iter().chain(&s.log_scale).all(|x| x.is_finite()) && s.opacity_logit.is_finite();
+    let opacity = if there { 1.0 / (1.0 + (-s.opacity_logit).exp()) } else { 0.0 };
     let alpha = |r: V3| (opacity * (-0.5 * dot(r, r)).exp()).min(0.99);
     let shown = |alpha: f64| if alpha >= 1.0 / 255.0 { alpha } else { 0.0 };
     Met { before: shown(alpha(o)), alpha: shown(alpha(r)), at: t }

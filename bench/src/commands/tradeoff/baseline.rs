@@ -47,3 +47,24 @@ fn reports_from_before_are_found_and_compared() {
         assert!(outcome.slower.is_empty() && outcome.fallen.is_empty() && !outcome.other_choices);
     }
 }
+
+/// Tables and pictures of the document are those of what was measured.
+#[test]
+fn the_document_shows_what_was_measured() {
+    let reports = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap().reports;
+    let document = std::fs::read_to_string(here("../docs/TRADEOFF.md")).unwrap();
+    let small = here("small.toml");
+    let mut pictures = Vec::new();
+    for report in &reports {
+        let unsaid = report.said("stage").is_some() && report.said("settings").is_none();
+        let (shown, _) = shown(report, unsaid.then_some(small.as_path())).unwrap();
+        let scene = &report.settings["scene"];
+        assert!(document.contains(&shown.table), "docs/TRADEOFF.md has another table of {scene}");
+        pictures.push(shown.svg().unwrap());
+    }
+    for name in ["tradeoff-photographs", "tradeoff", "tradeoff-synthetic", "tradeoff-materials"] {
+        let file = std::fs::read_to_string(here(&format!("../docs/images/{name}.svg"))).unwrap();
+        assert!(pictures.contains(&file), "docs/images/{name}.svg shows something else");
+        assert!(document.contains(&format!("(images/{name}.svg)")));
+    }
+}

@@ -201,8 +201,13 @@ impl TracedTree {
 /// The box of a Gaussian and what rays need of it; none if it shows nowhere.
 fn splat(data: &GaussianData, i: usize) -> Option<(Boxed, TracedSplat)> {
     let three = |group: Group| Vec3::from_slice(&data.group(group)[3 * i..]);
-    let mean = three(Group::Means);
-    let scale = three(Group::LogScales).clamp(Vec3::splat(-16.0), Vec3::splat(8.0)).exp();
+    let (mean, log_scale) = (three(Group::Means), three(Group::LogScales));
+    let logit = data.group(Group::OpacityLogits)[i];
+    // As pictures have it.
+    if !(mean.is_finite() && log_scale.is_finite() && logit.is_finite()) {
+        return None;
+    }
+    let scale = log_scale.clamp(Vec3::splat(-16.0), Vec3::splat(8.0)).exp();
     let q = &data.group(Group::Rotations)[4 * i..4 * i + 4];
     // As the kernels of splatting take it: zero and what is not finite is the identity.
     let largest = q.iter().fold(0.0_f32, |m, c| m.max(c.abs()));
@@ -212,9 +217,8 @@ fn splat(data: &GaussianData, i: usize) -> Option<(Boxed, TracedSplat)> {
     } else {
         Mat3::IDENTITY
     };
-    let opacity = 1.0 / (1.0 + (-data.group(Group::OpacityLogits)[i]).exp());
-    // Written so that NaN fails.
-    if !(opacity >= ALPHA_MIN && mean.is_finite() && scale.is_finite()) {
+    let opacity = 1.0 / (1.0 + (-logit).exp());
+    if opacity < ALPHA_MIN {
         return None;
     }
     let radius = (2.0 * (opacity / ALPHA_MIN).ln()).max(0.0).sqrt();
