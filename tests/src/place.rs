@@ -56,14 +56,15 @@ impl Place {
         std::fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
-    /// The steps in the log of a run; fails unless every line is JSON.
+    /// The steps in the log of a run, decisions and densifications left out; fails unless every line is JSON.
     pub fn logged(&self, run: &str) -> Vec<u64> {
         let text = std::fs::read_to_string(self.path(run).join("log.jsonl")).unwrap_or_default();
         // A line may be in the making while the run goes on.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let lines =
             whole.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap_or_else(|e| panic!("{e}: {l}")));
-        lines.map(|l| l["step"].as_u64().unwrap()).collect()
+        let steps = lines.filter(|l| l.get("decision").is_none() && l.get("densified").is_none());
+        steps.map(|l| l["step"].as_u64().unwrap()).collect()
     }
 
     /// Fails unless two runs left the same.

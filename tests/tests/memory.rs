@@ -529,6 +529,18 @@ fn the_program_says_what_does_not_fit() {
     let summary = String::from_utf8(place.read("run/training.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");
+    // The log has each densification, with what became of how many.
+    let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
+    let lines = log.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap());
+    let densified: Vec<_> = lines.filter(|l| l["densified"].is_object()).collect();
+    let number = |l: &serde_json::Value, what: &str| l["densified"][what].as_u64().unwrap();
+    for l in &densified {
+        let [before, pruned, cloned, split, after] =
+            ["before", "pruned", "cloned", "split", "after"].map(|what| number(l, what));
+        assert!(before + cloned + split == pruned + after, "{l}");
+        assert!(number(l, "invalid") + number(l, "weightless") <= pruned, "{l}");
+    }
+    assert!(densified.len() >= 8 && densified.iter().any(|l| number(l, "refused") > 0), "{log}");
 }
 
 /// The process does not grow while it trains. Drivers on a processor may compile kernels anew for every value of a uniform and
