@@ -107,10 +107,13 @@ impl Schedule {
         }
     }
 
-    /// The last step after which there is densification.
+    /// The last step after which densification may run; 0 if it never runs.
+    ///
+    /// At least `interval` steps follow it, so that no clone and no half of a split is saved before it was optimized.
     fn last_densification(&self) -> u32 {
-        let d = &self.settings.geometry.densify;
-        if d.enabled { (f64::from(self.settings.geometry.steps) * d.until) as u32 } else { 0 }
+        let (d, steps) = (&self.settings.geometry.densify, self.settings.geometry.steps);
+        let until = (f64::from(steps) * d.until) as u32;
+        if d.enabled { until.min(steps.saturating_sub(d.interval)) } else { 0 }
     }
 
     /// Whether there is no densification after that of this step.
@@ -203,6 +206,26 @@ mod tests {
         is(weight(&settings, 100_000), 0.5);
         settings.geometry.losses.depth_variance_growth = 100.0;
         is(weight(&settings, 100_000), 2.0);
+    }
+
+    #[test]
+    fn every_preset_optimizes_for_an_interval_after_the_last_densification() {
+        for preset in crate::settings::PRESETS {
+            let mut settings = Settings::from_table(preset.table().unwrap()).unwrap();
+            for steps in [settings.geometry.steps, 1000, 610, 601, 600] {
+                settings.geometry.steps = steps;
+                let s = Schedule::new(&settings, 1.0, 12);
+                let last = (1..=steps).filter(|step| s.densify(*step).is_some()).max();
+                let interval = settings.geometry.densify.interval;
+                let name = preset.name;
+                assert!(last.is_none_or(|last| last + interval <= steps), "{name}: {last:?} of {steps}");
+                assert!(steps < 1000 || last.is_some(), "{name} never densifies in {steps} steps");
+                assert!(
+                    last.is_none_or(|last| (last..=steps).all(|step| !s.reset(step))),
+                    "{name} resets after {last:?}"
+                );
+            }
+        }
     }
 
     #[test]

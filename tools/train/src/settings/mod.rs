@@ -270,7 +270,7 @@ pub struct DensifyOptions {
     pub enabled: bool,
     /// First step after which it happens.
     pub from: u32,
-    /// Fraction of the steps after which it ends.
+    /// Fraction of the steps after which it ends. It always ends at least `interval` steps before the last step.
     pub until: f64,
     /// Steps between.
     pub interval: u32,
