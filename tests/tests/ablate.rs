@@ -8,7 +8,7 @@ use sgs_tests::rooms::{Room, write_json};
 use std::time::SystemTime;
 
 /// The runs of two seeds that a room with priors of normals has.
-const RUNS: [&str; 4] = ["rgb_seed5", "normal_seed5", "rgb_seed6", "normal_seed6"];
+const RUNS: [&str; 6] = ["rgb_seed5", "depth_seed5", "normal_seed5", "rgb_seed6", "depth_seed6", "normal_seed6"];
 
 fn room() -> Place {
     Place::new(Room { priors: true, truth: true, ..Room::default() })
@@ -43,7 +43,7 @@ fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
     let table = json(&place, "table/ablation.json");
     assert_eq!(ablate(&place, &["--json", "-q"]).ok().json(), table);
     assert_eq!(table["steps"], 3);
-    for (i, variant) in ["rgb", "normal"].into_iter().enumerate() {
+    for (i, variant) in ["rgb", "depth", "normal"].into_iter().enumerate() {
         let row = &table["variants"][i];
         assert_eq!(row["name"], variant);
         let measured: Vec<Value> =
@@ -65,12 +65,16 @@ fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
     // The variants differ by what they use, and are what training alone would give.
     let rgb = place.read("table/rgb_seed5/scene.ply");
     assert_ne!(rgb, place.read("table/normal_seed5/scene.ply"));
-    let fixed = ["--geometry-steps", "3", "--no-densify", "--seed", "5", "--set", "geometry.normals=false"];
+    assert_ne!(rgb, place.read("table/depth_seed5/scene.ply"));
+    let off = ["normals", "depth_smooth", "depth_variance"].map(|what| format!("geometry.{what}=false"));
+    let off = off.iter().flat_map(|set| ["--set", set]);
+    let fixed: Vec<&str> = ["--geometry-steps", "3", "--no-densify", "--seed", "5"].into_iter().chain(off).collect();
     sgs(&[&["train", &place.text("scene"), "-o", &place.text("alone")], &fixed[..]].concat()).ok();
     assert!(rgb == place.read("alone/scene.ply"), "the run is not that of the same settings");
 }
 
-/// All that the method has, on a room with all priors: each variant is a training of its own, and classes are measured.
+/// On a room with all priors every term is added once and left out once. Variants of the same settings share a run; the
+/// others differ. Classes are measured.
 #[test]
 fn every_part_of_the_method_is_a_variant() {
     let room = Room { priors: true, truth: true, ..Room::default() };
@@ -88,14 +92,18 @@ fn every_part_of_the_method_is_a_variant() {
     sgs(&[&fixed[..], &["--set", &from(3)]].concat()).ok();
     let table = json(&place, "table/ablation.json");
     let names: Vec<_> = table["variants"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["rgb", "normal", "semantic", "correspondence"]);
-    for (i, name) in names.into_iter().enumerate() {
+    let added = ["rgb", "depth", "normal", "semantic", "correspondence"];
+    let left_out = ["no_normal", "no_depth", "no_semantic", "no_correspondence"];
+    assert_eq!(names, [&added[..], &left_out[..]].concat());
+    let folder = |i: usize| table["variants"][i]["runs"][0]["folder"].as_str().unwrap();
+    for (i, name) in names.iter().enumerate() {
         let accuracy = &table["variants"][i]["mean"]["accuracy"];
-        assert_eq!(accuracy.is_f64(), i >= 2, "{name}: {accuracy}");
-        let ply = |name: &str| place.read(&format!("table/{name}_seed0/scene.ply"));
-        let others = ["rgb", "normal", "semantic", "correspondence"].into_iter().filter(|other| *other != name);
-        others.for_each(|other| assert!(ply(name) != ply(other), "{name} and {other} are the same"));
+        let classes = !["rgb", "depth", "normal", "no_semantic"].contains(name);
+        assert_eq!(accuracy.is_f64(), classes, "{name}: {accuracy}");
+        let ply = |i: usize| place.read(&format!("table/{}/scene.ply", folder(i)));
+        (0..i).for_each(|j| assert_eq!(ply(i) == ply(j), folder(i) == folder(j), "{name} and {}", names[j]));
     }
+    assert_eq!((folder(7), folder(8)), ("normal_seed0", "semantic_seed0"));
     let text = String::from_utf8(place.read("table/ablation.md")).unwrap();
     assert!(text.contains("labels right") && text.contains("| rgb: photographs alone | 1 |"), "{text}");
 }
@@ -116,10 +124,10 @@ fn what_is_done_is_not_done_again() {
     std::fs::remove_file(place.path("table/normal_seed5/config.toml")).unwrap();
     ablate(&place, &["-q"]).ok();
     let again: Vec<bool> = trained(&place).iter().zip(&first).map(|(a, b)| a != b).collect();
-    assert_eq!(again, [false, true, false, false]);
+    assert_eq!(again, [false, false, true, false, false, false]);
     // A variant alone leaves the others in the table; other settings leave nothing.
     ablate(&place, &["-q", "--only", "rgb"]).ok();
-    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 2);
+    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 3);
     ablate(&place, &["-q", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
     let table = json(&place, "table/ablation.json");
     assert_eq!(table["variants"].as_array().unwrap().len(), 1);
@@ -141,11 +149,11 @@ fn an_interrupted_table_is_gone_on_with() {
     assert!(reached && stopped.status == Some(1), "{stopped:?}");
     assert!(stopped.stderr.contains("stopped in") && stopped.stderr.contains("normal_seed5"), "{stopped:?}");
     let half = json(&place, "table/ablation.json");
-    assert_eq!(half["variants"].as_array().unwrap().len(), 1, "what is done is in the table");
+    assert_eq!(half["variants"].as_array().unwrap().len(), 2, "what is done is in the table");
     sgs(&long).ok();
     let table = json(&place, "table/ablation.json");
-    let timed = [0, 1].map(|i| table["variants"][i]["mean"]["seconds_per_step"].is_f64());
-    assert_eq!(timed, [true, false], "what was interrupted has no time of its own");
+    let timed = [0, 1, 2].map(|i| table["variants"][i]["mean"]["seconds_per_step"].is_f64());
+    assert_eq!(timed, [true, true, false], "what was interrupted has no time of its own");
     let logged = place.logged("table/normal_seed5");
     assert!(logged.contains(&10) && logged.last() == Some(&60), "{logged:?}");
     let whole = ["train", &place.text("scene"), "-o", &place.text("whole"), "--config"].map(str::to_owned);
@@ -156,17 +164,17 @@ fn an_interrupted_table_is_gone_on_with() {
 #[test]
 fn tables_that_make_no_sense_are_refused() {
     let place = Place::new(Room::default());
-    ablate(&place, &["--only", "rgb,magic"]).refused(&["no variant \"magic\"", "there are rgb, normal"]);
+    ablate(&place, &["--only", "rgb,magic"]).refused(&["no variant \"magic\"", "there are rgb, depth, normal"]);
     ablate(&place, &["--only", "normal"]).refused(&["\"normal\" would differ from no other", "no priors/normal"]);
     ablate(&place, &["--set", "geometry.stepz=1"]).refused(&["geometry.steps"]);
     assert!(!place.path("table").exists(), "a refused table leaves nothing");
     assert_eq!(sgs(&arguments(&place, "3", &["--seeds", "0"])).status, Some(2));
-    // Without priors the photographs alone remain.
+    // Without priors photographs and depth terms remain.
     let left = ablate(&place, &["--seed", "7"]);
     assert_eq!(left.status, Some(2), "a seed twice");
     let left = ablate(&place, &[]).ok();
     assert!(left.stderr.contains("\"normal\" is left out") && left.stderr.contains("priors/normal"), "{left:?}");
-    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 1);
+    assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 2);
     let split = serde_json::json!({"train": ["000", "001", "002"], "test": []});
     write_json(&place.path("scene/split.json"), &split);
     ablate(&place, &[]).refused(&["no test views", "split.json"]);

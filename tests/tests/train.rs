@@ -173,6 +173,38 @@ fn training_learns_the_room_and_its_normals() {
     assert!(without.mean.nvs.psnr > 24.0, "PSNR {}", without.mean.nvs.psnr);
 }
 
+/// Depth terms need no priors. Each has a switch, and with both off a step has neither loss.
+#[test]
+fn depth_terms_train_without_normal_priors() {
+    let place = Place::new(Room::default());
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let train = |smooth: bool, variance: bool| {
+        let mut s = settings(6);
+        (s.geometry.depth_smooth, s.geometry.depth_variance) = (smooth, variance);
+        let mut losses = Vec::new();
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let said = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                losses.push((r.losses.depth_smooth, r.losses.depth_variance));
+            }
+        };
+        training.train(6, said, || true).unwrap();
+        let decided = training.decisions().iter().find(|d| d.what == "depth terms").unwrap().on;
+        assert_eq!(decided, smooth || variance);
+        (training.splats().unwrap().means, losses)
+    };
+    let (none, losses) = train(false, false);
+    assert!(losses.iter().all(|l| *l == (0.0, 0.0)), "{losses:?}");
+    let (both, losses) = train(true, true);
+    assert!(losses.iter().all(|l| l.0 > 0.0 && l.1 > 0.0), "{losses:?}");
+    let (smooth, variance) = (train(true, false).0, train(false, true).0);
+    let all = [&none, &both, &smooth, &variance];
+    for (i, a) in all.iter().enumerate() {
+        all[..i].iter().for_each(|b| assert!(a != b, "a switch changes nothing"));
+    }
+}
+
 /// What has no ground truth is absent from the metrics, not zero.
 #[test]
 fn metrics_hold_what_is_known() {

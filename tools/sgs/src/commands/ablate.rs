@@ -12,9 +12,10 @@ use std::path::PathBuf;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Variants. Of geometry: rgb, normal, semantic, correspondence; each uses what those before it use. Of materials, each with
-    /// one thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_priors; and full,
-    /// with --stage intrinsic. By default all that differ on this scene.
+    /// Variants. Of geometry: rgb, depth, normal, semantic, correspondence; each uses what those before it use. The full
+    /// method of geometry without one term: no_normal, no_depth, no_semantic, no_correspondence. Of materials, each with one
+    /// thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_priors; and full, with
+    /// --stage intrinsic. By default all that differ on this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
     /// What is compared: geometry; materials on the same geometry; or all, so that variants of geometry get materials, too, and
@@ -43,7 +44,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let possible = |variant: &Variant| Ok(variant.lacks(&scene, &settings)?.map(|lacking| (variant.name, lacking)));
     // The geometry that uses most of what there is: materials lie on it, whoever else is wanted.
     let mut fullest = None;
-    for variant in scope.variants().into_iter().filter(|v| !v.is_of_materials()) {
+    for variant in scope.variants().into_iter().filter(|v| !v.is_of_materials() && !v.leaves_out()) {
         if variant.lacks(&scene, &settings)?.is_none() {
             fullest = Some(variant);
         }
@@ -53,7 +54,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let start = match &a.start {
         Some(file) => Start::File(file.clone()),
         None => {
-            let own = Entry { order: 0, name: "geometry", about: String::new() };
+            let own = Entry { order: 0, name: "geometry", about: String::new(), run: "geometry" };
             let entry = fullest.as_ref().map_or(own, Variant::entry);
             Start::Training { entry, settings: Box::new(common_geometry.clone()) }
         }

@@ -241,6 +241,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         found.map_or_else(String::new, |d| format!("{}; {}", d.reason, d.setting))
     };
     println!("normals     {} ({})", if model.normals { "one a Gaussian" } else { "none" }, why("normals"));
+    let depth = training.decisions().iter().any(|d| d.what == "depth terms" && d.on);
+    println!("depth       {} ({})", if depth { "losses of blended depth" } else { "no losses" }, why("depth terms"));
     match training.classes() {
         Some(classes) => {
             println!("semantics   32 features a Gaussian, {} classes ({})", classes.len(), why("semantics"));

@@ -87,7 +87,7 @@ impl Case {
             }
         };
         let order = ALL.iter().position(|c| c == self).unwrap_or(ALL.len());
-        Entry { order, name: self.name, about }
+        Entry { order, name: self.name, about, run: self.name }
     }
 
     /// Why it would be the same as without noise: what the scene lacks or the settings leave out, as an end of a sentence.

@@ -13,12 +13,14 @@ pub struct Entry {
     pub name: &'static str,
     /// What it uses.
     pub about: String,
+    /// The row that names its runs: its own name, or that of a row with the same settings.
+    pub run: &'static str,
 }
 
 impl Entry {
     /// The folder of its run for a seed.
     pub fn folder(&self, seed: u64) -> String {
-        format!("{}_seed{seed}", self.name)
+        format!("{}_seed{seed}", self.run)
     }
 }
 
@@ -79,7 +81,7 @@ impl Ablation {
     pub fn add(&mut self, variant: &Entry, seed: u64, device: String, measures: Measures) {
         let at = self.variants.iter().position(|row| row.name == variant.name).unwrap_or_else(|| {
             let at = self.variants.iter().take_while(|row| row.order < variant.order).count();
-            let Entry { order, name, about } = variant.clone();
+            let Entry { order, name, about, .. } = variant.clone();
             let (mean, deviation) = Default::default();
             self.variants.insert(at, AblationRow { name, about, order, mean, deviation, runs: Vec::new() });
             at
@@ -159,9 +161,9 @@ mod tests {
             (m.0[at("psnr")], m.0[at("normal_mae_deg")]) = (Some(psnr), normal);
             m
         };
-        table.add(&variants[1], 4, "gpu".into(), measures(31.0, Some(8.25)));
+        table.add(&variants[2], 4, "gpu".into(), measures(31.0, Some(8.25)));
         table.add(&variants[0], 4, "another".into(), measures(30.0, None));
-        table.add(&variants[1], 5, "gpu".into(), measures(33.0, None));
+        table.add(&variants[2], 5, "gpu".into(), measures(33.0, None));
         let text = table.markdown();
         assert!(text.starts_with("Test views of room after 9 steps, on another, gpu;"), "{text}");
         let lines: Vec<&str> = text.lines().skip(2).collect();

@@ -9,16 +9,22 @@ use sgs_scene::Scene;
 /// What a variant may use besides photographs; each is a switch of the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
+    Depth,
     Normals,
     Semantics,
     Correspondence,
 }
 
+/// The full method of the geometry stage.
+const FULL: [Part; 4] = [Part::Depth, Part::Normals, Part::Semantics, Part::Correspondence];
+
 /// What a variant is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    /// Geometry that uses these parts alone.
+    /// Geometry that uses these parts alone; each such variant adds to the one before.
     Geometry(&'static [Part]),
+    /// Geometry by the full method without these parts.
+    Without(&'static [Part]),
     /// Materials on the same geometry, with a change.
     Materials(Change),
 }
@@ -41,26 +47,33 @@ pub struct Variant {
     pub name: &'static str,
     /// What it uses, or does without.
     pub about: &'static str,
+    /// The variant whose runs are also its own, because the settings are the same; else its own name.
+    run: &'static str,
     kind: Kind,
 }
 
 const fn geometry(name: &'static str, about: &'static str, on: &'static [Part]) -> Variant {
-    Variant { name, about, kind: Kind::Geometry(on) }
+    Variant { name, about, run: name, kind: Kind::Geometry(on) }
+}
+
+const fn without(name: &'static str, about: &'static str, run: &'static str, off: &'static [Part]) -> Variant {
+    Variant { name, about, run, kind: Kind::Without(off) }
 }
 
 const fn materials(name: &'static str, about: &'static str, change: Change) -> Variant {
-    Variant { name, about, kind: Kind::Materials(change) }
+    Variant { name, about, run: name, kind: Kind::Materials(change) }
 }
 
-const ALL: [Variant; 12] = [
+const ALL: [Variant; 17] = [
     geometry("rgb", "photographs alone", &[]),
-    geometry("normal", "and priors of normals", &[Part::Normals]),
-    geometry("semantic", "and semantic priors", &[Part::Normals, Part::Semantics]),
-    geometry(
-        "correspondence",
-        "and regions compared with pseudo-views",
-        &[Part::Normals, Part::Semantics, Part::Correspondence],
-    ),
+    geometry("depth", "and depth smoothness and variance", &[Part::Depth]),
+    geometry("normal", "and priors of normals", &[Part::Depth, Part::Normals]),
+    geometry("semantic", "and semantic priors", &[Part::Depth, Part::Normals, Part::Semantics]),
+    geometry("correspondence", "and regions compared with pseudo-views", &FULL),
+    without("no_normal", "full method without priors of normals", "no_normal", &[Part::Normals]),
+    without("no_depth", "full method without depth smoothness and variance", "no_depth", &[Part::Depth]),
+    without("no_semantic", "full method without semantics", "normal", &[Part::Semantics, Part::Correspondence]),
+    without("no_correspondence", "full method without pseudo-views", "semantic", &[Part::Correspondence]),
     materials("full", "everything", Change::Nothing),
     materials("gray_start", "materials begin gray", Change::GrayStart),
     materials("no_lights", "without point lights", Change::Lights),
@@ -75,7 +88,7 @@ impl Scope {
     /// Its variants, in their order.
     pub fn variants(self) -> Vec<Variant> {
         let shown = |v: &&Variant| match (self, v.kind) {
-            (Scope::Geometry, Kind::Geometry(_)) | (Scope::Materials, Kind::Materials(_)) => true,
+            (Scope::Geometry, Kind::Geometry(_) | Kind::Without(_)) | (Scope::Materials, Kind::Materials(_)) => true,
             // Everything is what the last variant of geometry has.
             (Scope::Whole, kind) => kind != Kind::Materials(Change::Nothing),
             _ => false,
@@ -103,19 +116,33 @@ impl Variant {
         matches!(self.kind, Kind::Materials(_))
     }
 
+    /// Whether it is the full method of the geometry stage without a term.
+    pub fn leaves_out(&self) -> bool {
+        matches!(self.kind, Kind::Without(_))
+    }
+
+    /// Whether a variant of geometry uses a part.
+    fn uses(&self, part: Part) -> bool {
+        match self.kind {
+            Kind::Geometry(on) => on.contains(&part),
+            Kind::Without(off) => !off.contains(&part),
+            Kind::Materials(_) => false,
+        }
+    }
+
     /// Settings as it wants them: of one of geometry, its parts switched on and all others off; of one of materials, one thing
     /// changed.
     pub fn settings(&self, base: &Settings) -> Settings {
         let mut settings = base.clone();
-        match self.kind {
-            Kind::Geometry(on) => {
-                let g = &mut settings.geometry;
-                g.normals = on.contains(&Part::Normals);
-                g.semantics = on.contains(&Part::Semantics);
-                g.correspondence = on.contains(&Part::Correspondence);
-            }
-            Kind::Materials(change) => change.apply(&mut settings.intrinsic),
+        if let Kind::Materials(change) = self.kind {
+            change.apply(&mut settings.intrinsic);
+            return settings;
         }
+        let g = &mut settings.geometry;
+        (g.depth_smooth, g.depth_variance) = (self.uses(Part::Depth), self.uses(Part::Depth));
+        g.normals = self.uses(Part::Normals);
+        g.semantics = self.uses(Part::Semantics);
+        g.correspondence = self.uses(Part::Correspondence);
         settings
     }
 
@@ -126,15 +153,23 @@ impl Variant {
     pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
         let on = match self.kind {
             Kind::Geometry(on) => on,
+            // Only where the scene has the full method's inputs does one less make a difference.
+            Kind::Without(_) => &FULL,
             Kind::Materials(change) => return change.lacks(scene, settings),
         };
+        let losses = &settings.geometry.losses;
+        if matches!(self.kind, Kind::Geometry([Part::Depth]) | Kind::Without([Part::Depth]))
+            && losses.depth_smooth + losses.depth_variance == 0.0
+        {
+            return Ok(Some("the losses of depth weigh nothing".to_owned()));
+        }
         for part in on {
             let there = match part {
                 Part::Normals => any(scene, |view| Ok(scene.normal_prior(view)?.is_some()))?,
                 Part::Semantics => {
                     scene.text_embeddings()?.is_some() && any(scene, |view| Ok(scene.semantic_prior(view)?.is_some()))?
                 }
-                Part::Correspondence => true,
+                Part::Depth | Part::Correspondence => true,
             };
             if !there {
                 let folder = if *part == Part::Normals { "priors/normal" } else { "priors/semantic" };
@@ -151,7 +186,7 @@ impl Variant {
     /// As a row of a table.
     pub fn entry(&self) -> Entry {
         let order = ALL.iter().position(|v| v == self).unwrap_or(ALL.len());
-        Entry { order, name: self.name, about: self.about.to_owned() }
+        Entry { order, name: self.name, about: self.about.to_owned(), run: self.run }
     }
 }
 
@@ -173,13 +208,35 @@ mod tests {
     #[test]
     fn variants_of_geometry_differ_in_their_switches_alone() {
         let base = Settings { seed: 5, ..Settings::default() };
-        let switches = |s: &Settings| [s.geometry.normals, s.geometry.semantics, s.geometry.correspondence];
-        for (count, variant) in Scope::Geometry.variants().iter().enumerate() {
+        let of = |variant: &Variant| {
             let mut settings = variant.settings(&base);
-            assert_eq!(switches(&settings), [0, 1, 2].map(|i| i < count), "{}", variant.name);
             let g = &mut settings.geometry;
-            (g.normals, g.semantics, g.correspondence) = switches(&base).into();
-            assert_eq!(settings, base);
+            assert_eq!(g.depth_smooth, g.depth_variance);
+            let switches = [g.depth_smooth, g.normals, g.semantics, g.correspondence];
+            (g.depth_smooth, g.depth_variance) = (true, true);
+            (g.normals, g.semantics, g.correspondence) = (true, true, true);
+            assert_eq!(settings, base, "{}", variant.name);
+            switches
+        };
+        for (count, variant) in Scope::Geometry.variants().iter().take(5).enumerate() {
+            assert_eq!(of(variant), [0, 1, 2, 3].map(|i| i < count), "{}", variant.name);
+        }
+        let named = |name: &str| ALL.iter().find(|v| v.name == name).unwrap();
+        assert_eq!(of(named("no_normal")), [true, false, true, true]);
+        assert_eq!(of(named("no_depth")), [false, true, true, true]);
+        assert_eq!(of(named("no_semantic")), [true, true, false, false]);
+        assert_eq!(of(named("no_correspondence")), [true, true, true, false]);
+    }
+
+    #[test]
+    fn variants_of_the_same_settings_share_their_runs() {
+        let base = Settings::default();
+        let variants = Scope::Geometry.variants();
+        for a in &variants {
+            for b in &variants {
+                let same_run = a.entry().folder(0) == b.entry().folder(0);
+                assert_eq!(a.settings(&base) == b.settings(&base), same_run, "{} and {}", a.name, b.name);
+            }
         }
     }
 
@@ -214,13 +271,15 @@ mod tests {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let found = Variant::named(Scope::Geometry, &names(&["normal", "rgb"])).unwrap();
         assert_eq!(found.iter().map(|v| v.name).collect::<Vec<_>>(), ["rgb", "normal"]);
-        assert_eq!(Variant::named(Scope::Geometry, &[]).unwrap(), ALL[..4]);
-        assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[4..]);
+        assert_eq!(Variant::named(Scope::Geometry, &[]).unwrap(), ALL[..9]);
+        assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[9..]);
         let whole = Variant::named(Scope::Whole, &[]).unwrap();
-        assert!(whole.len() == 11 && whole.iter().all(|v| v.name != "full"));
+        assert!(whole.len() == 16 && whole.iter().all(|v| v.name != "full"));
         let error = Variant::named(Scope::Geometry, &names(&["magic"])).unwrap_err().to_string();
         assert!(
-            error.starts_with("There is no variant \"magic\"; there are rgb, normal, semantic, correspondence."),
+            error.starts_with(
+                "There is no variant \"magic\"; there are rgb, depth, normal, semantic, correspondence, no_normal"
+            ),
             "{error}"
         );
         assert_eq!(found[1].entry().folder(3), "normal_seed3");

@@ -47,6 +47,13 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         }
     };
     let normals = prior("normal", g.normals, g.losses.normal + g.losses.normal_smooth, found[0]);
+    let depth = match (g.depth_smooth_weight() > 0.0, g.depth_variance_weight() > 0.0) {
+        (true, true) => "smoothness and variance have weights",
+        (true, false) => "smoothness has a weight",
+        (false, true) => "variance has a weight",
+        (false, false) if g.depth_smooth || g.depth_variance => "its losses weigh nothing",
+        (false, false) => "switched off",
+    };
     let semantics = prior("semantic", g.semantics, g.losses.semantic + g.losses.semantic_class, found[1]);
     let of = |what: &str, on: bool, reason: String, setting: &str| Decision {
         step: 0,
@@ -59,6 +66,7 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
     };
     vec![
         of("normals", found[0], normals, "geometry.normals"),
+        of("depth terms", g.depth_terms(), depth.to_owned(), "geometry.depth_smooth, geometry.depth_variance"),
         of("semantics", found[1], semantics, "geometry.semantics"),
         of("pseudo-views", found[2], regions, "geometry.correspondence"),
     ]

@@ -168,9 +168,8 @@ impl Geometry {
         let most = most_by_binding(device, all_bands);
         let wanted = most.min(g.densify.max_gaussians);
         let tuning = settings.tuning(device.info());
-        let depth = model.normals && (g.losses.depth_smooth > 0.0 || g.losses.depth_variance > 0.0);
         // Regions are carried to pseudo-views by depth.
-        let depth = depth || (wants_views && maps.is_some());
+        let depth = g.depth_terms() || (wants_views && maps.is_some());
         let options = GeometryOptions {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),

@@ -131,6 +131,7 @@ fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Sett
     (g.sh_degree, g.sh_interval) = (options.degree.min(3).into(), 0);
     g.background = options.background;
     (g.normals, g.semantics, g.correspondence, g.densify.enabled) = (false, false, false, false);
+    (g.depth_smooth, g.depth_variance) = (false, false);
     // What is measured on the device would be another result on another day.
     g.backward = Backward::Pixel;
     g.rates = Rates {

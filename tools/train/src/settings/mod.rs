@@ -3,6 +3,7 @@
 mod accuracy;
 mod automatic;
 mod degree;
+mod densify;
 mod intrinsic;
 mod memory;
 mod names;
@@ -14,6 +15,7 @@ mod train;
 pub use accuracy::accuracy_named;
 pub use automatic::AutomaticSettings;
 pub use degree::{MOST_BANDS, ShDegree};
+pub use densify::DensifyOptions;
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
@@ -103,6 +105,10 @@ pub struct GeometrySettings {
     pub background: [f32; 3],
     /// Whether priors of normals are used where there are any.
     pub normals: bool,
+    /// Whether depth smoothness is a loss. It needs no priors.
+    pub depth_smooth: bool,
+    /// Whether depth variance along rays is a loss. It needs no priors.
+    pub depth_variance: bool,
     /// Whether semantic priors are used where there are any.
     pub semantics: bool,
     /// Whether what is asked of semantic features also moves opacities, positions and shapes.
@@ -141,6 +147,8 @@ impl Default for GeometrySettings {
             sh_gain: 0.02,
             background: [0.0; 3],
             normals: true,
+            depth_smooth: true,
+            depth_variance: true,
             semantics: true,
             semantic_geometry: true,
             temperature: 1.0,
@@ -262,59 +270,22 @@ impl Default for LossWeights {
     }
 }
 
-/// Densification (Kerbl et al. 2023, section 5.2).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DensifyOptions {
-    /// Whether it happens at all.
-    pub enabled: bool,
-    /// First step after which it happens.
-    pub from: u32,
-    /// Fraction of the steps after which it ends. It always ends at least `interval` steps before the last step.
-    pub until: f64,
-    /// Steps between.
-    pub interval: u32,
-    /// Mean screen gradient (NDC) from which a Gaussian is refined.
-    pub grad_threshold: f32,
-    /// Largest scale that is cloned rather than split, as a fraction of the extent.
-    pub split_size: f64,
-    /// Fainter Gaussians are pruned.
-    pub prune_opacity: f32,
-    /// Gaussians that gathered less blending weight since the last time are pruned, if all views were seen since.
-    pub prune_weight: f32,
-    /// The last time those are pruned whose weights in all pixels of all views add up to less than so many of 255 gray levels; 0 for none.
-    pub final_prune: f32,
-    /// Larger Gaussians are pruned after the first opacity reset, as a fraction of the extent.
-    pub prune_size: f64,
-    /// Steps between opacity resets; 0 for none.
-    pub reset_interval: u32,
-    /// Most Gaussians.
-    pub max_gaussians: u32,
-    /// Most device memory in MiB that training may take, all in; 0 for what the device has.
-    pub max_mib: u64,
-}
-
-impl Default for DensifyOptions {
-    fn default() -> Self {
-        DensifyOptions {
-            enabled: true,
-            from: 500,
-            until: 0.8,
-            interval: 100,
-            grad_threshold: 4e-4,
-            split_size: 0.01,
-            prune_opacity: 0.005,
-            prune_weight: 1e-4,
-            final_prune: 0.0,
-            prune_size: 0.5,
-            reset_interval: 3000,
-            max_gaussians: 2_000_000,
-            max_mib: 0,
-        }
-    }
-}
-
 impl GeometrySettings {
+    /// Weight of depth smoothness; 0 if it is switched off.
+    pub fn depth_smooth_weight(&self) -> f32 {
+        if self.depth_smooth { self.losses.depth_smooth } else { 0.0 }
+    }
+
+    /// Weight of depth variance at step 0; 0 if it is switched off.
+    pub fn depth_variance_weight(&self) -> f32 {
+        if self.depth_variance { self.losses.depth_variance } else { 0.0 }
+    }
+
+    /// Whether a depth term has a weight.
+    pub fn depth_terms(&self) -> bool {
+        self.depth_smooth_weight() > 0.0 || self.depth_variance_weight() > 0.0
+    }
+
     /// The factor on the learning rates: the given one, or one that grows as runs get shorter than the 7000 steps that
     /// the rates are made for.
     pub fn rate_factor(&self) -> f64 {
@@ -416,12 +387,6 @@ impl Settings {
             ("losses.semantic", f64::from(l.semantic)),
             ("losses.semantic_class", f64::from(l.semantic_class)),
             ("losses.correspondence", f64::from(l.correspondence)),
-            ("densify.grad_threshold", f64::from(d.grad_threshold)),
-            ("densify.split_size", d.split_size),
-            ("densify.prune_opacity", f64::from(d.prune_opacity)),
-            ("densify.prune_weight", f64::from(d.prune_weight)),
-            ("densify.final_prune", f64::from(d.final_prune)),
-            ("densify.prune_size", d.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
                 return fail(format!("geometry.{name} is {value}, but must be a finite number of at least 0."));
@@ -431,15 +396,7 @@ impl Settings {
             return fail(format!("geometry.temperature is {}, but must be a finite number above 0.", g.temperature));
         }
         g.pseudo.check("geometry.pseudo.")?;
-        if !(0.0..=1.0).contains(&d.until) {
-            return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", d.until));
-        }
-        if d.enabled && d.interval == 0 {
-            return fail("geometry.densify.interval is 0, but must be at least 1.".into());
-        }
-        if d.max_gaussians == 0 {
-            return fail("geometry.densify.max_gaussians is 0, but must be at least 1.".into());
-        }
+        d.check()?;
         let table = toml::Table::try_from(&self.intrinsic).unwrap_or_default();
         self.intrinsic.check(&table)
     }
