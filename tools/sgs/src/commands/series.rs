@@ -173,7 +173,9 @@ struct Runs<'a> {
 impl Runs<'_> {
     /// Trains and measures a run as far as that is wanted and was not done before.
     fn come_to(&self, row: &Row, seed: u64, root: &Path) -> anyhow::Result<Came> {
-        if !row.wanted && !root.is_dir() {
+        // A run of another row says nothing of whether this one was trained before.
+        let shared = row.entry.run != row.entry.name;
+        if !row.wanted && (shared || !root.is_dir()) {
             return Ok(Came::Nowhere);
         }
         let (scene, asked) = of_seed(&row.settings, seed)?;
