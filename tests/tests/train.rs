@@ -226,6 +226,7 @@ fn metrics_hold_what_is_known() {
                 }
                 assert_eq!(entry.contains_key("depth_rel"), truth, "{entry:?}");
                 assert_eq!(entry.contains_key("normal_mae_deg"), truth, "{entry:?}");
+                assert_eq!(entry.contains_key("normal_coverage"), truth, "{entry:?}");
                 assert!(entry.values().all(|v| !v.is_null() && v != 0.0), "{entry:?}");
             }
         }

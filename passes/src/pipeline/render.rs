@@ -10,6 +10,7 @@ use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// A rendered view.
 #[derive(Clone, Debug)]
@@ -133,6 +134,39 @@ impl Renderer {
         sh_degree: u32,
         background: [f32; 3],
     ) -> Result<Picture> {
+        let (size, _) = self.run(gaussians, camera, sh_degree, background)?;
+        let pixels = size[0] as usize * size[1] as usize;
+        let channels = self.channels.count();
+        Ok(Picture {
+            size,
+            channels,
+            image: self.device.download_as(&self.state.image, pixels * channels as usize)?,
+            transmittance: self.device.download_as(&self.state.transmittance, pixels)?,
+        })
+    }
+
+    /// Renders one view without readback and returns the seconds from submission until the device has finished.
+    ///
+    /// # Errors
+    /// If memory runs out while growing, or the device fails.
+    pub fn time(
+        &mut self,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<f64> {
+        self.run(gaussians, camera, sh_degree, background).map(|(_, seconds)| seconds)
+    }
+
+    /// Renders one view. Returns its size and the seconds of the pass that had room for all tile entries.
+    fn run(
+        &mut self,
+        gaussians: &Gaussians,
+        camera: &Camera,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<([u32; 2], f64)> {
         let largest = [self.largest[0].max(camera.size[0]), self.largest[1].max(camera.size[1])];
         let made_for = &self.state.gaussians;
         if largest != self.largest || (made_for.capacity, made_for.model) != (gaussians.capacity, gaussians.model) {
@@ -146,23 +180,17 @@ impl Renderer {
         let step = Step { camera, background, step: 1, sh_degree, ..Default::default() };
         loop {
             self.device.fill(&self.state.flags, 0)?;
+            let start = Instant::now();
             self.state.exec.submit(&[(self.state.step, bytemuck::bytes_of(&step))])?;
             self.state.exec.finish()?;
+            let seconds = start.elapsed().as_secs_f64();
             if self.device.download_as::<u32>(&self.state.flags, 1)?[0] == 0 {
-                break;
+                return Ok((camera.size, seconds));
             }
             let wanted = self.device.download_as::<u32>(&self.state.wanted, 1)?[0];
             self.capacity = wanted.saturating_add(wanted / 8);
             self.rebuild(gaussians)?;
         }
-        let pixels = camera.size[0] as usize * camera.size[1] as usize;
-        let channels = self.channels.count();
-        Ok(Picture {
-            size: camera.size,
-            channels,
-            image: self.device.download_as(&self.state.image, pixels * channels as usize)?,
-            transmittance: self.device.download_as(&self.state.transmittance, pixels)?,
-        })
     }
 
     /// Blended semantic features of the last view, `[pixels * 32]` floats, row by row, not over any background; the buffer

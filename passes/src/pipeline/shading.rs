@@ -17,6 +17,7 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::{Camera, FieldStep};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Everything that shades, in device memory.
 #[derive(Debug)]
@@ -173,6 +174,28 @@ impl Shader {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Shaded> {
+        self.run(scene, camera)?;
+        let (Some(state), Some(surface)) = (&self.state, &self.surface) else { return Ok(Shaded::default()) };
+        let shaded = state.download(&self.device, scene, surface, camera);
+        if shaded.is_err() {
+            self.seen = None;
+        }
+        shaded
+    }
+
+    /// Shades a view without readback and returns the seconds from the first submission until the device has finished.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn time(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<f64> {
+        let seconds = self.run(scene, camera);
+        // Nobody has read what this view covers, which [`Shader::again`] relies on.
+        self.seen = None;
+        seconds
+    }
+
+    /// Shades a view; the outputs stay on the device. Returns the seconds without those of allocation.
+    fn run(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<f64> {
         self.seen = None;
         let largest = self.builder.shape().largest;
         let needed = [largest[0].max(camera.size[0]), largest[1].max(camera.size[1])];
@@ -181,23 +204,29 @@ impl Shader {
             self.surface = None;
             self.builder = SurfaceBuilder::new(&self.device, self.tuning, &scene.gaussians, needed)?;
         }
+        let start = Instant::now();
         self.builder.measure(&scene.gaussians, camera)?;
+        let mut seconds = start.elapsed().as_secs_f64();
         let shape = self.builder.shape();
         let surface = match self.surface.take().filter(|s| s.shape() == shape) {
             Some(surface) => surface,
             None => Surface::new(&self.device, shape)?,
         };
+        let start = Instant::now();
         self.builder.fill(&scene.gaussians, camera, &surface)?;
         self.builder.finish()?;
+        seconds += start.elapsed().as_secs_f64();
         let mut state = match self.state.take().filter(|s| s.shape == shape) {
             Some(state) => state,
             None => State::new(&self.device, &self.tuning, scene, shape, self.visibility)?,
         };
-        let shaded = state.shade(&self.device, &self.tuning, scene, &surface, camera);
+        let start = Instant::now();
+        let done = state.run(&self.tuning, scene, &surface, camera);
+        seconds += start.elapsed().as_secs_f64();
         self.surface = Some(surface);
         self.state = Some(state);
-        self.seen = shaded.is_ok().then_some(*camera);
-        shaded
+        self.seen = done.is_ok().then_some(*camera);
+        done.map(|()| seconds)
     }
 
     /// Light of the lamps as they shine by now, 3 floats a pixel as [`Shaded::direct`], where it was this view that was shaded last: what it sees of
@@ -237,7 +266,8 @@ impl Shader {
             size: shape.largest,
             ..Camera::default()
         };
-        let shaded = state.shade(&self.device, &self.tuning, scene, surface, &camera);
+        let done = state.run(&self.tuning, scene, surface, &camera);
+        let shaded = done.and_then(|()| state.download(&self.device, scene, surface, &camera));
         self.state = Some(state);
         shaded
     }
@@ -388,15 +418,8 @@ impl State {
         device.download_as(&self.outputs[output], OUTPUTS[output].1 as usize * pixels)
     }
 
-    fn shade(
-        &mut self,
-        device: &Device,
-        t: &Tuning,
-        scene: &ShadedScene,
-        surface: &Surface,
-        camera: &Camera,
-    ) -> Result<Shaded> {
-        self.run(t, scene, surface, camera)?;
+    /// All outputs of the view that was worked out last.
+    fn download(&self, device: &Device, scene: &ShadedScene, surface: &Surface, camera: &Camera) -> Result<Shaded> {
         let pixels = camera.size[0] as usize * camera.size[1] as usize;
         let [points, normals, coverage] = surface.download(device)?;
         let cut = |mut values: Vec<f32>, width: usize| {

@@ -19,10 +19,19 @@ pub fn views(split: &Value) -> String {
     table("view", &rows)
 }
 
-/// A table of the sets under other lights: means over the views.
+/// A table of the sets under other lights: means over the views, then the mean over the sets; below it, why other sets have no
+/// numbers.
 pub fn relit(split: &Value) -> String {
     let Some(sets) = split["mean"]["relit"].as_object() else { return String::new() };
-    table("lighting", &sets.iter().map(|(name, v)| (name.clone(), numbers(v))).collect::<Vec<_>>())
+    let (mean, others): (Vec<_>, Vec<_>) = sets.iter().partition(|(name, _)| *name == "mean");
+    let measured = others.iter().filter(|(_, v)| v["reason"].is_null()).chain(&mean);
+    let rows: Vec<_> = measured.map(|(name, v)| ((*name).clone(), numbers(v))).collect();
+    let reason = |(name, v): &(&String, &Value)| {
+        v["reason"].as_str().map(|why| format!("<li>{}: {}</li>\n", escape(name), escape(why)))
+    };
+    let reasons: String = others.iter().filter_map(reason).collect();
+    let reasons = if reasons.is_empty() { reasons } else { format!("<p>Not measured:</p>\n<ul>\n{reasons}</ul>\n") };
+    table("lighting", &rows) + &reasons
 }
 
 /// Names and what they say, one a row.
@@ -99,5 +108,17 @@ mod tests {
         );
         assert!(!html.contains("night") && relit(&split).contains("<th>night</th><td>11.5</td>"));
         assert_eq!((views(&json!({})), relit(&json!(3))), (String::new(), String::new()));
+    }
+
+    #[test]
+    fn relit_sets_without_numbers_have_a_reason() {
+        let set = |psnr: f64| json!({"psnr": psnr});
+        let sets = json!({"mean": set(20.0), "night": set(20.0), "<city>": {"reason": "No light & no edit."}});
+        let html = relit(&json!({"mean": {"relit": sets}}));
+        let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
+        assert!(at("<th>night</th>") < at("class=\"mean\""));
+        assert!(at("class=\"mean\"") < at("<li>&lt;city&gt;: No light &amp; no edit.</li>"));
+        let alone = relit(&json!({"mean": {"relit": {"city": {"reason": "No light."}}}}));
+        assert!(!alone.contains("<table>") && alone.contains("<li>city: No light.</li>"), "{alone}");
     }
 }

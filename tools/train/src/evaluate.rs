@@ -5,7 +5,8 @@ use crate::convert::camera;
 use crate::error::Result;
 use crate::evaluate_shaded::ShadedMetrics;
 use crate::head::SemanticHead;
-use crate::metrics::{self, Lpips, LpipsAbout};
+use crate::metrics::{self, Lpips, LpipsAbout, NormalError};
+use crate::speed::Fps;
 use serde::Serialize;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
@@ -22,9 +23,12 @@ pub struct ViewMetrics {
     pub name: String,
     /// Novel-view synthesis.
     pub nvs: Nvs,
-    /// Mean angular error of normals, degrees.
+    /// Mean angular error of normals, degrees; a pixel without a rendered normal counts as 90°.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normal_mae_deg: Option<f64>,
+    /// Share of the pixels with a true normal that have a rendered one, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_coverage: Option<f64>,
     /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
@@ -77,6 +81,9 @@ pub struct Means {
     /// Degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normal_mae_deg: Option<f64>,
+    /// Share of the pixels with a true normal that have a rendered one, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_coverage: Option<f64>,
     /// Relative.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
@@ -86,6 +93,9 @@ pub struct Means {
     /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
     #[serde(flatten)]
     pub shaded: Option<ShadedMetrics>,
+    /// Rendering speed, where it was measured ([`crate::speed`]).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fps: Option<Fps>,
 }
 
 /// Metrics of a split.
@@ -177,7 +187,7 @@ pub fn evaluate_classes(
             }
         };
         let normal = match (Some(shown), truth.load(GroundTruthKind::Normal, i)?) {
-            (Some(n), Some(t)) => known(metrics::normal_mae_deg(n, &t, mask))?,
+            (Some(n), Some(t)) => known(metrics::normal_error(n, &t, mask))?,
             _ => None,
         };
         let depth = match truth.load(GroundTruthKind::Depth, i)? {
@@ -195,7 +205,9 @@ pub fn evaluate_classes(
         let semantic = semantic.map(|accuracy| Semantic { accuracy });
         look(&view.camera.name, &rendered)?;
         let name = view.camera.name.clone();
-        out.push(ViewMetrics { name, nvs, normal_mae_deg: normal, depth_rel: depth, semantic, shaded: None });
+        let (normal_mae_deg, normal_coverage) =
+            normal.map(|NormalError { mae_deg, coverage }| (mae_deg, coverage)).unzip();
+        out.push(ViewMetrics { name, nvs, normal_mae_deg, normal_coverage, depth_rel: depth, semantic, shaded: None });
     }
     let n = out.len().max(1) as f64;
     let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
@@ -211,9 +223,11 @@ pub fn evaluate_classes(
             lpips: some(&|v| v.nvs.lpips),
         },
         normal_mae_deg: some(&|v| v.normal_mae_deg),
+        normal_coverage: some(&|v| v.normal_coverage),
         depth_rel: some(&|v| v.depth_rel),
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
         shaded: None,
+        fps: None,
     };
     Ok(Evaluation { mean, lpips: lpips.map(Lpips::about), views: out })
 }
@@ -229,7 +243,7 @@ fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
 }
 
 /// A measure in which no pixel counts (a view of the sky alone) is absent, as one without ground truth is.
-pub(crate) fn known(value: std::result::Result<f64, metrics::MetricError>) -> Result<Option<f64>> {
+pub(crate) fn known<T>(value: std::result::Result<T, metrics::MetricError>) -> Result<Option<T>> {
     match value {
         Err(metrics::MetricError::Empty { .. }) => Ok(None),
         other => Ok(Some(other?)),

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::evaluate::{Evaluation, Nvs, known};
-use crate::metrics::{self, Lpips};
+use crate::metrics::{self, GainFit, Lpips};
 use crate::shaded::{ShadedView, Shading, displayed};
 use serde::Serialize;
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
@@ -23,9 +23,9 @@ pub struct ShadedMetrics {
     /// Mean squared error of metallic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metallic_mse: Option<f64>,
-    /// Under other lights, by name.
+    /// Under other lights, by name; among means also [`RELIT_MEAN`].
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub relit: BTreeMap<String, RelitMetrics>,
+    pub relit: BTreeMap<String, RelitSet>,
 }
 
 /// Metrics of albedo, compared as it is displayed (sRGB).
@@ -35,22 +35,52 @@ pub struct AlbedoMetrics {
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// dB after one gain a channel.
+    /// dB after one gain per channel for all views together. The gain is fitted and applied in linear light.
     pub psnr_scaled: f64,
+    /// dB after one gain per channel for this view alone. The gain is fitted and applied to sRGB values.
+    pub psnr_scaled_per_view: f64,
     /// LPIPS, where there are weights.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<f64>,
 }
 
-/// Metrics of a picture under other lights, display-referred.
+/// Key of the mean over all relit sets that were measured.
+pub const RELIT_MEAN: &str = "mean";
+
+/// Metrics of a view under other lights, or of their mean, display-referred.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct RelitMetrics {
     /// dB.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// dB after one gain for all channels of all linear pixels.
-    pub psnr_scaled: f64,
+    /// dB after one gain for all channels of all linear pixels of all views of the set.
+    pub psnr_gain: f64,
+    /// dB after one gain for all channels of all linear pixels of this view.
+    pub psnr_gain_per_view: f64,
+}
+
+/// A relit set: its metrics, or why it has none.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum RelitSet {
+    /// It was rendered and measured.
+    Measured(RelitMetrics),
+    /// It could not be rendered.
+    Skipped {
+        /// One sentence.
+        reason: String,
+    },
+}
+
+impl RelitSet {
+    /// The metrics, if the set was measured.
+    pub fn metrics(&self) -> Option<&RelitMetrics> {
+        match self {
+            RelitSet::Measured(metrics) => Some(metrics),
+            RelitSet::Skipped { .. } => None,
+        }
+    }
 }
 
 /// Measures what shading comes to, and puts it into an evaluation of the same views.
@@ -67,37 +97,56 @@ pub fn evaluate_shaded(
     mut look: impl FnMut(&str, &ShadedView) -> Result<()>,
 ) -> Result<()> {
     let truth = GroundTruth::of(scene);
+    let mut fit = GainFit::new(3);
+    let mut albedos = Vec::with_capacity(views.len());
     for (&i, metrics) in views.iter().zip(&mut into.views) {
         let view = &scene.views[i];
         let shaded = shading.shade(&view.camera)?;
-        let mut found = measure_materials(&shaded, &truth, i, lpips)?;
+        let mut found = measure_materials(&shaded, &truth, i, lpips, &mut fit)?;
         let picture = displayed(&shaded.radiance(background));
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
         found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref(), lpips)?);
         look(&view.camera.name, &shaded)?;
+        albedos.push(found.albedo.map(|_| shaded.albedo()));
         metrics.shaded = Some(found);
+    }
+    // The gain is that of all views, so it is known only after the last of them.
+    let gains = fit.per_channel();
+    for ((&i, metrics), ours) in views.iter().zip(&mut into.views).zip(&albedos) {
+        let found = metrics.shaded.as_mut().and_then(|s| s.albedo.as_mut());
+        let (Some(found), Some(ours), Some(theirs)) = (found, ours, truth.load(GroundTruthKind::Albedo, i)?) else {
+            continue;
+        };
+        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let ours = displayed(&metrics::scaled(ours, &gains));
+        found.psnr_scaled = metrics::psnr(&ours, &displayed(&theirs), mask.as_ref())?;
     }
     let all: Vec<&ShadedMetrics> = into.views.iter().filter_map(|v| v.shaded.as_ref()).collect();
     into.mean.shaded = Some(mean(&all));
     Ok(())
 }
 
+/// Measures the materials of a view and adds its albedo to the fit of the common gain; `psnr_scaled` is set later.
 fn measure_materials(
     shaded: &ShadedView,
     truth: &GroundTruth<'_>,
     view: usize,
     lpips: Option<&Lpips>,
+    fit: &mut GainFit,
 ) -> Result<ShadedMetrics> {
     let mask = truth.load(GroundTruthKind::Mask, view)?;
     let mask = mask.as_ref();
     let mut found = ShadedMetrics::default();
     if let Some(albedo) = truth.load(GroundTruthKind::Albedo, view)? {
-        let (ours, theirs) = (displayed(&shaded.albedo()), displayed(&albedo));
+        let linear = shaded.albedo();
+        let (ours, theirs) = (displayed(&linear), displayed(&albedo));
         if let Some(psnr) = known(metrics::psnr(&ours, &theirs, mask))? {
+            fit.add_images(&linear, &albedo, mask)?;
             found.albedo = Some(AlbedoMetrics {
                 psnr,
                 ssim: metrics::ssim(&ours, &theirs, mask)?,
-                psnr_scaled: metrics::psnr_scaled(&ours, &theirs, mask)?,
+                psnr_scaled: psnr,
+                psnr_scaled_per_view: metrics::psnr_scaled(&ours, &theirs, mask)?,
                 lpips: lpips.map(|l| l.distance(&ours, &theirs, mask)).transpose()?,
             });
         }
@@ -111,60 +160,85 @@ fn measure_materials(
     Ok(found)
 }
 
-/// A relit picture against ground truth; both linear.
+/// Compares the views of a relit set with ground truth, in pairs; all are linear.
 ///
 /// # Errors
-/// If their sizes differ.
-pub fn measure_relit(ours: &Image, theirs: &Image) -> Result<RelitMetrics> {
-    let (mut ab, mut aa) = (0.0_f64, 0.0_f64);
-    for (a, b) in ours.data.iter().zip(&theirs.data) {
-        // What is beyond white in either says nothing about the other.
-        if *b < 1.0 && *a < 1.0 {
-            ab += f64::from(*a) * f64::from(*b);
-            aa += f64::from(*a) * f64::from(*a);
+/// If sizes differ.
+pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
+    let fit_of = |pairs: &[(&Image, &Image)]| {
+        let mut fit = GainFit::new(1);
+        for (a, b) in pairs.iter().flat_map(|(ours, theirs)| ours.data.iter().zip(&theirs.data)) {
+            // A value beyond white in either image is clipped and says nothing about the gain.
+            if *b < 1.0 && *a < 1.0 {
+                fit.add(0, *a, *b);
+            }
         }
-    }
-    let gain = if aa > 0.0 { (ab / aa) as f32 } else { 1.0 };
-    let gained = Image { data: ours.data.iter().map(|v| v * gain).collect(), ..ours.clone() };
-    let shown = displayed(theirs);
-    let first = displayed(ours);
-    Ok(RelitMetrics {
-        psnr: metrics::psnr(&first, &shown, None)?,
-        ssim: metrics::ssim(&first, &shown, None)?,
-        psnr_scaled: metrics::psnr(&displayed(&gained), &shown, None)?,
+        fit.common()
+    };
+    let common = fit_of(pairs);
+    let measure = |&(ours, theirs): &(&Image, &Image)| {
+        let (first, shown) = (displayed(ours), displayed(theirs));
+        let after = |gain: f64| {
+            let gains = vec![gain; ours.channels as usize];
+            metrics::psnr(&displayed(&metrics::scaled(ours, &gains)), &shown, None)
+        };
+        Ok(RelitMetrics {
+            psnr: metrics::psnr(&first, &shown, None)?,
+            ssim: metrics::ssim(&first, &shown, None)?,
+            psnr_gain: after(common)?,
+            psnr_gain_per_view: after(fit_of(&[(ours, theirs)]))?,
+        })
+    };
+    pairs.iter().map(measure).collect()
+}
+
+/// Mean over relit metrics; absent for none.
+pub(crate) fn mean_relit<'a>(all: impl Iterator<Item = &'a RelitMetrics>) -> Option<RelitMetrics> {
+    let all: Vec<&RelitMetrics> = all.collect();
+    let of = |f: fn(&RelitMetrics) -> f64| all.iter().map(|m| f(m)).sum::<f64>() / all.len() as f64;
+    (!all.is_empty()).then(|| RelitMetrics {
+        psnr: of(|m| m.psnr),
+        ssim: of(|m| m.ssim),
+        psnr_gain: of(|m| m.psnr_gain),
+        psnr_gain_per_view: of(|m| m.psnr_gain_per_view),
     })
 }
 
-/// Means of what is known.
+/// Means of what is known. Relit sets have a mean over their views each, and one over all of them ([`RELIT_MEAN`]).
 pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
     let some = |f: &dyn Fn(&ShadedMetrics) -> Option<f64>| {
         let values: Vec<f64> = all.iter().filter_map(|m| f(m)).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
-    let pbr =
-        some(&|m| m.pbr.map(|v| v.psnr)).zip(some(&|m| m.pbr.map(|v| v.ssim))).zip(some(&|m| m.pbr.map(|v| v.flip)));
-    let albedo = some(&|m| m.albedo.map(|v| v.psnr))
-        .zip(some(&|m| m.albedo.map(|v| v.ssim)))
-        .zip(some(&|m| m.albedo.map(|v| v.psnr_scaled)));
+    let pbr = || {
+        let of = |f: fn(&Nvs) -> f64| some(&|m| m.pbr.as_ref().map(f));
+        let lpips = some(&|m| m.pbr?.lpips);
+        Some(Nvs { psnr: of(|v| v.psnr)?, ssim: of(|v| v.ssim)?, flip: of(|v| v.flip)?, lpips })
+    };
+    let albedo = || {
+        let of = |f: fn(&AlbedoMetrics) -> f64| some(&|m| m.albedo.as_ref().map(f));
+        Some(AlbedoMetrics {
+            psnr: of(|v| v.psnr)?,
+            ssim: of(|v| v.ssim)?,
+            psnr_scaled: of(|v| v.psnr_scaled)?,
+            psnr_scaled_per_view: of(|v| v.psnr_scaled_per_view)?,
+            lpips: some(&|m| m.albedo?.lpips),
+        })
+    };
     let mut names: Vec<&String> = all.iter().flat_map(|m| m.relit.keys()).collect();
     names.sort();
     names.dedup();
-    let relit = names.into_iter().filter_map(|name| {
-        let of = |f: fn(&RelitMetrics) -> f64| some(&|m| m.relit.get(name).map(f));
-        let (psnr, ssim, psnr_scaled) = (of(|r| r.psnr)?, of(|r| r.ssim)?, of(|r| r.psnr_scaled)?);
-        Some((name.clone(), RelitMetrics { psnr, ssim, psnr_scaled }))
-    });
+    let of_views = |name: &String| mean_relit(all.iter().filter_map(|m| m.relit.get(name)?.metrics()));
+    let mut relit: BTreeMap<String, RelitSet> = BTreeMap::new();
+    relit.extend(names.into_iter().filter_map(|n| Some((n.clone(), RelitSet::Measured(of_views(n)?)))));
+    let over_sets = mean_relit(relit.values().filter_map(RelitSet::metrics));
+    relit.extend(over_sets.map(|m| (RELIT_MEAN.to_owned(), RelitSet::Measured(m))));
     ShadedMetrics {
-        pbr: pbr.map(|((psnr, ssim), flip)| Nvs { psnr, ssim, flip, lpips: some(&|m| m.pbr?.lpips) }),
-        albedo: albedo.map(|((psnr, ssim), psnr_scaled)| AlbedoMetrics {
-            psnr,
-            ssim,
-            psnr_scaled,
-            lpips: some(&|m| m.albedo?.lpips),
-        }),
+        pbr: pbr(),
+        albedo: albedo(),
         roughness_mse: some(&|m| m.roughness_mse),
         metallic_mse: some(&|m| m.metallic_mse),
-        relit: relit.collect(),
+        relit,
     }
 }
 
@@ -172,18 +246,32 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
 mod tests {
     use super::*;
 
-    fn image(data: &[f32]) -> Image {
-        Image { width: data.len() as u32 / 3, height: 1, channels: 3, data: data.to_vec() }
+    fn wide(v: &[f32]) -> Image {
+        Image { width: 4, height: 4, channels: 3, data: v.to_vec() }
     }
 
     #[test]
     fn one_gain_makes_a_dimmer_picture_equal() {
         let truth: Vec<f32> = (0..48).map(|i| 0.02 * i as f32).collect();
         let half: Vec<f32> = truth.iter().map(|v| 0.5 * v).collect();
-        let wide = |v: &[f32]| Image { width: 4, height: 4, channels: 3, data: v.to_vec() };
-        let m = measure_relit(&wide(&half), &wide(&truth)).unwrap();
-        assert!(m.psnr < 20.0 && m.psnr_scaled > 60.0, "{m:?}");
-        assert!(measure_relit(&image(&truth), &wide(&truth)).is_err());
+        let m = measure_relit(&[(&wide(&half), &wide(&truth))]).unwrap()[0];
+        assert!(m.psnr < 20.0 && m.psnr_gain > 60.0 && m.psnr_gain_per_view > 60.0, "{m:?}");
+        assert!(measure_relit(&[(&Image::new(16, 1, 3), &wide(&truth))]).is_err());
+    }
+
+    /// Two gray views, 0.2 and 0.4 where the truth is 0.4 and 0.2. Alone, the gains 2 and 1/2 make them equal. Together, the gain is
+    /// (0.2·0.4 + 0.4·0.2) / (0.2² + 0.4²) = 0.8, which leaves 0.16 and 0.32 in place of 0.4 and 0.2.
+    #[test]
+    fn the_gain_of_a_relit_set_is_common_to_its_views() {
+        let gray = |v: f32| wide(&[v; 48]);
+        let (dark, bright) = (gray(0.2), gray(0.4));
+        let found = measure_relit(&[(&dark, &bright), (&bright, &dark)]).unwrap();
+        let shown = |v: f64| 1.055 * v.powf(1.0 / 2.4) - 0.055;
+        let decibels = |a: f64, b: f64| -20.0 * (shown(a) - shown(b)).abs().log10();
+        for (m, expected) in found.iter().zip([decibels(0.16, 0.4), decibels(0.32, 0.2)]) {
+            assert!((m.psnr_gain - expected).abs() < 1e-3 && m.psnr_gain_per_view > 100.0, "{m:?}, not {expected}");
+            assert!((m.psnr - decibels(0.2, 0.4)).abs() < 1e-3, "{m:?}");
+        }
     }
 
     #[test]
@@ -191,6 +279,30 @@ mod tests {
         let one = |rough: Option<f64>| ShadedMetrics { roughness_mse: rough, ..Default::default() };
         let m = mean(&[&one(Some(0.5)), &one(None), &one(Some(1.5))]);
         assert_eq!((m.roughness_mse, m.metallic_mse), (Some(1.0), None));
-        assert!(m.pbr.is_none() && m.relit.is_empty());
+        assert!(m.pbr.is_none() && m.albedo.is_none() && m.relit.is_empty());
+    }
+
+    /// Views of one set are averaged before sets are.
+    #[test]
+    fn the_relit_mean_is_over_sets() {
+        let of =
+            |v: f64| RelitSet::Measured(RelitMetrics { psnr: v, ssim: v, psnr_gain: v + 1.0, psnr_gain_per_view: v });
+        let view = |sets: &[(&str, f64)]| ShadedMetrics {
+            relit: sets.iter().map(|(name, v)| ((*name).to_owned(), of(*v))).collect(),
+            ..Default::default()
+        };
+        let m = mean(&[&view(&[("day", 10.0), ("night", 30.0)]), &view(&[("day", 20.0)])]);
+        let psnr = |name: &str| m.relit[name].metrics().map(|m| (m.psnr, m.psnr_gain));
+        assert_eq!(
+            (psnr("day"), psnr("night"), psnr("mean")),
+            (Some((15.0, 16.0)), Some((30.0, 31.0)), Some((22.5, 23.5)))
+        );
+    }
+
+    #[test]
+    fn a_skipped_set_is_a_reason_in_json() {
+        let set = RelitSet::Skipped { reason: "No light.".into() };
+        assert_eq!(serde_json::to_value(&set).unwrap(), serde_json::json!({"reason": "No light."}));
+        assert!(set.metrics().is_none());
     }
 }

@@ -33,6 +33,7 @@ mod semantics;
 mod settings;
 mod shaded;
 mod shadows;
+mod speed;
 mod visibility;
 
 pub use asked::Look;
@@ -46,7 +47,9 @@ pub use evaluate::{
     Evaluation, Means, Nvs, Rendered, Semantic, ViewMetrics, evaluate, evaluate_classes, normals_from_depth,
     render_view,
 };
-pub use evaluate_shaded::{AlbedoMetrics, RelitMetrics, ShadedMetrics, evaluate_shaded, measure_relit};
+pub use evaluate_shaded::{
+    AlbedoMetrics, RELIT_MEAN, RelitMetrics, RelitSet, ShadedMetrics, evaluate_shaded, measure_relit,
+};
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
 pub use geometry::{Decision, Geometry, Progress, Sight};
 pub use head::SemanticHead;
@@ -58,7 +61,7 @@ pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView
 pub use relight::{
     BakeOptions, Baked, Edit, EnvironmentEdit, Insert, Lamp, LightChange, LightEdit, MaterialEdit, MaterialValues,
     NewLight, Region, Relighter, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
-    source_of,
+    skip_relit, source_of,
 };
 pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
@@ -71,4 +74,5 @@ pub use settings::{
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;
+pub use speed::{Fps, render_fps, shade_fps};
 pub use visibility::VisibilityFile;

@@ -203,6 +203,14 @@ impl Shading {
         Ok(view)
     }
 
+    /// Shades a view without readback and returns the seconds that takes.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn time(&mut self, view: &sgs_scene::Camera) -> Result<f64> {
+        Ok(self.shader.time(&self.scene, &camera(view))?)
+    }
+
     /// Light of the lamps alone, as [`ShadedView::direct`]: over and over from one place with other gains, where it takes little more than
     /// the lamps that are on.
     ///

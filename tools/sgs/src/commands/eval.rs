@@ -9,8 +9,8 @@ use sgs_engine::Device;
 use sgs_scene::{Image, Scene, Splats, write_png};
 use sgs_train::metrics::{Lpips, LpipsRange};
 use sgs_train::{
-    Evaluation, Nvs, RunDirectory, Semantic, Settings, ShadedMetrics, Shading, displayed, evaluate_classes,
-    evaluate_relit, evaluate_shaded, light_of, shaded_scene,
+    Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, RunDirectory, Settings, ShadedMetrics, Shading, displayed,
+    evaluate_classes, evaluate_relit, evaluate_shaded, light_of, render_fps, shade_fps, shaded_scene, skip_relit,
 };
 use std::path::{Path, PathBuf};
 
@@ -109,11 +109,14 @@ pub fn measure(
             }
             Ok(())
         })?;
+    let mut pbr = None;
     if splats.albedo.is_some() && splats.roughness.is_some() {
         let light = light_of(run, settings)?;
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
         let shaded = shaded_scene(device, splats, lights, environment, &light.visibility)?;
-        let mut shading = Shading::new(device, shaded)?;
+        // The mean visibility takes as long as shading, and is shown in images only.
+        let shading = Shading::new(device, shaded)?;
+        let mut shading = if images.is_some() { shading } else { shading.without_visibility() };
         evaluate_shaded(&mut shading, scene, views, background, lpips, &mut result, |name, shaded| {
             let Some(dir) = images else { return Ok(()) };
             let view = scene.views.iter().position(|v| v.camera.name == name);
@@ -127,8 +130,13 @@ pub fn measure(
             write_png(&dir.join(format!("{name}_shaded.png")), &beside(&row))?;
             Ok(())
         })?;
+        pbr = Some(shade_fps(&mut shading.without_visibility(), scene, views)?);
         evaluate_relit(device, scene, splats, &light, views, &mut result)?;
+    } else {
+        let reason = "The run has no materials; train its intrinsic stage to render the set.";
+        skip_relit(scene, reason, &mut result);
     }
+    result.mean.fps = Some(Fps { nvs: render_fps(device, scene, &gaussians, views, background)?, pbr });
     record(run, if split == Split::Test { "test" } else { "train" }, &result, splats.len())?;
     Ok(result)
 }
@@ -153,6 +161,9 @@ fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize
     let mut all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&old).unwrap_or_default();
     all.insert(split.to_owned(), serde_json::to_value(result)?);
     all.insert("gaussians".to_owned(), gaussians.into());
+    if let Some(fps) = &result.mean.fps {
+        all.insert("fps".to_owned(), serde_json::to_value(fps)?);
+    }
     let training = std::fs::read_to_string(run.path("training.json")).unwrap_or_default();
     if let Ok(serde_json::Value::Object(t)) = serde_json::from_str(&training) {
         for key in ["seconds", "steps_per_second", "peak_device_bytes"] {
@@ -165,55 +176,62 @@ fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize
 }
 
 fn print_table(e: &Evaluation) {
-    let learned = e.lpips.is_some();
-    let row = |name: &str, [a, b, c, l, d, e, f]: [String; 7]| {
-        let l = if learned { format!(" {l:>8}") } else { String::new() };
-        println!("{name:<20} {a:>8} {b:>8} {c:>8}{l} {d:>10} {e:>10} {f:>8}")
+    let lpips = e.lpips.is_some();
+    let row = |name: &str, [psnr, ssim, flip, l, normal, covered, depth, labels]: [String; 8]| {
+        let l = if lpips { format!(" {l:>8}") } else { String::new() };
+        println!("{name:<20} {psnr:>8} {ssim:>8} {flip:>8}{l} {normal:>10} {covered:>9} {depth:>10} {labels:>8}");
     };
     let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
-    let line = |name: &str, nvs: &Nvs, normal: Option<f64>, depth: Option<f64>, semantic: Option<Semantic>| {
+    let line = |name: &str, nvs: &Nvs, [normal, covered, depth, labels]: [Option<f64>; 4]| {
         let (psnr, ssim, flip) = (cell(Some(nvs.psnr), 2), cell(Some(nvs.ssim), 4), cell(Some(nvs.flip), 4));
-        row(
-            name,
-            [
-                psnr,
-                ssim,
-                flip,
-                cell(nvs.lpips, 4),
-                cell(normal, 2),
-                cell(depth, 4),
-                cell(semantic.map(|s| s.accuracy), 4),
-            ],
-        );
+        let geometry = [cell(normal, 2), cell(covered, 4), cell(depth, 4), cell(labels, 4)];
+        let [normal, covered, depth, labels] = geometry;
+        row(name, [psnr, ssim, flip, cell(nvs.lpips, 4), normal, covered, depth, labels]);
     };
-    row("view", ["PSNR", "SSIM", "FLIP", "LPIPS", "normal °", "depth rel", "labels"].map(str::to_owned));
+    row("view", ["PSNR", "SSIM", "FLIP", "LPIPS", "normal °", "covered", "depth rel", "labels"].map(str::to_owned));
     for v in &e.views {
-        line(&v.name, &v.nvs, v.normal_mae_deg, v.depth_rel, v.semantic);
+        let labels = v.semantic.map(|s| s.accuracy);
+        line(&v.name, &v.nvs, [v.normal_mae_deg, v.normal_coverage, v.depth_rel, labels]);
     }
-    line("mean", &e.mean.nvs, e.mean.normal_mae_deg, e.mean.depth_rel, e.mean.semantic);
-    if let Some(m) = &e.mean.shaded {
+    let m = &e.mean;
+    let labels = m.semantic.map(|s| s.accuracy);
+    line("mean", &m.nvs, [m.normal_mae_deg, m.normal_coverage, m.depth_rel, labels]);
+    if let Some(m) = &m.shaded {
         print_shaded(m);
+    }
+    if let Some(fps) = &m.fps {
+        let pbr = fps.pbr.map_or_else(String::new, |v| format!(", shaded {v:.1}"));
+        println!("\n{:<20} {:>8.1} rendered{pbr}", "frames per second", fps.nvs);
     }
 }
 
-/// Means of what shading comes to.
+/// Means over the views of materials, shaded and relit images.
 fn print_shaded(m: &ShadedMetrics) {
     let learned = |v: Option<f64>| v.map_or_else(String::new, |v| format!(" {v:>8.4} LPIPS"));
     println!();
     if let Some(v) = &m.pbr {
         let lpips = learned(v.lpips);
-        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.4} FLIP{lpips}", "shaded picture", v.psnr, v.ssim, v.flip);
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.4} FLIP{lpips}", "shaded image", v.psnr, v.ssim, v.flip);
     }
     if let Some(v) = &m.albedo {
-        let lpips = learned(v.lpips);
-        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled{lpips}", "albedo", v.psnr, v.ssim, v.psnr_scaled);
+        let (lpips, scaled, each) = (learned(v.lpips), v.psnr_scaled, v.psnr_scaled_per_view);
+        let after = format!("{scaled:>8.2} dB after a gain per channel ({each:.2} dB per view)");
+        println!("{:<20} {:>8.2} dB {:>8.4} SSIM {after}{lpips}", "albedo", v.psnr, v.ssim);
     }
     for (name, value) in [("roughness MSE", m.roughness_mse), ("metallic MSE", m.metallic_mse)] {
         if let Some(v) = value {
             println!("{name:<20} {v:>8.5}");
         }
     }
-    for (name, v) in &m.relit {
-        println!("{name:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB scaled", v.psnr, v.ssim, v.psnr_scaled);
+    let (mean, sets): (Vec<_>, Vec<_>) = m.relit.iter().partition(|(name, _)| *name == RELIT_MEAN);
+    for (name, set) in sets.into_iter().chain(mean) {
+        let name = if name == RELIT_MEAN { "mean of relit sets" } else { name };
+        match set {
+            RelitSet::Measured(v) => println!(
+                "{name:<20} {:>8.2} dB {:>8.4} SSIM {:>8.2} dB after one gain ({:.2} dB per view)",
+                v.psnr, v.ssim, v.psnr_gain, v.psnr_gain_per_view
+            ),
+            RelitSet::Skipped { reason } => println!("{name:<20} not measured: {reason}"),
+        }
     }
 }

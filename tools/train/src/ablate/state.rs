@@ -88,7 +88,7 @@ pub(super) const MEASURES: [Measure; 18] = [
     measure("albedo_lpips", "albedo LPIPS ↓", 4, "/test/mean/albedo/lpips"),
     measure("roughness_mse", "roughness MSE ↓", 5, "/test/mean/roughness_mse"),
     measure("metallic_mse", "metallic MSE ↓", 5, "/test/mean/metallic_mse"),
-    measure("relit_psnr", "relit, dB ↑", 2, "/test/mean/relit"),
+    measure("relit_psnr", "relit, dB ↑", 2, "/test/mean/relit/mean/psnr"),
     measure("normal_mae_deg", "normals, ° ↓", 2, "/test/mean/normal_mae_deg"),
     measure("depth_rel", "depth, relative ↓", 4, "/test/mean/depth_rel"),
     measure("accuracy", "labels right ↑", 4, "/test/mean/semantic/accuracy"),
@@ -117,7 +117,6 @@ impl Measures {
         let number = |m: &Measure| match m.key {
             "seconds_per_step" => per_step(&all, m.place, &training),
             "intrinsic_seconds_per_step" => per_step(&training, m.place, &training["intrinsic"]),
-            "relit_psnr" => all.pointer(m.place).and_then(Value::as_object).and_then(mean_psnr),
             _ => all.pointer(m.place).and_then(Value::as_f64),
         };
         let found = Measures(std::array::from_fn(|i| number(&MEASURES[i])));
@@ -125,17 +124,11 @@ impl Measures {
     }
 
     /// A measure by its name in JSON: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`,
-    /// `metallic_mse`, `relit_psnr` (mean over what it is relit by), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
+    /// `metallic_mse`, `relit_psnr` (mean over the relit sets), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
     /// geometry), `intrinsic_seconds_per_step`, `gaussians`. Seconds are those of runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
-}
-
-/// Mean over what a scene is relit by.
-fn mean_psnr(sets: &serde_json::Map<String, Value>) -> Option<f64> {
-    let all: Option<Vec<f64>> = sets.values().map(|set| set["psnr"].as_f64()).collect();
-    all.filter(|all| !all.is_empty()).map(|all| all.iter().sum::<f64>() / all.len() as f64)
 }
 
 /// A file of a run; null where there is none, or it is damaged.

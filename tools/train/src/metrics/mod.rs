@@ -6,6 +6,7 @@
 
 mod depth;
 mod flip;
+mod gain;
 mod label;
 mod lpips;
 mod normal;
@@ -14,9 +15,10 @@ mod ssim;
 
 pub use depth::depth_rel;
 pub use flip::flip;
+pub use gain::{GainFit, scaled};
 pub use label::label_accuracy;
 pub use lpips::{Lpips, LpipsAbout, LpipsNet, LpipsRange};
-pub use normal::normal_mae_deg;
+pub use normal::{NormalError, normal_error, normal_mae_deg};
 pub use psnr::{mse, psnr, psnr_scaled};
 pub use ssim::ssim;
 

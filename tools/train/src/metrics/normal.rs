@@ -4,38 +4,72 @@ use sgs_scene::Image;
 
 use super::{MetricError, check, pairs};
 
-/// Mean angle in degrees between the vectors of two three-channel images, over the pixels that count and in which neither
-/// vector is zero or not a number.
+/// The angle that a pixel without a rendered normal is charged, degrees.
+const HOLE_DEG: f64 = 90.0;
+
+/// The error of rendered normals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NormalError {
+    /// Mean angle in degrees over the pixels whose true normal is known. A pixel without a rendered normal counts as 90°.
+    pub mae_deg: f64,
+    /// Share of the pixels whose true normal is known that have a rendered normal, 0 to 1.
+    pub coverage: f64,
+}
+
+/// Compares rendered normals with true ones, over the pixels that count and whose true vector is neither zero nor not a
+/// number.
 ///
-/// The vectors need not have unit length. The angle is `atan2(‖a×b‖, a·b)`, which is exact near 0° and 180°, where the
-/// arc cosine of a rounded product is not.
-pub fn normal_mae_deg(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
+/// The vectors need not have unit length. A rendered vector that is zero or not a number is a hole: it is charged 90° and
+/// lowers the coverage. The angle is `atan2(‖a×b‖, a·b)`, which is exact near 0° and 180°, where the arc cosine of a rounded
+/// product is not.
+///
+/// # Errors
+/// If the sizes differ, or no true normal counts.
+pub fn normal_error(rendered: &Image, truth: &Image, mask: Option<&Image>) -> Result<NormalError, MetricError> {
     let measure = "normal_mae_deg";
+    let (a, b) = (rendered, truth);
     check(measure, a, b, mask)?;
     if a.channels != 3 {
         return Err(MetricError::Size { measure, a: (a.width, a.height, a.channels), b: (b.width, b.height, 3) });
     }
-    let (mut sum, mut count) = (0.0, 0_u64);
-    for (a, b) in pairs(a, b, mask) {
+    let (mut sum, mut count, mut covered) = (0.0, 0_u64, 0_u64);
+    for (a, b) in pairs(a, b, mask).filter(|(_, b)| directed(b).is_some()) {
+        count += 1;
         if let Some(angle) = angle(a, b) {
-            sum += angle;
-            count += 1;
+            sum += angle.to_degrees();
+            covered += 1;
+        } else {
+            sum += HOLE_DEG;
         }
     }
-    if count == 0 { Err(MetricError::Empty { measure }) } else { Ok((sum / count as f64).to_degrees()) }
+    if count == 0 {
+        return Err(MetricError::Empty { measure });
+    }
+    Ok(NormalError { mae_deg: sum / count as f64, coverage: covered as f64 / count as f64 })
+}
+
+/// The mean angle of [`normal_error`].
+///
+/// # Errors
+/// As [`normal_error`].
+pub fn normal_mae_deg(rendered: &Image, truth: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
+    normal_error(rendered, truth, mask).map(|e| e.mae_deg)
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// The vector of a pixel; `None` where it has no direction.
+fn directed(v: &[f32]) -> Option<[f64; 3]> {
+    let v = [0, 1, 2].map(|k| f64::from(v[k]));
+    let square = dot(v, v);
+    (square > 0.0 && square.is_finite()).then_some(v)
 }
 
 /// The angle in radians; `None` where a vector has no direction.
 fn angle(a: &[f32], b: &[f32]) -> Option<f64> {
-    let [a, b] = [a, b].map(|v| [0, 1, 2].map(|k| f64::from(v[k])));
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let directed = |v: [f64; 3]| {
-        let square = dot(v, v);
-        square > 0.0 && square.is_finite()
-    };
-    if !directed(a) || !directed(b) {
-        return None;
-    }
+    let (a, b) = (directed(a)?, directed(b)?);
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     Some(dot(cross, cross).sqrt().atan2(dot(a, b)))
 }
@@ -75,16 +109,23 @@ mod tests {
         }
     }
 
+    /// Rendered: right, a hole, not a number, and a vector whose truth is unknown.
     #[test]
-    fn only_directions_count() {
-        let a = image(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0, 1.0, 0.0, 0.0]);
-        let b = image(&[0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
-        assert!((normal_mae_deg(&a, &b, None).unwrap() - 45.0).abs() < 1e-9);
-        let mask = Image::from_data(4, 1, 1, vec![1.0, 1.0, 1.0, 0.0]).unwrap();
-        assert!((normal_mae_deg(&a, &b, Some(&mask)).unwrap() - 90.0).abs() < 1e-9);
-        let none = Image::from_data(4, 1, 1, vec![0.0, 1.0, 1.0, 0.0]).unwrap();
-        assert!(matches!(normal_mae_deg(&a, &b, Some(&none)), Err(MetricError::Empty { .. })));
+    fn holes_are_charged_ninety_degrees() {
+        let rendered = image(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0, 1.0, 0.0, 0.0]);
+        let truth = image(&[0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        let found = normal_error(&rendered, &truth, None).unwrap();
+        assert!((found.mae_deg - 60.0).abs() < 1e-9 && (found.coverage - 1.0 / 3.0).abs() < 1e-12, "{found:?}");
+        assert_eq!(normal_mae_deg(&rendered, &truth, None), Ok(found.mae_deg));
+        let mask = |data: [f32; 4]| Image::from_data(4, 1, 1, data.to_vec()).unwrap();
+        let found = normal_error(&rendered, &truth, Some(&mask([1.0, 1.0, 0.0, 1.0]))).unwrap();
+        assert_eq!(found, NormalError { mae_deg: 45.0, coverage: 0.5 });
+        // Nothing was rendered at all.
+        let found = normal_error(&rendered, &truth, Some(&mask([0.0, 1.0, 1.0, 0.0]))).unwrap();
+        assert_eq!(found, NormalError { mae_deg: 90.0, coverage: 0.0 });
+        let unknown = normal_error(&rendered, &truth, Some(&mask([0.0, 0.0, 0.0, 1.0])));
+        assert!(matches!(unknown, Err(MetricError::Empty { .. })));
         let gray = Image::new(4, 1, 1);
-        assert!(matches!(normal_mae_deg(&gray, &gray, None), Err(MetricError::Size { .. })));
+        assert!(matches!(normal_error(&gray, &gray, None), Err(MetricError::Size { .. })));
     }
 }

@@ -2,7 +2,7 @@
 
 use sgs_scene::Image;
 
-use super::{MetricError, check, pairs};
+use super::{GainFit, MetricError, check, pairs};
 
 /// Mean squared difference over all channels of the pixels that count.
 pub fn mse(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
@@ -19,16 +19,9 @@ pub fn psnr(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricErr
 ///
 /// A channel of `a` that is zero everywhere keeps the gain 1. Gained values are not clipped.
 pub fn psnr_scaled(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
-    check("psnr_scaled", a, b, mask)?;
-    let channels = a.channels as usize;
-    let (mut ab, mut aa) = (vec![0.0; channels], vec![0.0; channels]);
-    for (a, b) in pairs(a, b, mask) {
-        for (c, (&a, &b)) in a.iter().zip(b).enumerate() {
-            ab[c] += f64::from(a) * f64::from(b);
-            aa[c] += f64::from(a) * f64::from(a);
-        }
-    }
-    let gains: Vec<f64> = ab.iter().zip(&aa).map(|(ab, aa)| if *aa > 0.0 { ab / aa } else { 1.0 }).collect();
+    let mut fit = GainFit::new(a.channels as usize);
+    fit.add_images(a, b, mask)?;
+    let gains = fit.per_channel();
     gained(a, b, mask, &gains, "psnr_scaled").map(decibels)
 }
 

@@ -22,7 +22,7 @@ pub(crate) use insert::{join, placed};
 pub use lamps::Lamp;
 pub use live::{Relighter, source_of};
 pub use select::Selector;
-pub use truth::evaluate_relit;
+pub use truth::{evaluate_relit, skip_relit};
 pub(crate) use truth::{true_edit_of, true_lights_of};
 
 use crate::error::{Result, TrainError};

@@ -3,19 +3,19 @@
 //! rays find shadow the truth still has light that bounced, which is not modeled.
 //!
 //! A set that changes the materials of an instance is measured under the true lights of the photographs, and, by its name
-//! and [`LEARNED`], under all that was learned. Sets whose lights are not known, or that show another edit, are left out.
+//! and [`LEARNED`], under all that was learned. A set that cannot be rendered has a reason in place of metrics.
 
 use super::lights::edit_lights;
 use super::select::of_region_everywhere;
 use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, MaterialValues, NewLight, Relit, Selector, Where};
 use crate::error::{Result, TrainError};
 use crate::evaluate::Evaluation;
-use crate::evaluate_shaded::{ShadedMetrics, mean, measure_relit};
+use crate::evaluate_shaded::{RELIT_MEAN, RelitSet, ShadedMetrics, mean, measure_relit};
 use crate::intrinsic::LightFile;
 use crate::shaded::{RunLight, Shading, Visibility};
 use serde::Deserialize;
 use sgs_engine::Device;
-use sgs_scene::{GroundTruth, Scene, Splats};
+use sgs_scene::{GroundTruth, Image, Scene, Splats};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -70,36 +70,58 @@ struct Painted {
 }
 
 impl Painted {
-    /// The edit of materials; none if no Gaussian is of that instance.
-    fn edit(&self, device: &Device, scene: &Scene, splats: &Splats) -> Result<Option<MaterialEdit>> {
+    /// The edit of materials, or why there is none.
+    fn edit(&self, device: &Device, scene: &Scene, splats: &Splats) -> Result<Known<MaterialEdit>> {
         let gaussians = of_region_everywhere(device, scene, splats, self.instance_id)?;
         if gaussians.is_empty() {
-            return Ok(None);
+            return Ok(Err(format!("No Gaussian belongs to instance {} of priors/masks.", self.instance_id)));
         }
-        // Where nothing is metallic, nothing has to say so.
+        // Without metallic, 0 is what every Gaussian has already.
         let metallic = self.new_metallic.filter(|m| *m > 0.0 || splats.metallic.is_some());
         let set = MaterialValues { albedo: Some(self.new_base_color_linear), roughness: self.new_roughness, metallic };
         let place = Where { gaussians: Some(gaussians), ..Default::default() };
-        Ok(Some(MaterialEdit { place, set, scale: MaterialValues::default() }))
+        Ok(Ok(MaterialEdit { place, set, scale: MaterialValues::default() }))
     }
 }
 
-/// The edits of a set, by the name under which each is measured, and whether the run's own light is on.
-fn edits_of(
+/// A value, or the sentence that says why there is none.
+type Known<T> = std::result::Result<T, String>;
+
+/// How one measurement of a set is rendered.
+struct Rendering {
+    edit: Edit,
+    /// Whether the run's own lights and visibility are used.
+    own: bool,
+}
+
+/// The measurements of a set by the names that they are reported under, each with how it is rendered or why it cannot be.
+fn renderings_of(
     name: &str,
     known: &TrueLights,
-    painted: impl FnOnce() -> Result<Option<MaterialEdit>>,
-) -> Result<Vec<(String, Edit, bool)>> {
+    painted: impl FnOnce() -> Result<Known<MaterialEdit>>,
+) -> Result<Vec<(String, Known<Rendering>)>> {
+    let dark = |list: &str| format!("gt/lights.json gives no intensity for a light of {list} that is on.");
     if let Some(lights) = known.relight.get(name) {
-        return Ok(edit_of(lights).map(|edit| (name.to_owned(), edit, false)).into_iter().collect());
+        let edit = edit_of(lights).ok_or_else(|| dark(&format!("\"{name}\"")));
+        return Ok(vec![(name.to_owned(), edit.map(|edit| Rendering { edit, own: false }))]);
     }
-    let Some(change) = painted()? else { return Ok(Vec::new()) };
+    let change = match painted()? {
+        Ok(change) => change,
+        Err(reason) => return Ok(vec![(name.to_owned(), Err(reason))]),
+    };
     let materials = vec![change];
-    let mut all = vec![(format!("{name}{LEARNED}"), Edit { materials: materials.clone(), ..Default::default() }, true)];
-    if let Some(edit) = edit_of(&known.training).filter(|e| !e.lights.add.is_empty()) {
-        all.push((name.to_owned(), Edit { materials, ..edit }, false));
-    }
-    Ok(all)
+    let learned = Edit { materials: materials.clone(), ..Default::default() };
+    let under_true_lights = match edit_of(&known.training) {
+        None => Err(dark("training")),
+        Some(edit) if edit.lights.add.is_empty() => {
+            Err("gt/lights.json lists no light of the training images that is on.".to_owned())
+        }
+        Some(edit) => Ok(Rendering { edit: Edit { materials, ..edit }, own: false }),
+    };
+    Ok(vec![
+        (format!("{name}{LEARNED}"), Ok(Rendering { edit: learned, own: true })),
+        (name.to_owned(), under_true_lights),
+    ])
 }
 
 fn read<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
@@ -125,7 +147,33 @@ pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
     Ok(serde_json::from_value::<Painted>(said).is_ok())
 }
 
-/// Measures a run under the true lights of each relit set, at views of which an evaluation has metrics already.
+/// The key of a set in `relit`: its name, unless the key belongs to the mean over all sets.
+fn key_of(name: &str) -> String {
+    if name == RELIT_MEAN { format!("{name}_set") } else { name.to_owned() }
+}
+
+/// The edit of materials that the file of a set describes, or why there is none.
+fn painted_of(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    truth: &GroundTruth<'_>,
+    name: &str,
+) -> Result<Known<MaterialEdit>> {
+    let Some(path) = truth.relit_edit(name) else {
+        return Ok(Err(format!("Neither gt/lights.json nor gt/relit/{name}.json describes the lights of the set.")));
+    };
+    let said: serde_json::Value = read(&path, "an edit")?;
+    match serde_json::from_value::<Painted>(said) {
+        Ok(painted) => painted.edit(device, scene, splats),
+        Err(_) => Ok(Err(format!(
+            "gt/lights.json does not list the set, and gt/relit/{name}.json describes no edit of an instance's material."
+        ))),
+    }
+}
+
+/// Measures a run under the true lights of each relit set, at views of which an evaluation has metrics already. Every set
+/// appears among the means, with a reason if it cannot be rendered.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -142,36 +190,63 @@ pub fn evaluate_relit(
         Some(path) => read(&path, "lights")?,
         None => TrueLights::default(),
     };
+    let mut skipped = Vec::new();
     for name in truth.relit_names() {
         let theirs = views.iter().map(|v| Ok(truth.relit(&name, *v)?)).collect::<Result<Vec<_>>>()?;
         if theirs.iter().all(Option::is_none) {
+            skipped.push((key_of(&name), "The set has no image of a measured view.".to_owned()));
             continue;
         }
-        let painted = || -> Result<Option<MaterialEdit>> {
-            let Some(path) = truth.relit_edit(&name) else { return Ok(None) };
-            let said: serde_json::Value = read(&path, "an edit")?;
-            // What says something else is another kind of edit.
-            let Ok(painted) = serde_json::from_value::<Painted>(said) else { return Ok(None) };
-            painted.edit(device, scene, splats)
-        };
-        for (name, edit, own) in edits_of(&name, &known, painted)? {
+        let painted = || painted_of(device, scene, splats, &truth, &name);
+        for (name, rendering) in renderings_of(&name, &known, painted)? {
+            let key = key_of(&name);
+            let Rendering { edit, own } = match rendering {
+                Ok(rendering) => rendering,
+                Err(reason) => {
+                    skipped.push((key, reason));
+                    continue;
+                }
+            };
             let mut select = Selector { device, head: None, scene: None };
             let visibility = if own { light.visibility.clone() } else { Visibility::None };
             let start = Relit { splats: splats.clone(), light: RunLight { visibility, ..light.clone() } };
             let insert = |_: &super::Insert| Err(TrainError::Setting(format!("The set {name} inserts something.")));
-            let relit = start.edited(&edit, 16, &mut select, insert)?;
-            let mut shading = Shading::new(device, relit.upload(device)?)?;
-            for ((&view, metrics), theirs) in views.iter().zip(&mut into.views).zip(&theirs) {
-                let Some(theirs) = theirs else { continue };
-                let ours = shading.shade(&scene.views[view].camera)?.radiance([0.0; 3]);
-                let found = metrics.shaded.get_or_insert_with(ShadedMetrics::default);
-                found.relit.insert(name.clone(), measure_relit(&ours, theirs)?);
+            let relit = match start.edited(&edit, 16, &mut select, insert) {
+                Err(TrainError::Setting(reason)) => {
+                    skipped.push((key, reason));
+                    continue;
+                }
+                other => other?,
+            };
+            let mut shading = Shading::new(device, relit.upload(device)?)?.without_visibility();
+            let at: Vec<(usize, &Image)> =
+                theirs.iter().enumerate().filter_map(|(i, theirs)| Some((i, theirs.as_ref()?))).collect();
+            let radiance =
+                |&(i, _): &(usize, &Image)| Ok(shading.shade(&scene.views[views[i]].camera)?.radiance([0.0; 3]));
+            let ours = at.iter().map(radiance).collect::<Result<Vec<_>>>()?;
+            let pairs: Vec<(&Image, &Image)> =
+                ours.iter().zip(&at).map(|(ours, (_, theirs))| (ours, *theirs)).collect();
+            for ((i, _), metrics) in at.iter().zip(measure_relit(&pairs)?) {
+                let found = into.views[*i].shaded.get_or_insert_with(ShadedMetrics::default);
+                found.relit.insert(key.clone(), RelitSet::Measured(metrics));
             }
         }
     }
     let all: Vec<&ShadedMetrics> = into.views.iter().filter_map(|v| v.shaded.as_ref()).collect();
-    into.mean.shaded = Some(mean(&all));
+    let mut mean = mean(&all);
+    mean.relit.extend(skipped.into_iter().map(|(name, reason)| (name, RelitSet::Skipped { reason })));
+    into.mean.shaded = Some(mean);
     Ok(())
+}
+
+/// Reports every relit set of a scene as skipped, for one reason.
+pub fn skip_relit(scene: &Scene, reason: &str, into: &mut Evaluation) {
+    let names = GroundTruth::of(scene).relit_names();
+    if !names.is_empty() {
+        let mean = into.mean.shaded.get_or_insert_with(ShadedMetrics::default);
+        let set = |name: String| (key_of(&name), RelitSet::Skipped { reason: reason.to_owned() });
+        mean.relit.extend(names.into_iter().map(set));
+    }
 }
 
 #[cfg(test)]
@@ -201,14 +276,29 @@ mod tests {
         let set = MaterialValues { roughness: Some(0.3), ..Default::default() };
         let place = Where { gaussians: Some(vec![1]), ..Default::default() };
         let change = MaterialEdit { place, set, scale: MaterialValues::default() };
-        let found = edits_of("chair", &known, || Ok(Some(change.clone()))).unwrap();
-        let names: Vec<_> = found.iter().map(|(name, edit, own)| (name.as_str(), edit.lights.off, *own)).collect();
-        assert_eq!(names, [("chair_learned_light", false, true), ("chair", true, false)]);
-        assert!(found.iter().all(|(_, edit, _)| edit.check().is_ok() && edit.materials == [change.clone()]));
-        let alone = edits_of("chair", &TrueLights::default(), || Ok(Some(change.clone()))).unwrap();
-        assert_eq!(alone.len(), 1);
-        assert!(edits_of("chair", &known, || Ok(None)).unwrap().is_empty());
-        // How bright the lamp of this one is nobody says.
-        assert!(edits_of("night", &known, || Ok(Some(change))).unwrap().is_empty());
+        let of = |name: &str, known: &TrueLights| {
+            let found = renderings_of(name, known, || Ok(Ok(change.clone()))).unwrap();
+            found.into_iter().map(|(name, r)| (name, r.map(|r| (r.edit, r.own)))).collect::<Vec<_>>()
+        };
+        let found = of("chair", &known);
+        let names: Vec<_> = found.iter().map(|(name, r)| (name.as_str(), r.as_ref().unwrap())).collect();
+        let told: Vec<_> = names.iter().map(|(name, (edit, own))| (*name, edit.lights.off, *own)).collect();
+        assert_eq!(told, [("chair_learned_light", false, true), ("chair", true, false)]);
+        assert!(names.iter().all(|(_, (edit, _))| edit.check().is_ok() && edit.materials == [change.clone()]));
+        // Without the true lights, the set itself has a reason.
+        let alone = of("chair", &TrueLights::default());
+        assert!(alone[0].1.is_ok() && alone[1].0 == "chair", "{:?}", alone[1]);
+        assert!(alone[1].1.as_ref().unwrap_err().contains("lists no light of the training images"), "{:?}", alone[1]);
+        // The brightness of the set's light is unknown.
+        let night = of("night", &known);
+        assert_eq!((night.len(), night[0].0.as_str()), (1, "night"));
+        assert!(night[0].1.as_ref().unwrap_err().contains("no intensity"), "{:?}", night[0]);
+        let none = renderings_of("chair", &known, || Ok(Err("No Gaussian.".into()))).unwrap();
+        assert!(none.len() == 1 && none[0].1.as_ref().is_err_and(|reason| reason == "No Gaussian."));
+    }
+
+    #[test]
+    fn a_set_named_mean_keeps_off_the_key_of_the_mean() {
+        assert_eq!((key_of("mean"), key_of("night")), ("mean_set".to_owned(), "night".to_owned()));
     }
 }
