@@ -24,6 +24,18 @@ pub enum Error {
         /// What is missing, by name.
         missing: Vec<String>,
     },
+    /// A pass requests a subgroup size that the device does not run.
+    #[error("Kernel \"{kernel}\" requests {size} lanes a subgroup, but the device runs {low} to {high}.")]
+    SubgroupSize {
+        /// The kernel.
+        kernel: String,
+        /// Lanes that it requests.
+        size: u32,
+        /// Fewest lanes of the device.
+        low: u32,
+        /// Most lanes of the device.
+        high: u32,
+    },
     /// A layer was asked for that is not installed.
     #[error("The validation layer is not installed (vulkan-validationlayers on Debian).")]
     NoValidation,

@@ -71,6 +71,16 @@ pub struct Shader {
 }
 
 impl Shader {
+    /// Whether the code uses subgroups: whether it declares a capability of `GroupNonUniform`.
+    pub fn uses_subgroups(&self) -> bool {
+        const OP_CAPABILITY: u32 = 17;
+        const GROUP_NON_UNIFORM: std::ops::RangeInclusive<u32> = 61..=68;
+        // Capabilities are the first instructions of a module.
+        crate::device::instructions(&self.spirv)
+            .map_while(|op| if op[0] & 0xffff == OP_CAPABILITY { op.get(1) } else { None })
+            .any(|capability| GROUP_NON_UNIFORM.contains(capability))
+    }
+
     /// The binding of that name.
     pub fn binding(&self, name: &str) -> Option<&Binding> {
         self.bindings.iter().find(|b| b.name == name)

@@ -57,11 +57,6 @@ impl Tuning {
         self.matrices.filter(|m| self.accuracy.visibility_operands == 16 && (Matrices::compiled() || !m.units))
     }
 
-    /// Subgroups of an ordinary workgroup.
-    pub fn subgroups(&self) -> u32 {
-        self.workgroup.div_ceil(self.subgroup_size)
-    }
-
     /// Whether subgroups are narrow, as those of processors are, whose memory operations go lane by lane.
     pub fn narrow(&self) -> bool {
         self.subgroup_size <= 8

@@ -7,7 +7,7 @@
 #include "sh.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
-layout(constant_id = 1) const uint SUBGROUPS = 32;
+layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;    // stored bands
 layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, normal, z and z², each if any
 layout(constant_id = 4) const bool HAS_NORMALS = false;
@@ -36,6 +36,8 @@ OUT(uint, depth_keys);
 OUT(Splat, splats);
 OUT(uint, features);
 OUT(uint, tile_counts);
+
+const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
 
 shared uint sums[SUBGROUPS];
 

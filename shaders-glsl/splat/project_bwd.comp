@@ -9,7 +9,7 @@
 #include "project_bwd.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
-layout(constant_id = 1) const uint SUBGROUPS = 32;
+layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const uint CHANNELS = 3;
 layout(constant_id = 4) const bool HAS_NORMALS = false;
@@ -51,6 +51,8 @@ OUT(vec2, grad_means2d); // by visible splat, pixels
 OUT(float, pose_partials); // [workgroups * 12]: rows of the rotation, then the translation
 
 #include "splat_sum.glsl"
+
+const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
 
 shared float pose_sums[12 * SUBGROUPS];
 

@@ -7,7 +7,7 @@
 #include "splat.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
-layout(constant_id = 1) const uint SUBGROUPS = 32; // of a workgroup, at least
+layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -17,6 +17,8 @@ IN(vec3, log_scales);
 IN(vec4, rotations);
 IN(float, opacity_logits);
 OUT(uint, block_counts);
+
+const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
 
 shared uint sums[SUBGROUPS];
 

@@ -1,5 +1,6 @@
 //! A device for tests: validation on, every output poisoned, any message fails the test.
 
+use sgs_engine::device::PipelineInfo;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
@@ -106,8 +107,27 @@ impl Gpu {
     }
 }
 
+/// Pipelines of a device that could run at another subgroup size than the one they are specialized for, or with lanes missing.
+pub fn subgroup_faults(device: &Device) -> Vec<String> {
+    let info = device.info();
+    let fixed = info.subgroup_sizes.0 == info.subgroup_sizes.1;
+    let fault = |p: &PipelineInfo| {
+        let constant = p.specs.iter().find(|(name, _)| name == "SUBGROUP").map_or(p.subgroup_size, |(_, bits)| *bits);
+        // These multiply pieces of any size by ordinary instructions, without subgroup operations.
+        let emulated = p.kernel.ends_with("_halves");
+        let wrong = p.uses_subgroups && constant != p.subgroup_size && !emulated;
+        let partial = p.uses_subgroups && info.optional.full_subgroups && !p.full_subgroups;
+        (wrong || partial || !(p.requested || fixed)).then(|| format!("{p:?}"))
+    };
+    device.pipelines().iter().filter_map(fault).collect()
+}
+
 impl Drop for Gpu {
     fn drop(&mut self) {
+        if !std::thread::panicking() {
+            let faults = subgroup_faults(&self.device);
+            assert!(faults.is_empty(), "pipelines that rely on a subgroup size:\n{}", faults.join("\n"));
+        }
         let messages = self.device.messages().take();
         if !messages.is_empty() && !std::thread::panicking() {
             panic!("validation reported {} messages:\n{}", messages.len(), messages.join("\n"));

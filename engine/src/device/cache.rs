@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 /// What files begin with; their checksum follows, and the data.
 const MAGIC: [u8; 8] = *b"SGSPIPE1";
 
-/// The file of a device and its driver, so that several devices keep theirs.
+/// The file of a device, its driver and its subgroup size: devices, and widths of one software device, keep theirs apart.
 pub fn file(folder: &Path, info: &DeviceInfo) -> PathBuf {
     let clean = |s: &str| s.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect::<String>();
-    folder.join(format!("{}-{}.bin", clean(&info.name), clean(&info.driver)))
+    folder.join(format!("{}-{}-{}.bin", clean(&info.name), clean(&info.driver), info.subgroup_size))
 }
 
 /// The data in a file; none if it is not there, or not whole.

@@ -161,6 +161,10 @@ impl Device {
         let mut info = candidate.info;
         let unstated = Feature::ALL.into_iter().filter(|f| f.required() && !host.features.contains(f));
         info.missing.extend(unstated.map(|f| format!("{} (not enabled by the host)", f.name())));
+        let control = host.features.contains(&Feature::SubgroupSizeControl);
+        if info.optional.subgroup_size_control {
+            info.missing.extend(select::missing_size_control(control, info.subgroup_sizes));
+        }
         if !info.missing.is_empty() {
             return Err(Error::MissingFeatures { device: info.name, missing: info.missing });
         }
@@ -198,9 +202,6 @@ impl Device {
         info.optional = info.optional.only(host.features, host.extensions);
         if !info.optional.cooperative_matrix {
             info.matrices.clear();
-        }
-        if !info.optional.subgroup_size_control {
-            info.subgroup_sizes = (info.subgroup_size, info.subgroup_size);
         }
         // SAFETY: as above.
         let limits = unsafe { instance.raw.get_physical_device_properties(host.instance.physical_device) }.limits;

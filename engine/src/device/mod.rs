@@ -7,6 +7,7 @@ mod cache;
 pub mod external;
 pub mod fault;
 mod instance;
+mod local_size;
 mod objects;
 mod parking;
 mod pipeline;
@@ -20,8 +21,10 @@ pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements}
 pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
+pub(crate) use local_size::instructions;
 pub use objects::{ObjectKind, Objects};
 pub(crate) use parking::{Busy, Parked};
+pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub(crate) use second::semaphore;

@@ -1,9 +1,10 @@
 //! Compute pipelines, made once for each kernel and specialization, and their cache on disk.
 
 use super::fault::Gate;
+use super::local_size::local_size;
 use super::objects::ObjectKind;
-use super::{DeviceInfo, cache};
-use crate::error::Result;
+use super::{Device, DeviceInfo, cache};
+use crate::error::{Error, Result};
 use crate::shader::{BindingKind, Shader};
 use ash::vk;
 use std::collections::HashMap;
@@ -16,6 +17,36 @@ pub(crate) struct Pipeline {
     pub raw: vk::Pipeline,
     pub layout: vk::PipelineLayout,
     pub set_layout: vk::DescriptorSetLayout,
+    /// Invocations of a workgroup along each axis.
+    workgroup: [u32; 3],
+    full_subgroups: bool,
+}
+
+/// Create info of a pipeline, for tests and reports.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PipelineInfo {
+    /// Kernel name.
+    pub kernel: String,
+    /// Specialization constants by name.
+    pub specs: Vec<(String, u32)>,
+    /// Invocations of a workgroup along each axis.
+    pub workgroup: [u32; 3],
+    /// Lanes of each subgroup.
+    pub subgroup_size: u32,
+    /// Whether the pipeline requests `subgroup_size`. False on devices that have one size and no `subgroupSizeControl`.
+    pub requested: bool,
+    /// Whether the pipeline sets `REQUIRE_FULL_SUBGROUPS`.
+    pub full_subgroups: bool,
+    /// Whether the kernel uses subgroups at all.
+    pub uses_subgroups: bool,
+}
+
+/// How a pipeline runs its subgroups.
+#[derive(Clone, Copy)]
+struct Subgroups {
+    /// Size to request, where the device allows requests.
+    requested: Option<u32>,
+    full: bool,
 }
 
 #[derive(PartialEq, Eq, Hash)]
@@ -23,7 +54,7 @@ struct Key {
     // Names are unique among kernels of one program, but hosts may bring their own: the module itself is the key.
     shader: Arc<Shader>,
     specs: Vec<(u32, u32)>,
-    subgroup_size: Option<u32>,
+    subgroup_size: u32,
 }
 
 pub(crate) struct Pipelines {
@@ -31,6 +62,9 @@ pub(crate) struct Pipelines {
     path: Option<PathBuf>,
     subgroup_size_control: bool,
     full_subgroups: bool,
+    /// Size of pipelines whose pass names none.
+    subgroup_size: u32,
+    subgroup_sizes: (u32, u32),
     made: Mutex<HashMap<Key, Pipeline>>,
 }
 
@@ -44,11 +78,18 @@ impl Pipelines {
         let cache = gate.make(ObjectKind::PipelineCache, "vkCreatePipelineCache", "kernels", || unsafe {
             device.create_pipeline_cache(&create, None)
         })?;
-        let subgroup_size_control = info.optional.subgroup_size_control;
-        let full_subgroups = info.optional.full_subgroups;
-        Ok(Pipelines { cache, path, subgroup_size_control, full_subgroups, made: Mutex::default() })
+        Ok(Pipelines {
+            cache,
+            path,
+            subgroup_size_control: info.optional.subgroup_size_control,
+            full_subgroups: info.optional.full_subgroups,
+            subgroup_size: info.subgroup_size,
+            subgroup_sizes: info.subgroup_sizes,
+            made: Mutex::default(),
+        })
     }
 
+    /// The pipeline of a kernel at a subgroup size; at the device's default size if the pass names none.
     pub fn get(
         &self,
         device: &super::Shared,
@@ -56,18 +97,44 @@ impl Pipelines {
         specs: &[(u32, u32)],
         subgroup_size: Option<u32>,
     ) -> Result<Pipeline> {
-        let subgroup_size = subgroup_size.filter(|_| self.subgroup_size_control);
+        let subgroup_size = subgroup_size.unwrap_or(self.subgroup_size);
+        let (low, high) = self.subgroup_sizes;
+        if !(low..=high).contains(&subgroup_size) {
+            return Err(Error::SubgroupSize { kernel: shader.name.to_string(), size: subgroup_size, low, high });
+        }
         let key = Key { shader: shader.clone(), specs: specs.to_vec(), subgroup_size };
         let mut made = self.made.lock().unwrap_or_else(|e| e.into_inner());
         if let Some(pipeline) = made.get(&key) {
             return Ok(*pipeline);
         }
-        // Kernels that name their subgroup size count on every lane being there.
-        let full = self.full_subgroups && subgroup_size.is_some();
-        let pipeline = create(device, self.cache, shader, specs, subgroup_size, full)?;
+        let workgroup = local_size(&shader.spirv, specs);
+        // The flag requires rows of whole subgroups.
+        let full = self.full_subgroups && workgroup[0].is_multiple_of(subgroup_size);
+        let subgroups = Subgroups { requested: Some(subgroup_size).filter(|_| self.subgroup_size_control), full };
+        let pipeline = create(device, self.cache, shader, specs, subgroups, workgroup)?;
         device.name(pipeline.raw, &shader.name);
         made.insert(key, pipeline);
         Ok(pipeline)
+    }
+
+    fn infos(&self) -> Vec<PipelineInfo> {
+        let made = self.made.lock().unwrap_or_else(|e| e.into_inner());
+        let name_of = |shader: &Shader, id: u32| {
+            let known = shader.specs.iter().find(|s| s.id == id);
+            known.map_or_else(|| id.to_string(), |s| s.name.to_string())
+        };
+        let info = |(key, pipeline): (&Key, &Pipeline)| PipelineInfo {
+            kernel: key.shader.name.to_string(),
+            specs: key.specs.iter().map(|(id, bits)| (name_of(&key.shader, *id), *bits)).collect(),
+            workgroup: pipeline.workgroup,
+            subgroup_size: key.subgroup_size,
+            requested: self.subgroup_size_control,
+            full_subgroups: pipeline.full_subgroups,
+            uses_subgroups: key.shader.uses_subgroups(),
+        };
+        let mut infos: Vec<_> = made.iter().map(info).collect();
+        infos.sort_by(|a, b| (&a.kernel, &a.specs).cmp(&(&b.kernel, &b.specs)));
+        infos
     }
 
     /// Writes the cache and destroys every pipeline.
@@ -98,13 +165,31 @@ impl Pipelines {
     }
 }
 
+impl Device {
+    /// Compiles a kernel before its first pass does. Constants that are not given have their defaults.
+    ///
+    /// # Errors
+    /// If the device does not run that subgroup size, or the driver refuses the kernel.
+    pub fn compile(&self, shader: &Arc<Shader>, specs: &[(&str, u32)], subgroup_size: Option<u32>) -> Result<()> {
+        let id = |name: &str| shader.specs.iter().find(|s| s.name == name).map(|s| s.id);
+        let mut ids: Vec<_> = specs.iter().filter_map(|(name, bits)| Some((id(name)?, *bits))).collect();
+        ids.sort_unstable();
+        self.0.pipelines.get(&self.0, shader, &ids, subgroup_size).map(|_| ())
+    }
+
+    /// Create infos of all pipelines made here, by kernel name.
+    pub fn pipelines(&self) -> Vec<PipelineInfo> {
+        self.0.pipelines.infos()
+    }
+}
+
 fn create(
     device: &super::Shared,
     cache: vk::PipelineCache,
     shader: &Shader,
     specs: &[(u32, u32)],
-    subgroup_size: Option<u32>,
-    full_subgroups: bool,
+    subgroups: Subgroups,
+    workgroup: [u32; 3],
 ) -> Result<Pipeline> {
     let raw = &device.raw;
     let gate = &device.gate;
@@ -126,8 +211,8 @@ fn create(
         raw.create_descriptor_set_layout(&set_info, None)
     })?;
     let made = layout(device, shader, set_layout).and_then(|layout| {
-        compile(device, cache, shader, specs, subgroup_size, full_subgroups, layout)
-            .map(|pipeline| Pipeline { raw: pipeline, layout, set_layout })
+        compile(device, cache, shader, specs, subgroups, layout)
+            .map(|pipeline| Pipeline { raw: pipeline, layout, set_layout, workgroup, full_subgroups: subgroups.full })
             .inspect_err(|_| {
                 // SAFETY: nothing was made with the layout.
                 unsafe { raw.destroy_pipeline_layout(layout, None) };
@@ -159,8 +244,7 @@ fn compile(
     cache: vk::PipelineCache,
     shader: &Shader,
     specs: &[(u32, u32)],
-    subgroup_size: Option<u32>,
-    full_subgroups: bool,
+    subgroups: Subgroups,
     layout: vk::PipelineLayout,
 ) -> Result<vk::Pipeline> {
     let raw = &device.raw;
@@ -178,16 +262,16 @@ fn compile(
     let values: Vec<u8> = specs.iter().flat_map(|(_, bits)| bits.to_ne_bytes()).collect();
     let specialization = vk::SpecializationInfo::default().map_entries(&entries).data(&values);
     let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
-        .required_subgroup_size(subgroup_size.unwrap_or(0));
+        .required_subgroup_size(subgroups.requested.unwrap_or(0));
     let mut stage = vk::PipelineShaderStageCreateInfo::default()
         .stage(vk::ShaderStageFlags::COMPUTE)
         .module(module)
         .name(c"main")
         .specialization_info(&specialization);
-    if subgroup_size.is_some() {
+    if subgroups.requested.is_some() {
         stage = stage.push_next(&mut required);
     }
-    if full_subgroups {
+    if subgroups.full {
         stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
     }
     let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];

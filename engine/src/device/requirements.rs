@@ -24,7 +24,7 @@ pub enum Feature {
     Synchronization2,
     /// `maintenance4` of Vulkan 1.3.
     Maintenance4,
-    /// `subgroupSizeControl` of Vulkan 1.3; optional.
+    /// `subgroupSizeControl` of Vulkan 1.3; optional on devices of one subgroup size.
     SubgroupSizeControl,
     /// `computeFullSubgroups` of Vulkan 1.3; optional.
     ComputeFullSubgroups,
@@ -86,7 +86,7 @@ impl Feature {
         Feature::ALL.into_iter().find(|f| f.name() == name)
     }
 
-    /// Whether nothing runs without it.
+    /// Whether every device needs it. Devices of several subgroup sizes need [`Feature::SubgroupSizeControl`], too.
     pub fn required(self) -> bool {
         !matches!(
             self,
@@ -152,11 +152,13 @@ impl Requirements {
             ];
             known.iter().any(|(known, has)| known == name && *has)
         };
+        let (low, high) = info.subgroup_sizes;
+        let required = |f: &Feature| f.required() || (*f == Feature::SubgroupSizeControl && low != high);
         Requirements {
             api_version: API_VERSION,
             queue_family,
-            required: Feature::ALL.into_iter().filter(|f| f.required()).collect(),
-            optional: Feature::ALL.into_iter().filter(present).collect(),
+            required: Feature::ALL.into_iter().filter(required).collect(),
+            optional: Feature::ALL.into_iter().filter(|f| present(f) && !required(f)).collect(),
             required_extensions: Vec::new(),
             optional_extensions: OPTIONAL_EXTENSIONS.into_iter().filter(has).collect(),
             info,

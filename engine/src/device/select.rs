@@ -22,7 +22,7 @@ pub struct DeviceInfo {
     pub api: String,
     /// Default subgroup size.
     pub subgroup_size: u32,
-    /// Smallest and largest subgroup size that a pipeline may ask for.
+    /// Smallest and largest subgroup size that kernels run at; they request one where the two differ.
     pub subgroup_sizes: (u32, u32),
     /// Largest range of one storage binding.
     pub max_storage_range: u64,
@@ -167,10 +167,15 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
             "subgroup basic, vote, arithmetic, ballot and shuffle operations in compute",
         );
         need((8..=128).contains(&subgroup.subgroup_size), "a subgroup size between 8 and 128");
-        need(basic.limits.max_compute_work_group_invocations >= 256, "workgroups of 256 invocations");
+        let lanes = sizes.max_compute_workgroup_subgroups.saturating_mul(subgroup.subgroup_size);
+        need(basic.limits.max_compute_work_group_invocations >= 256 && lanes >= 256, "workgroups of 256 invocations");
         need(basic.limits.max_compute_shared_memory_size >= 32768, "32 KiB of shared memory");
         need(basic.limits.max_per_stage_descriptor_storage_buffers >= 32, "32 storage buffers per kernel");
     }
+    let subgroup_sizes = (sizes.min_subgroup_size, sizes.max_subgroup_size);
+    let subgroup_size_control =
+        v13.subgroup_size_control != 0 && sizes.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
+    missing.extend(missing_size_control(subgroup_size_control, subgroup_sizes));
     let usable = modern
         && cooperative.cooperative_matrix != 0
         && v12.shader_float16 != 0
@@ -180,8 +185,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let matrices = if usable { matrix_shapes(instance, gate, physical)? } else { Vec::new() };
     let optional = Optional {
         float_atomics: has_atomics && atomics.shader_buffer_float32_atomic_add != 0,
-        subgroup_size_control: v13.subgroup_size_control != 0
-            && sizes.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        subgroup_size_control,
         full_subgroups: v13.compute_full_subgroups != 0,
         memory_budget: has(ash::ext::memory_budget::NAME),
         external_memory_fd: has(ash::khr::external_memory_fd::NAME),
@@ -193,7 +197,10 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         fallbacks.push("shaderBufferFloat32AtomicAdd absent: gradients are reduced in order only".to_owned());
     }
     if !optional.subgroup_size_control {
-        fallbacks.push("subgroupSizeControl absent: kernels run at the default subgroup size".to_owned());
+        fallbacks.push("subgroupSizeControl absent: kernels run at the only subgroup size".to_owned());
+    }
+    if !optional.full_subgroups {
+        fallbacks.push("computeFullSubgroups absent: kernels rely on the driver to fill subgroups".to_owned());
     }
     if !optional.memory_budget {
         fallbacks.push("VK_EXT_memory_budget absent: the budget is the size of the heap".to_owned());
@@ -229,10 +236,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
             vk::api_version_patch(basic.api_version)
         ),
         subgroup_size: subgroup.subgroup_size,
-        subgroup_sizes: (
-            if optional.subgroup_size_control { sizes.min_subgroup_size } else { subgroup.subgroup_size },
-            if optional.subgroup_size_control { sizes.max_subgroup_size } else { subgroup.subgroup_size },
-        ),
+        subgroup_sizes,
         max_storage_range: u64::from(limits.max_storage_buffer_range),
         max_shared_bytes: limits.max_compute_shared_memory_size,
         max_storage_buffers: limits.max_per_stage_descriptor_storage_buffers,
@@ -253,6 +257,14 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         optional,
     };
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+}
+
+/// What a device lacks that has several subgroup sizes and takes no requests: a kernel could run at another size than the one it
+/// is specialized for.
+pub(super) fn missing_size_control(control: bool, (low, high): (u32, u32)) -> Option<String> {
+    (!control && low != high).then(|| {
+        format!("subgroupSizeControl (its subgroups have {low} to {high} lanes, and each kernel needs one size)")
+    })
 }
 
 /// Shapes of 16-bit operands and 32-bit sums.
@@ -390,6 +402,18 @@ mod tests {
         assert_eq!(choose(some(), None).map(|c| c.info.index).ok(), Some(1));
         assert_eq!(choose(some(), Some("0")).map(|c| c.info.index).ok(), Some(0));
         assert_eq!(choose(some(), Some("PIPE")).map(|c| c.info.index).ok(), Some(0));
+    }
+
+    #[test]
+    fn devices_of_several_subgroup_sizes_need_requests() {
+        assert_eq!(missing_size_control(true, (8, 32)), None);
+        assert_eq!(missing_size_control(false, (32, 32)), None);
+        let missing = missing_size_control(false, (32, 64)).unwrap_or_default();
+        let refused =
+            choose(vec![candidate(0, "Wide GPU", "discrete", &[&missing])], None).err().map(|e| e.to_string());
+        let sentence = "Device \"Wide GPU\" lacks subgroupSizeControl (its subgroups have 32 to 64 lanes, and each kernel \
+                        needs one size).";
+        assert_eq!(refused.as_deref(), Some(sentence));
     }
 
     #[test]

@@ -96,6 +96,12 @@ pub enum GraphError {
     /// A subgroup size that cannot exist.
     #[error("Pass [{pass}] requires subgroups of {size}, which is not a power of two between 1 and 128.")]
     SubgroupSize { pass: String, size: u32 },
+    /// The kernel is specialized for one subgroup size and the pass requests another, or none.
+    #[error(
+        "Pass [{pass}] specializes kernel [{shader}] for subgroups of {constant}, but requests {}.",
+        requested.map_or_else(|| "no subgroup size".to_owned(), |size| format!("subgroups of {size}"))
+    )]
+    SubgroupConstant { pass: String, shader: String, constant: u32, requested: Option<u32> },
     /// One pass touches the same bytes twice and changes them.
     #[error(
         "Pass [{pass}] touches the same bytes of buffer [{buffer}] as [{first}] and as [{second}] and writes them."

@@ -26,12 +26,14 @@ pub struct PassBuilder<'g> {
     specs: Vec<(u32, u32)>,
     push: Vec<u8>,
     subgroup_size: Option<u32>,
+    uses_subgroups: bool,
     condition: Option<Slice>,
     errors: Vec<GraphError>,
 }
 
 impl<'g> PassBuilder<'g> {
     pub(super) fn new(graph: &'g mut Graph, name: String, shader: Arc<Shader>) -> Self {
+        let uses_subgroups = shader.uses_subgroups();
         let bound = vec![None; shader.bindings.len()];
         PassBuilder {
             graph,
@@ -41,6 +43,7 @@ impl<'g> PassBuilder<'g> {
             specs: Vec::new(),
             push: Vec::new(),
             subgroup_size: None,
+            uses_subgroups,
             condition: None,
             errors: Vec::new(),
         }
@@ -163,12 +166,19 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Requires a subgroup size.
+    /// Requests a subgroup size; without a request, the pass runs at the device's default size. A kernel that uses subgroups and
+    /// has a constant `SUBGROUP` must request the size that this constant has.
     pub fn subgroup_size(mut self, size: Option<u32>) -> Self {
         if let Some(size) = size.filter(|size| !size.is_power_of_two() || *size > 128) {
             self.errors.push(GraphError::SubgroupSize { pass: self.name.clone(), size });
         }
         self.subgroup_size = size;
+        self
+    }
+
+    /// Promises that the specialized kernel executes no subgroup operation, so that its constant `SUBGROUP` is free.
+    pub fn without_subgroups(mut self) -> Self {
+        self.uses_subgroups = false;
         self
     }
 
@@ -244,6 +254,21 @@ impl<'g> PassBuilder<'g> {
         Ok(slice)
     }
 
+    /// Checks that the size the kernel is specialized for is the one it runs at.
+    fn check_subgroup_constant(&mut self) {
+        let Some(spec) = self.shader.specs.iter().find(|s| s.name == "SUBGROUP") else { return };
+        let given = self.specs.binary_search_by_key(&spec.id, |&(id, _)| id).ok();
+        let constant = given.map_or(spec.default, |at| self.specs[at].1);
+        if self.subgroup_size != Some(constant) && self.uses_subgroups {
+            self.errors.push(GraphError::SubgroupConstant {
+                pass: self.name.clone(),
+                shader: self.shader.name.to_string(),
+                constant,
+                requested: self.subgroup_size,
+            });
+        }
+    }
+
     fn declare(mut self, dispatch: Dispatch, arguments: Option<Slice>) -> Result<(), GraphError> {
         let shader = Arc::clone(&self.shader);
         if self.push.len() != shader.push_bytes as usize {
@@ -254,6 +279,7 @@ impl<'g> PassBuilder<'g> {
                 expected: shader.push_bytes,
             });
         }
+        self.check_subgroup_constant();
         // What is touched, under which name, and whether the contents are discarded.
         let mut touched: Vec<(&str, Slice, Access, Use, bool)> = Vec::new();
         let mut bindings = Vec::with_capacity(shader.bindings.len());

@@ -67,8 +67,9 @@ pub fn project(
         opacity_logits: gaussians.group(Group::OpacityLogits).into(),
         block_counts: block_counts.into(),
     };
-    let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroups: t.subgroups(), });
+    let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size, });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
     exclusive_scan(g, *t, "project_scan", block_counts, None, block_offsets, total, Count::Host(blocks as u32))?;
     // There is always room: the flag of this count can never rise.
@@ -112,7 +113,7 @@ pub fn project(
         tile_counts: visible.tile_counts.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
-        subgroups: t.subgroups(),
+        subgroup: t.subgroup_size,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
@@ -122,7 +123,9 @@ pub fn project(
         color_bits,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1], });
-    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
+    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(n, t.workgroup))?;
     Ok(visible)
 }
 
@@ -199,7 +202,7 @@ pub fn project_bwd(
         pose_partials: partials.into(),
     };
     let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
-        subgroups: t.subgroups(),
+        subgroup: t.subgroup_size,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -210,6 +213,7 @@ pub fn project_bwd(
         features: feature_width(entries),
         color_bits: visible.color_bits, });
     stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     if let Some(pose) = into.pose {
         let bindings = pose_sum::Bindings {

@@ -125,6 +125,30 @@ fn constants() {
 }
 
 #[test]
+fn kernels_run_at_the_subgroup_size_they_are_specialized_for() {
+    const CAPABILITY: u32 = 2 << 16 | 17;
+    let refusal = |constant: u32, requested: Option<u32>, capability: u32, promised: bool| {
+        let mut w = world();
+        let shader = Arc::make_mut(&mut w.map);
+        shader.specs[0].name = "SUBGROUP".into();
+        shader.spirv = vec![0x0723_0203, 0, 0, 0, 0, CAPABILITY, 1, CAPABILITY, capability].into();
+        let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out);
+        let pass = pass.spec("SUBGROUP", constant).subgroup_size(requested);
+        let pass = if promised { pass.without_subgroups() } else { pass };
+        pass.dispatch([1, 1, 1]).err().map(|e| e.to_string())
+    };
+    const BALLOT: u32 = 64;
+    assert_eq!(refusal(16, Some(16), BALLOT, false), None);
+    let sentence = "Pass [p] specializes kernel [map] for subgroups of 16, but requests subgroups of 32.";
+    assert_eq!(refusal(16, Some(32), BALLOT, false).as_deref(), Some(sentence));
+    let sentence = "Pass [p] specializes kernel [map] for subgroups of 16, but requests no subgroup size.";
+    assert_eq!(refusal(16, None, BALLOT, false).as_deref(), Some(sentence));
+    // Without subgroup operations the constant is a number like any other.
+    assert_eq!(refusal(16, None, 9, false), None);
+    assert_eq!(refusal(16, None, BALLOT, true), None);
+}
+
+#[test]
 fn dispatches() {
     let mut w = world();
     let bound = |w: &mut World| {

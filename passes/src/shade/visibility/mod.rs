@@ -142,9 +142,10 @@ pub fn visibility(
     let name = if split { chosen.name } else { "visibility_plain" };
     // Ordinary instructions on pieces know no subgroups: tests try any size of these.
     let matrices = tuning.field_matrices();
-    stage(g, name, chosen, bindings.entries(), specs, &[])
-        .subgroup_size(matrices.is_none_or(|m| m.units).then_some(subgroup))
-        .dispatch(groups(u64::from(view.pixels), if matrices.is_some() { subgroup } else { workgroup }))
+    let pass = stage(g, name, chosen, bindings.entries(), specs, &[]);
+    let emulated = matrices.is_some_and(|m| !m.units);
+    let pass = if emulated { pass.without_subgroups() } else { pass.subgroup_size(Some(subgroup)) };
+    pass.dispatch(groups(u64::from(view.pixels), if matrices.is_some() { subgroup } else { workgroup }))
 }
 
 /// Adds the pass that writes what the first layer makes of the points of `count` pixels from `first` on: `into`, rows of 32
