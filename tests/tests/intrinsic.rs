@@ -163,7 +163,7 @@ fn the_command_leaves_what_shades_and_measures() {
 #[test]
 fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicRates, IntrinsicSizes, IntrinsicStep};
-    use sgs_passes::pipeline::{SurfaceBuilder, SurfaceShape};
+    use sgs_passes::pipeline::{Masks, SurfaceBuilder, SurfaceShape};
     use sgs_passes::scene::{Layout, Model};
     use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
     use sgs_passes::shade::lights::LightModel;
@@ -200,6 +200,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         environment_every: 1,
         edge_aware: true,
         gradients: true,
+        masks: Masks::Carried,
         cross_view: false,
         relight: false,
         relight_roughness: 0.0,

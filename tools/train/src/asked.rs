@@ -1,6 +1,6 @@
 //! Masks of a region from a network: three rendered frames of a step are shown to a provider, which says where the thing at
-//! a point of the first one is in each of them (SGS-Intrinsic, stage I: SAM 2 over pseudo-view, training view,
-//! pseudo-view).
+//! a point of the first one is in each of them (SGS-Intrinsic: SAM 2 over pseudo-view, training view, pseudo-view; in stage
+//! II the frames are shaded).
 //!
 //! The frames show the Gaussians as they are before the step, so the step waits for all before it: asking costs what the
 //! network costs, and this. The point is drawn from seed and step.
@@ -34,9 +34,20 @@ pub struct Look {
     pub entries: u32,
 }
 
+/// Frames of a question, as they are displayed.
+pub(crate) struct Frames<'a> {
+    /// By frame.
+    pub images: &'a [Image; FRAMES],
+    /// By frame.
+    pub cameras: [&'a Camera; FRAMES],
+    /// Which frames show a training view of the scene.
+    pub views: [bool; FRAMES],
+}
+
 /// A provider of masks.
 pub(crate) struct Asked {
-    helper: Helper,
+    /// None where training is only planned.
+    helper: Option<Helper>,
     /// What renders the frames, and for which Gaussians it was made.
     renderer: Option<(Renderer, Layout)>,
     /// Bits of the three frames, one behind the other.
@@ -46,8 +57,18 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
-    /// Starts the provider; none if it fails and training may go on without.
-    pub fn start(device: &Device, largest: [u32; 2], s: &ProviderSettings) -> Result<Option<Asked>> {
+    /// Starts the provider, unless training is only planned. None if it fails and training may go on without.
+    pub fn start(device: &Device, largest: [u32; 2], s: &ProviderSettings, planned: bool) -> Result<Option<Asked>> {
+        let helper = if planned { None } else { Asked::helper(s)? };
+        if helper.is_none() && !planned {
+            return Ok(None);
+        }
+        let words = wanted_words(u64::from(largest[0]) * u64::from(largest[1]));
+        let masks = device.buffer("asked_masks", 4 * words * FRAMES as u64, Location::Device)?;
+        Ok(Some(Asked { helper, renderer: None, masks, words: words as u32 }))
+    }
+
+    fn helper(s: &ProviderSettings) -> Result<Option<Helper>> {
         let options = ProviderOptions {
             command: s.command.clone(),
             start_seconds: s.start_seconds,
@@ -58,18 +79,13 @@ impl Asked {
         // One that answers other questions alone is said before training, not in the middle of it.
         let offers = helper.ask(|p| Ok((p.offers("masks"), p.about().list())))?;
         match offers {
-            None => return Ok(None),
-            Some((true, _)) => {}
-            Some((false, list)) => {
-                return Err(TrainError::Setting(format!(
-                    "The provider answers no questions about masks, but about {list}; choose another, or leave \
-                     provider.command empty to carry regions by depth."
-                )));
-            }
+            None => Ok(None),
+            Some((true, _)) => Ok(Some(helper)),
+            Some((false, list)) => Err(TrainError::Setting(format!(
+                "The provider answers no questions about masks, but about {list}; choose another, or leave \
+                 provider.command empty to carry regions by depth."
+            ))),
         }
-        let words = wanted_words(u64::from(largest[0]) * u64::from(largest[1]));
-        let masks = device.buffer("asked_masks", 4 * words * FRAMES as u64, Location::Device)?;
-        Ok(Some(Asked { helper, renderer: None, masks, words: words as u32 }))
     }
 
     /// Bytes that rendering the frames takes, with room for so many tile entries.
@@ -85,10 +101,10 @@ impl Asked {
         gaussians: &Gaussians,
         cameras: &[Camera; FRAMES],
         look: &Look,
-    ) -> Result<Option<Vec<Image>>> {
+    ) -> Result<Option<[Image; FRAMES]>> {
         // One of other Gaussians goes before another comes: two may not fit.
         self.renderer = self.renderer.take().filter(|(_, layout)| *layout == gaussians.layout());
-        let mut render = || -> Result<Vec<Image>> {
+        let mut render = || -> Result<[Image; FRAMES]> {
             let (renderer, _) = match &mut self.renderer {
                 Some(renderer) => renderer,
                 none => {
@@ -98,11 +114,11 @@ impl Asked {
                     none.insert((made, gaussians.layout()))
                 }
             };
-            let mut images = Vec::new();
-            for c in cameras {
+            let mut images = <[Image; FRAMES]>::default();
+            for (c, image) in cameras.iter().zip(&mut images) {
                 let picture = renderer.render(gaussians, &camera(c), look.sh_degree, look.background)?;
                 let data = picture.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-                images.push(Image { width: c.width, height: c.height, channels: 3, data });
+                *image = Image { width: c.width, height: c.height, channels: 3, data };
             }
             Ok(images)
         };
@@ -117,7 +133,7 @@ impl Asked {
         }
     }
 
-    /// Renders the frames, asks, and leaves the masks in [`Asked::masks`]. False if there is nobody to ask any more.
+    /// Renders the Gaussians' own colors, asks, and leaves the masks in [`Asked::masks`]. False if there is nobody to ask any more.
     pub fn ask(
         &mut self,
         device: &Device,
@@ -128,24 +144,38 @@ impl Asked {
         step: u32,
     ) -> Result<bool> {
         let Some(images) = self.frames(device, gaussians, cameras, look)? else { return Ok(false) };
-        let frame = |i: usize| Picture {
-            image: &images[i],
+        let views = [false, true, false];
+        self.ask_about(device, &Frames { images: &images, cameras: cameras.each_ref(), views }, seed, step)
+            .map(|n| n.is_some())
+    }
+
+    /// Asks about frames, and leaves the masks in [`Asked::masks`]. Returns the pixels of each mask; none if there is nobody to
+    /// ask any more.
+    pub fn ask_about(
+        &mut self,
+        device: &Device,
+        frames: &Frames<'_>,
+        seed: u64,
+        step: u32,
+    ) -> Result<Option<[usize; FRAMES]>> {
+        let cameras = frames.cameras;
+        let shown: [Picture<'_>; FRAMES] = std::array::from_fn(|i| Picture {
+            image: &frames.images[i],
             encoding: Encoding::Srgb,
-            // Only the training view is a view of the scene.
-            view: (i == 1).then_some(cameras[i].name.as_str()),
-            camera: Some(&cameras[i]),
-        };
-        let frames = [frame(0), frame(1), frame(2)];
+            view: frames.views[i].then_some(cameras[i].name.as_str()),
+            camera: Some(cameras[i]),
+        });
         let at = |axis: u64, size: u32| {
             (hash(seed ^ (0x706f_696e_7400 + axis), u64::from(step)) % u64::from(size)) as f64 + 0.5
         };
         let point = [at(0, cameras[0].width), at(1, cameras[0].height)];
-        let Some(answer) = self.helper.ask(|p| p.masks(&frames, Some(point)))? else { return Ok(false) };
+        let Some(helper) = &mut self.helper else { return Ok(None) };
+        let Some(answer) = helper.ask(|p| p.masks(&shown, Some(point)))? else { return Ok(None) };
         for (i, mask) in answer.frames.iter().enumerate() {
             let bits = pack_mask(mask);
             let words = u64::from(self.words);
             device.upload(&self.masks, 4 * words * i as u64, bytemuck::cast_slice(&bits))?;
         }
-        Ok(true)
+        Ok(Some(answer.frames.each_ref().map(|mask| mask.iter().filter(|inside| **inside).count())))
     }
 }

@@ -6,10 +6,10 @@ use crate::asked::{Asked, Look};
 use crate::convert::camera;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
-use crate::regions::{PseudoMaps, RegionMaps};
+use crate::regions::{RegionInputs, Regions};
 use crate::semantics::SemanticData;
 use crate::settings::Settings;
-use sgs_engine::{Device, DeviceBuffer};
+use sgs_engine::Device;
 use sgs_passes::pipeline::{Inputs, Masks, PSEUDO_VIEWS, Step};
 use sgs_passes::scene::{Gaussians, Layout};
 use sgs_scene::{Camera, Scene};
@@ -20,14 +20,6 @@ pub struct Correspondence {
     /// The training views.
     views: Vec<Camera>,
     regions: Regions,
-}
-
-/// Who says what a region is.
-enum Regions {
-    /// Numbers of the training views' pixels, and perhaps of the pseudo-views'.
-    Numbered { maps: RegionMaps, ids: DeviceBuffer, pseudo: Option<(PseudoMaps, DeviceBuffer)> },
-    /// A network.
-    Asked(Box<Asked>),
 }
 
 impl Correspondence {
@@ -44,29 +36,15 @@ impl Correspondence {
     ) -> Result<Option<Correspondence>> {
         let pseudo = PseudoViews::new(scene, &settings.geometry.pseudo)?;
         let views = scene.split.train.iter().map(|&i| scene.views[i].camera.clone()).collect();
-        if !settings.provider.command.trim().is_empty() {
-            let asked = Asked::start(device, largest, &settings.provider)?;
-            return Ok(asked.map(|a| Correspondence { pseudo, views, regions: Regions::Asked(Box::new(a)) }));
-        }
-        let Some(maps) = RegionMaps::load(device, scene, Some(semantic))? else { return Ok(None) };
-        let given = match PseudoMaps::load(scene, &pseudo)? {
-            Some(maps) => {
-                let memory = maps.upload(device)?;
-                Some((maps, memory))
-            }
-            None => None,
-        };
-        let ids = maps.upload(device)?;
-        Ok(Some(Correspondence { pseudo, views, regions: Regions::Numbered { maps, ids, pseudo: given } }))
+        let inputs =
+            RegionInputs { device, scene, provider: &settings.provider, pseudo: &pseudo, largest, planned: false };
+        let regions = Regions::load(&inputs, || semantic.labels(device).map(Some))?;
+        Ok(regions.map(|regions| Correspondence { pseudo, views, regions }))
     }
 
     /// What says where a region is in pseudo-views.
     pub fn masks(&self) -> Masks {
-        match &self.regions {
-            Regions::Numbered { pseudo: None, .. } => Masks::Carried,
-            Regions::Numbered { .. } => Masks::Numbered,
-            Regions::Asked(_) => Masks::Given,
-        }
+        self.regions.masks()
     }
 
     /// Whether a step can only be made up when those before it are done.
@@ -76,13 +54,8 @@ impl Correspondence {
 
     /// Adds what a step is bound to.
     pub fn bind<'a>(&'a self, inputs: &mut Inputs<'a>) {
-        match &self.regions {
-            Regions::Numbered { ids, pseudo, .. } => {
-                inputs.regions = Some(ids);
-                inputs.pseudo_regions = pseudo.as_ref().map(|(_, memory)| memory);
-            }
-            Regions::Asked(asked) => inputs.regions = Some(&asked.masks),
-        }
+        inputs.regions = Some(self.regions.ids());
+        inputs.pseudo_regions = self.regions.pseudo_ids();
     }
 
     /// Chooses the region of a step, and makes the uniforms of its pseudo-views. None if there is nobody to ask any more.
@@ -140,11 +113,6 @@ impl Correspondence {
 
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
-        match &self.regions {
-            Regions::Numbered { ids, pseudo, .. } => {
-                ids.bytes() + pseudo.as_ref().map_or(0, |(_, memory)| memory.bytes())
-            }
-            Regions::Asked(asked) => asked.masks.bytes(),
-        }
+        self.regions.bytes()
     }
 }

@@ -1,6 +1,6 @@
-//! Regions of the training views: which pixels are the same thing, for the correspondence with pseudo-views.
+//! Regions of the training views: which pixels are the same thing, for what both stages compare between views.
 //!
-//! They come from `priors/masks` if any training view has a map there, else from the semantic targets: a pixel's region is
+//! A provider of masks comes first ([`Regions`]). Without one they come from `priors/masks` if any training view has a map there, else from the semantic targets: a pixel's region is
 //! then the class of the nearest sample of the map, plus one. Pixels that do not count in the photograph are in no region.
 //!
 //! A step is about one region of its training view, chosen as a point prompt would choose it: by a pixel, uniformly among
@@ -13,12 +13,12 @@
 use crate::error::{Result, TrainError};
 use crate::pseudo::PseudoViews;
 use crate::schedule::hash;
-use crate::semantics::{SemanticData, SemanticView};
+use crate::semantics::{SemanticData, SemanticLabels, SemanticView};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::loss::{NO_LABEL, pack_regions};
-use sgs_passes::pipeline::SemanticTarget;
 use sgs_scene::Scene;
+pub(crate) use source::{RegionInputs, Regions};
 
 /// Smaller regions are never chosen; the loss would leave them out.
 pub const LEAST_PIXELS: u32 = 16;
@@ -57,25 +57,22 @@ impl RegionMaps {
     /// # Errors
     /// If a mask cannot be read, or the views hold too many pixels.
     pub fn load(device: &Device, scene: &Scene, semantic: Option<&SemanticData>) -> Result<Option<RegionMaps>> {
-        if let Some(maps) = RegionMaps::from_masks(scene)? {
-            return Ok(maps.known(scene));
-        }
-        let Some(semantic) = semantic else { return Ok(None) };
-        let samples = semantic.targets.bytes() as usize / size_of::<SemanticTarget>();
-        let said: Vec<SemanticTarget> = device.download_as(&semantic.targets, samples)?;
-        let labels: Vec<u32> = said.iter().map(|t| t.label).collect();
-        Ok(RegionMaps::from_labels(scene, &semantic.views, &labels)?.known(scene))
+        RegionMaps::of_scene(scene, || semantic.map(|s| s.labels(device)).transpose())
     }
 
-    /// Regions without semantic targets: from `priors/masks`; none if there are no masks.
+    /// As [`RegionMaps::load`], where classes are worked out only if there are no masks.
     ///
     /// # Errors
     /// If a file cannot be read, or the views hold too many pixels.
-    pub fn of_scene(scene: &Scene) -> Result<Option<RegionMaps>> {
+    pub(crate) fn of_scene(
+        scene: &Scene,
+        labels: impl FnOnce() -> Result<Option<SemanticLabels>>,
+    ) -> Result<Option<RegionMaps>> {
         if let Some(maps) = RegionMaps::from_masks(scene)? {
             return Ok(maps.known(scene));
         }
-        Ok(None)
+        let Some(said) = labels()? else { return Ok(None) };
+        Ok(RegionMaps::from_labels(scene, &said.views, &said.labels)?.known(scene))
     }
 
     /// From `priors/masks`; none if no training view has a map there.
@@ -292,6 +289,8 @@ fn upload(device: &Device, name: &str, ids: &[u16]) -> Result<DeviceBuffer> {
     }
     Ok(buffer)
 }
+
+mod source;
 
 #[cfg(test)]
 mod tests;

@@ -35,6 +35,14 @@ pub struct SemanticMaps {
     largest: u32,
 }
 
+/// Classes of the samples of all maps.
+pub struct SemanticLabels {
+    /// By training view.
+    pub views: Vec<SemanticView>,
+    /// By sample, the maps one behind the other; [`sgs_passes::loss::NO_LABEL`] where a sample has no class.
+    pub labels: Vec<u32>,
+}
+
 /// What semantic losses compare with.
 pub struct SemanticData {
     /// `[samples * 512]` halves.
@@ -120,6 +128,35 @@ impl SemanticMaps {
         }
         Ok(SemanticData { features, targets, embeddings, text, largest, views })
     }
+
+    /// Works out classes alone, with one map at a time in device memory.
+    ///
+    /// # Errors
+    /// If a file cannot be read any more, or memory runs out.
+    pub fn labels(self, device: &Device, scene: &Scene) -> Result<SemanticLabels> {
+        let unit = normalize_embeddings(&self.text.data);
+        let embeddings = device.buffer("text_embeddings", 4 * unit.len() as u64, Location::Device)?;
+        device.upload(&embeddings, 0, bytemuck::cast_slice(&unit))?;
+        let largest = u64::from(self.largest);
+        let features = device.buffer("semantic_features", largest * 2 * EMBEDDING as u64, Location::Device)?;
+        device.fill(&features, 0)?;
+        let targets =
+            device.buffer("semantic_targets", largest * size_of::<SemanticTarget>() as u64, Location::Device)?;
+        let mut labels = Vec::new();
+        for &i in &scene.split.train {
+            let Some(FeatureMap { data, .. }) = scene.semantic_prior(i)? else { continue };
+            device.upload(&features, 0, bytemuck::cast_slice::<f16, u8>(&data))?;
+            // Samples past the end of a smaller map are those of an earlier one, and are left out.
+            work_out(device, &features, &embeddings, self.text.labels.len() as u32, self.largest, &targets)?;
+            labels.extend(labels_of(device, &targets, data.len() / EMBEDDING)?);
+        }
+        Ok(SemanticLabels { views: self.views, labels })
+    }
+}
+
+fn labels_of(device: &Device, targets: &DeviceBuffer, samples: usize) -> Result<Vec<u32>> {
+    let said: Vec<SemanticTarget> = device.download_as(targets, samples)?;
+    Ok(said.iter().map(|t| t.label).collect())
 }
 
 impl SemanticData {
@@ -129,6 +166,15 @@ impl SemanticData {
     /// If a file cannot be used, a width is not 512, or memory runs out.
     pub fn load(device: &Device, scene: &Scene) -> Result<Option<SemanticData>> {
         SemanticMaps::read(scene)?.map(|maps| maps.upload(device, scene)).transpose()
+    }
+
+    /// The classes of all samples.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn labels(&self, device: &Device) -> Result<SemanticLabels> {
+        let samples = self.targets.bytes() as usize / size_of::<SemanticTarget>();
+        Ok(SemanticLabels { views: self.views.clone(), labels: labels_of(device, &self.targets, samples)? })
     }
 
     /// What a step is bound to.

@@ -7,7 +7,7 @@ use crate::loss::{
     CarryOptions, CrossPicture, MaterialPictures, Materials, Msg, Seen, carry_mask, cross_view, material_pictures,
     pictures, region_mask, relight,
 };
-use crate::pipeline::SurfaceHandles;
+use crate::pipeline::{Masks, SurfaceHandles};
 use crate::shade::{PixelMaterials, SURFACE_DEPTH, Weights, materials, surface_depth};
 use crate::splat::{Screen, wanted_words};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -29,6 +29,7 @@ pub(super) fn across_views(
 ) -> Result<Vec<Other>, GraphError> {
     let pixels = f.screen.pixels();
     let region = match (f.o.cross_view || f.o.relight, f.inputs.regions) {
+        (true, Some(masks)) if f.o.masks == Masks::Given => Some(masks),
         (true, Some(ids)) => {
             let mask = g.transient("region_mask", 4 * wanted_words(pixels));
             region_mask(g, *f.t, &f.screen, ids, mask)?;
@@ -62,16 +63,27 @@ pub(super) fn across_views(
             let shown = Materials { step, materials: of_other.materials, coverage, largest: f.o.shape.largest };
             let picture = pictures(g, "pictures", f.o.shape.largest, false);
             material_pictures(g, *f.t, &shown, &picture)?;
-            let depth = surface_depth(g, f.t, &other, &surface.surfaces)?;
-            let seen_there = Seen { screen: other, blended: depth, channels: SURFACE_DEPTH };
-            let carried = g.transient("carried", 4 * wanted_words(pixels));
-            carry_mask(g, *f.t, "carry_mask", &trained, mask, &seen_there, CarryOptions::default(), carried)?;
+            let mask = match (f.o.masks, f.inputs.pseudo_regions) {
+                (Masks::Given, _) => mask,
+                (Masks::Numbered, Some(ids)) => {
+                    let numbered = g.transient("region_mask", 4 * wanted_words(pixels));
+                    region_mask(g, *f.t, &other, ids, numbered)?;
+                    numbered
+                }
+                (Masks::Carried | Masks::Numbered, _) => {
+                    let depth = surface_depth(g, f.t, &other, &surface.surfaces)?;
+                    let seen_there = Seen { screen: other, blended: depth, channels: SURFACE_DEPTH };
+                    let carried = g.transient("carried", 4 * wanted_words(pixels));
+                    carry_mask(g, *f.t, "carry_mask", &trained, mask, &seen_there, CarryOptions::default(), carried)?;
+                    carried
+                }
+            };
             let by_picture = pictures(g, "grad_pictures", f.o.shape.largest, false);
             g.fill("clear_grad_pictures", by_picture.albedo, 0)?;
             compared.push(CrossPicture {
                 step,
                 albedo: picture.albedo,
-                mask: carried,
+                mask,
                 albedo_gradient: by_picture.albedo,
                 largest: f.o.shape.largest,
             });

@@ -61,8 +61,11 @@ pub struct IntrinsicInputs<'a> {
     pub roughness: Option<&'a DeviceBuffer>,
     /// Likewise.
     pub metallic: Option<&'a DeviceBuffer>,
-    /// Ids of regions of the training views ([`crate::loss::pack_regions`]).
+    /// Ids of regions of the training views ([`crate::loss::pack_regions`]); masks of the step's views where
+    /// [`crate::pipeline::Masks::Given`] says so.
     pub regions: Option<&'a DeviceBuffer>,
+    /// Ids of regions of the pseudo-views, for [`crate::pipeline::Masks::Numbered`].
+    pub pseudo_regions: Option<&'a DeviceBuffer>,
     /// What is said of the training views under other lights, packed as priors are: albedo, then roughness, of each copy of
     /// the lights.
     pub estimates: [Option<&'a DeviceBuffer>; 2 * COPIES],
@@ -125,6 +128,8 @@ pub struct IntrinsicSizes {
     pub metallic: Option<u64>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
+    /// Bytes of the pseudo-views' regions.
+    pub pseudo_regions: Option<u64>,
     /// Bytes of the estimates.
     pub estimates: [Option<u64>; 2 * COPIES],
 }
@@ -138,6 +143,7 @@ impl IntrinsicInputs<'_> {
             roughness: self.roughness.map(DeviceBuffer::bytes),
             metallic: self.metallic.map(DeviceBuffer::bytes),
             regions: self.regions.map(DeviceBuffer::bytes),
+            pseudo_regions: self.pseudo_regions.map(DeviceBuffer::bytes),
             estimates: self.estimates.map(|e| e.map(DeviceBuffer::bytes)),
         }
     }
@@ -173,6 +179,7 @@ pub(super) struct Declared {
     pub roughness_priors: Option<Buffer>,
     pub metallic_priors: Option<Buffer>,
     pub regions: Option<Buffer>,
+    pub pseudo_regions: Option<Buffer>,
     pub estimates: [Option<Buffer>; 2 * COPIES],
 }
 
@@ -220,6 +227,7 @@ impl Declared {
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
             metallic_priors: sizes.metallic.map(|bytes| g.input("metallic_priors", bytes)),
             regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
+            pseudo_regions: sizes.pseudo_regions.map(|bytes| g.input("pseudo_regions", bytes)),
             estimates: std::array::from_fn(|i| sizes.estimates[i].map(|bytes| g.input(ESTIMATES[i], bytes))),
         }
     }
@@ -257,6 +265,7 @@ impl Declared {
             (self.roughness_priors, inputs.roughness),
             (self.metallic_priors, inputs.metallic),
             (self.regions, inputs.regions),
+            (self.pseudo_regions, inputs.pseudo_regions),
         ]
         .into_iter()
         .chain(self.estimates.into_iter().zip(inputs.estimates))

@@ -17,7 +17,7 @@ pub use relit::{RelitOptions, RelitView};
 use self::build::{Words, build};
 use self::inputs::Declared as Inputs;
 use super::status::RING;
-use super::{PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
+use super::{Masks, PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::shade::environment::{Environment, EnvironmentTables, Kept};
 use crate::shade::lights::LightModel;
@@ -63,6 +63,8 @@ pub struct IntrinsicOptions {
     pub edge_aware: bool,
     /// Whether their gradients are compared with those of the priors at several scales.
     pub gradients: bool,
+    /// How the step's region is found in the training view and in pseudo-views.
+    pub masks: Masks,
     /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
     pub cross_view: bool,
     /// Whether albedo in the region is compared with what is said of it under other lights: estimates of the view, or where

@@ -1,5 +1,5 @@
-//! A training view under other lights, as a network is shown it: lights moved, dimmed and switched off at random, everything
-//! else as it is before the step.
+//! A view shaded for a network, everything as it is before the step: under the lights as they are, and under copies of them
+//! that are moved, dimmed and switched off at random.
 //!
 //! Promises: what comes out is a function of parameters, seed and view; nothing is changed. Each copy of the lights costs a
 //! forward pass of shading; the surroundings are shaded once. The host waits.
@@ -19,25 +19,28 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
-/// Whose light, and how different.
+/// Which lights a view is shaded under.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelitOptions {
-    /// Copies of the lights: at most [`COPIES`].
+    /// Whether under the lights as they are, before all copies.
+    pub as_is: bool,
+    /// Perturbed copies of the lights: at most [`COPIES`], and at least one where they are not shown as they are.
     pub copies: u32,
     /// How far apart lights started, or what else is the unit of the distance that they move.
     pub spacing: f32,
 }
 
-/// Shades views under perturbed lights.
+/// Shades views as a network is shown them.
 pub struct RelitView {
     exec: Executor,
     step: Buffer,
     field: Option<Buffer>,
     surface: SurfaceHandles,
     tile: [u32; 2],
-    /// Light of lamps of each copy, then that of the surroundings if there are any.
+    /// Direct light: as it is, of each copy; then that of the environment if there is one.
     outputs: Vec<DeviceBuffer>,
-    copies: usize,
+    /// How many of them are of direct light.
+    direct: usize,
 }
 
 struct Built {
@@ -75,7 +78,7 @@ impl RelitView {
             field: made.inputs.visibility.map(|v| v.field.step),
             surface: made.surface,
             tile: tuning.tile,
-            copies: copies_of(relit) as usize,
+            direct: lights_of(relit).len(),
             outputs,
         })
     }
@@ -95,8 +98,8 @@ impl RelitView {
         Ok((made.plan, made.outputs.len() as u64 * output_bytes(options)))
     }
 
-    /// Linear light that the surfaces of a view send to its camera under each copy of the lights that the step's seed draws,
-    /// `[pixels * 3]` floats, not yet over any background (waits for the device).
+    /// Linear light that the surfaces of a view send to its camera, under the lights as they are if the options ask for it, then
+    /// under each copy that the step's seed draws: `[pixels * 3]` floats, not yet over any background (waits for the device).
     ///
     /// # Errors
     /// If the device fails, or the surface has another shape than this was made for.
@@ -113,8 +116,8 @@ impl RelitView {
         self.exec.finish()?;
         let floats = 3 * size[0] as usize * size[1] as usize;
         let read = |b: &DeviceBuffer| device.download_as::<f32>(b, floats);
-        let around = self.outputs.get(self.copies).map(read).transpose()?;
-        let mut pictures = self.outputs[..self.copies].iter().map(read).collect::<Result<Vec<_>>>()?;
+        let around = self.outputs.get(self.direct).map(read).transpose()?;
+        let mut pictures = self.outputs[..self.direct].iter().map(read).collect::<Result<Vec<_>>>()?;
         if let Some(around) = around {
             pictures.iter_mut().for_each(|p| p.iter_mut().zip(&around).for_each(|(v, a)| *v += a));
         }
@@ -122,8 +125,10 @@ impl RelitView {
     }
 }
 
-fn copies_of(relit: &RelitOptions) -> u32 {
-    relit.copies.clamp(1, COPIES as u32)
+/// The lights of each picture: None as they are, else the number of a copy.
+fn lights_of(relit: &RelitOptions) -> Vec<Option<u32>> {
+    let copies = relit.copies.clamp(u32::from(!relit.as_is), COPIES as u32);
+    relit.as_is.then_some(None).into_iter().chain((0..copies).map(Some)).collect()
 }
 
 fn output_bytes(o: &IntrinsicOptions) -> u64 {
@@ -159,18 +164,18 @@ fn declare(
     let seen = learned.map_or(surface.surfaces, |l| l.of(&surface.surfaces));
     let shaded = Pixels { screen, surfaces: seen, materials: of_pixels };
     let mut outputs = Vec::new();
-    for copy in 0..copies_of(relit) {
-        let direct = g.external(format!("relit{copy}"), 12 * pixels);
+    for copy in lights_of(relit) {
+        let name = |what: &str| copy.map_or(what.to_owned(), |copy| format!("{what}{copy}"));
+        let direct = g.external(name("relit"), 12 * pixels);
         outputs.push(direct);
         let Some(l) = &inputs.lights else {
-            g.fill(format!("no_lights{copy}"), direct, 0)?;
+            g.fill(name("no_lights"), direct, 0)?;
             continue;
         };
         let parameters =
             LightParameters { positions: l.positions.parameters, lobes: l.lobes.parameters, gains: l.gains };
-        let other = Perturbation::published(copy, relit.spacing);
-        let name = format!("lights_prepare{copy}");
-        let prepared = lights_prepare(&mut g, *t, &name, step, l.model, &parameters, Some(&other))?;
+        let other = copy.map(|copy| Perturbation::published(copy, relit.spacing));
+        let prepared = lights_prepare(&mut g, *t, &name("lights_prepare"), step, l.model, &parameters, other.as_ref())?;
         let lit = Lights { pixels: shaded, prepared, normalizer: l.normalizer, shape: Shape::for_device(*t) };
         match (&inputs.visibility, &inputs.traced) {
             (Some(v), _) => lights_field(&mut g, *t, &lit, &v.field, direct)?,

@@ -2,14 +2,16 @@
 //!
 //! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
 
+use crate::asked::Frames;
 use crate::convert::camera;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
-use crate::regions::RegionMaps;
+use crate::regions::{LEAST_PIXELS, RegionInputs, Regions};
 use crate::schedule::Schedule;
+use crate::semantics::SemanticMaps;
 use crate::settings::{IntrinsicSettings, Settings};
-use sgs_engine::{Device, DeviceBuffer};
-use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO_VIEWS, Step};
+use sgs_engine::Device;
+use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO_VIEWS, RelitOptions, Step};
 use sgs_scene::Scene;
 
 /// What a step does beside comparing its view with photograph and priors.
@@ -45,30 +47,46 @@ impl StepKind {
 /// Regions and pseudo-views.
 pub(super) struct Consistency {
     pseudo: PseudoViews,
-    maps: RegionMaps,
-    /// Numbers of the training views' pixels.
-    pub ids: DeviceBuffer,
+    /// The training views.
+    views: Vec<sgs_scene::Camera>,
+    regions: Regions,
 }
 
 impl Consistency {
-    /// None where nothing says what a region is, or nothing asks.
-    pub fn load(device: &Device, scene: &Scene, settings: &Settings) -> Result<Option<Consistency>> {
+    /// What a provider of masks is shown of a view.
+    pub const SHOWN: RelitOptions = RelitOptions { as_is: true, copies: 0, spacing: 0.0 };
+
+    /// None if the scene has no regions, or no step needs any. `largest`: columns and rows that no view exceeds.
+    pub fn load(
+        device: &Device,
+        scene: &Scene,
+        settings: &Settings,
+        largest: [u32; 2],
+        planned: bool,
+    ) -> Result<Option<Consistency>> {
         let s = &settings.intrinsic;
         if (1..=s.steps).all(|step| StepKind::of(s, step) == StepKind::Plain) {
             return Ok(None);
         }
-        let Some(maps) = RegionMaps::of_scene(scene)? else {
-            tracing::info!("nothing says what a region is; albedo is not compared with other views");
-            return Ok(None);
-        };
         let pseudo = PseudoViews::new(scene, &settings.geometry.pseudo)?;
-        let ids = maps.upload(device)?;
-        Ok(Some(Consistency { pseudo, maps, ids }))
+        let inputs = RegionInputs { device, scene, provider: &settings.provider, pseudo: &pseudo, largest, planned };
+        let labels = || match settings.geometry.semantics {
+            true => SemanticMaps::read(scene)?.map(|maps| maps.labels(device, scene)).transpose(),
+            false => Ok(None),
+        };
+        let Some(regions) = Regions::load(&inputs, labels)? else { return Ok(None) };
+        let views = scene.split.train.iter().map(|&i| scene.views[i].camera.clone()).collect();
+        Ok(Some(Consistency { pseudo, views, regions }))
     }
 
-    fn drawn(&self, seed: u64, view: usize, step: u32) -> [Camera; PSEUDO_VIEWS] {
-        let [first, second] = self.pseudo.draw(seed, step);
-        [(0, first), (1, second)].map(|(which, index)| camera(&self.pseudo.camera(view, which, index)))
+    /// The regions.
+    pub fn regions(&self) -> &Regions {
+        &self.regions
+    }
+
+    /// Whether a provider of masks is asked in each step that compares.
+    pub fn asks(&self) -> bool {
+        matches!(self.regions, Regions::Asked(_))
     }
 
     /// The pseudo-views that training will see.
@@ -89,11 +107,61 @@ impl Consistency {
         all
     }
 
-    /// Chooses the region and the pseudo-views of a step.
+    /// The pseudo-views of a step.
+    fn drawn(&self, seed: u64, view: usize, step: u32) -> [(sgs_scene::Camera, u32); PSEUDO_VIEWS] {
+        let [first, second] = self.pseudo.draw(seed, step);
+        [(0, first), (1, second)].map(|(which, index)| {
+            let offset = match &self.regions {
+                Regions::Numbered { pseudo: Some((maps, _)), .. } => maps.first(view, which, index),
+                _ => 0,
+            };
+            (self.pseudo.camera(view, which, index), offset)
+        })
+    }
+
+    /// Chooses the pseudo-views of a step, and its region where regions have numbers.
     pub fn fill(&self, seed: u64, view: usize, values: &mut IntrinsicStepValues) {
         let step = values.shaded.step;
-        values.shaded.region = self.maps.draw(view, seed, step);
-        values.pseudo = self.drawn(seed, view, step).map(|camera| Step { camera, step, ..Step::default() });
+        if let Regions::Numbered { maps, .. } = &self.regions {
+            values.shaded.region = maps.draw(view, seed, step);
+        }
+        let region = values.shaded.region;
+        values.pseudo = self.drawn(seed, view, step).map(|(c, target_offset)| Step {
+            camera: camera(&c),
+            step,
+            region,
+            target_offset,
+            ..Step::default()
+        });
+    }
+
+    /// The camera of a training view.
+    pub fn camera(&self, view: usize) -> &sgs_scene::Camera {
+        &self.views[view]
+    }
+
+    /// The cameras of a step's pseudo-views.
+    pub fn pseudo_cameras(&self, seed: u64, view: usize, step: u32) -> [sgs_scene::Camera; PSEUDO_VIEWS] {
+        self.drawn(seed, view, step).map(|(camera, _)| camera)
+    }
+
+    /// Asks where the step's region is in three frames. False if there is nobody to ask any more. `masks`: which frame's mask is
+    /// that of the training view.
+    pub fn ask(
+        &mut self,
+        device: &Device,
+        frames: &Frames<'_>,
+        masks: usize,
+        seed: u64,
+        values: &mut IntrinsicStepValues,
+    ) -> Result<bool> {
+        let Regions::Asked(asked) = &mut self.regions else { return Ok(true) };
+        let Some(pixels) = asked.ask_about(device, frames, seed, values.shaded.step)? else { return Ok(false) };
+        // Kernels take the masks as they are; a region is named where there is evidence of one.
+        values.shaded.region = u32::from(pixels[masks] >= LEAST_PIXELS as usize);
+        values.shaded.mask_offset = asked.words * masks as u32;
+        values.pseudo[1].mask_offset = 2 * asked.words;
+        Ok(true)
     }
 }
 

@@ -1,9 +1,10 @@
 //! The graphs of the kinds of steps, made when they are first due, and what they are bound to.
 
 use super::Intrinsic;
-use super::consistency::StepKind;
+use super::consistency::{Consistency, StepKind};
 use super::seldom::Seldom;
 use crate::error::{Result, TrainError};
+use crate::regions::Regions;
 use sgs_passes::pipeline::{COPIES, IntrinsicInputs, IntrinsicStep};
 
 impl Intrinsic {
@@ -33,6 +34,7 @@ impl Intrinsic {
 
     /// What a kind of step is bound to.
     pub(super) fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
+        let regions = self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(Consistency::regions);
         IntrinsicInputs {
             parameters: &self.parameters,
             gains: Some(&self.gains),
@@ -43,12 +45,19 @@ impl Intrinsic {
             albedo: self.priors.albedo.as_ref(),
             roughness: self.priors.roughness.as_ref(),
             metallic: self.priors.metallic.as_ref(),
-            regions: self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(|c| &c.ids),
+            regions: regions.map(Regions::ids),
+            pseudo_regions: regions.and_then(Regions::pseudo_ids),
             estimates: match (kind, &self.relit) {
                 (StepKind::Relight, Some(relit)) => relit.bound(),
                 _ => [None; 2 * COPIES],
             },
         }
+    }
+
+    /// Drops the graphs: they are made again, for the model as it is by then, when they are due.
+    pub(super) fn forget_steps(&mut self) {
+        self.execs = [None, None, None];
+        self.shown = None;
     }
 
     /// Waits for everything submitted.

@@ -54,7 +54,7 @@ impl Intrinsic {
             *rate *= ratio;
         }
         // They are part of the graphs.
-        self.execs = [None, None, None];
+        self.forget_steps();
         self.forget_refresh();
     }
 

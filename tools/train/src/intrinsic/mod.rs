@@ -8,6 +8,7 @@ mod automatic;
 mod consistency;
 mod data;
 mod files;
+mod frames;
 mod given;
 mod graphs;
 mod look;
@@ -48,7 +49,7 @@ use seldom::Seldom;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport, IntrinsicSizes,
-    IntrinsicStatus, IntrinsicStep, SurfaceBuilder,
+    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::Environment;
@@ -104,6 +105,8 @@ pub struct Intrinsic {
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
+    /// Shades what a provider of masks is shown; made when it is first due.
+    shown: Option<RelitView>,
     /// Who says what albedo is under other lights, where it is not the prior.
     relit: Option<Relit>,
     /// By [`StepKind`], made when they are first due.
@@ -202,7 +205,7 @@ impl Intrinsic {
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;
         let schedule = Schedule::new(settings, scene.extent(), packed.views().len());
-        let consistency = Consistency::load(device, scene, settings)?;
+        let consistency = Consistency::load(device, scene, settings, packed.largest, !asks)?;
         let others = consistency.as_ref().map(|c| c.cameras(settings, &schedule)).unwrap_or_default();
         let builder = Surfaces::measure(device, tuning, &gaussians, packed.views(), packed.largest, &others)?;
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
@@ -229,6 +232,7 @@ impl Intrinsic {
             cull_error: s.cull_error,
             environment_smooth: s.losses.environment_smooth,
             environment_every: s.environment.every,
+            masks: consistency.as_ref().map_or(Masks::Carried, |c| c.regions().masks()),
             cross_view: false,
             relight: false,
             relight_roughness: s.relight.roughness,
@@ -269,10 +273,12 @@ impl Intrinsic {
                 albedo: albedo.as_ref().map(MaterialPriors::bytes),
                 roughness: roughness.as_ref().map(MaterialPriors::bytes),
                 metallic: told.as_ref().map(MaterialPriors::bytes),
-                regions: consistency.as_ref().map(|c| c.ids.bytes()),
+                regions: consistency.as_ref().map(|c| c.regions().ids().bytes()),
+                pseudo_regions: consistency.as_ref().and_then(|c| c.regions().pseudo_ids()).map(DeviceBuffer::bytes),
                 estimates: relit.as_ref().map_or([None; 2 * COPIES], |r| r.bound().map(|e| e.map(DeviceBuffer::bytes))),
             },
             relit: relit.as_ref().map(|_| Relit::options(settings, &bounds)),
+            asks: consistency.as_ref().is_some_and(Consistency::asks),
             environment: environment.as_ref(),
             options: &options,
             geometry: gaussians.bytes(),
@@ -402,6 +408,7 @@ impl Intrinsic {
             status,
             options,
             consistency,
+            shown: None,
             relit,
             execs: [None, None, None],
             submitted: 0,
@@ -454,10 +461,7 @@ impl Intrinsic {
             let view = self.schedule.view(step);
             let mut kind = self.kind(step);
             let mut values = self.values(step, view);
-            if let (Some(c), true) = (&self.consistency, kind != StepKind::Plain) {
-                c.fill(self.required.seed, view, &mut values);
-            }
-            if kind == StepKind::Relight && !self.estimated(view, &values)? {
+            if kind != StepKind::Plain && !self.choose(kind, view, &mut values)? {
                 kind = StepKind::Plain;
             }
             let pseudo = kind == StepKind::CrossView;

@@ -5,7 +5,7 @@
 //! found no memory, since nothing is looked at then. Whether surfaces are kept is decided without it. Room for what views see of the geometry is measured before, on the device: how many
 //! weights there are nobody can know otherwise.
 
-use super::consistency::StepKind;
+use super::consistency::{Consistency, StepKind};
 use crate::error::{Result, TrainError};
 use crate::memory::{refuse_beyond, uniform_bytes};
 use serde::Serialize;
@@ -54,7 +54,7 @@ pub struct IntrinsicNeeds {
     pub cross_view_arena: u64,
     /// Those of steps that compare it under other lights.
     pub relight_arena: u64,
-    /// Pictures of views under other lights, and transients of them, where a network is shown some.
+    /// Shaded images that networks are shown, and transients of them.
     pub relit: u64,
     /// What it takes to see what could be left out, beyond staging and the transients of steps, which are given up meanwhile.
     pub looking: u64,
@@ -71,6 +71,8 @@ pub(super) struct Sizes<'a> {
     pub options: &'a IntrinsicOptions,
     /// Under which other lights a network is shown views, if it is.
     pub relit: Option<RelitOptions>,
+    /// Whether a provider of masks is shown shaded frames.
+    pub asks: bool,
     /// Bytes of the Gaussians' geometry.
     pub geometry: u64,
     /// Training views whose surfaces are kept; 1 where they are worked out anew.
@@ -93,7 +95,7 @@ impl IntrinsicNeeds {
             photographs: s.inputs.targets,
             priors: [s.inputs.albedo, s.inputs.roughness, s.inputs.metallic].into_iter().flatten().sum(),
             estimates: s.inputs.estimates.into_iter().flatten().sum(),
-            regions: s.inputs.regions.unwrap_or(0),
+            regions: s.inputs.regions.unwrap_or(0) + s.inputs.pseudo_regions.unwrap_or(0),
             geometry: s.geometry,
             materials: learned(3 * n)
                 + learned(n)
@@ -135,7 +137,8 @@ impl IntrinsicNeeds {
             }
             let regions = s.inputs.regions.filter(|_| kind != StepKind::Plain);
             let estimates = if kind == StepKind::Relight { s.inputs.estimates } else { Default::default() };
-            let inputs = IntrinsicSizes { regions, estimates, ..s.inputs };
+            let pseudo_regions = s.inputs.pseudo_regions.filter(|_| kind != StepKind::Plain);
+            let inputs = IntrinsicSizes { regions, pseudo_regions, estimates, ..s.inputs };
             let plan = IntrinsicStep::plan(tuning, &inputs, s.environment, &kind.options(o))?;
             needs.small += uniform_bytes(device, &plan, o.frames_in_flight);
             match kind {
@@ -147,10 +150,14 @@ impl IntrinsicNeeds {
                 StepKind::Relight => needs.relight_arena = plan.arena_bytes,
             }
         }
-        if let (Some(relit), true) = (&s.relit, s.kinds[StepKind::Relight as usize]) {
-            let inputs = IntrinsicSizes { regions: None, estimates: Default::default(), ..s.inputs };
-            let (plan, outputs) = RelitView::plan(tuning, &inputs, s.environment, o, relit)?;
-            needs.relit = plan.arena_bytes + outputs;
+        let relit = s.relit.filter(|_| s.kinds[StepKind::Relight as usize]);
+        let compares = s.kinds[StepKind::CrossView as usize] || s.kinds[StepKind::Relight as usize];
+        let frames = Some(Consistency::SHOWN).filter(|_| s.asks && compares);
+        for shown in relit.iter().chain(&frames) {
+            let inputs =
+                IntrinsicSizes { regions: None, pseudo_regions: None, estimates: Default::default(), ..s.inputs };
+            let (plan, outputs) = RelitView::plan(tuning, &inputs, s.environment, o, shown)?;
+            needs.relit += plan.arena_bytes + outputs;
             needs.small += uniform_bytes(device, &plan, 1);
         }
         Ok(needs)
@@ -190,7 +197,7 @@ impl IntrinsicNeeds {
             ("arena", self.arena),
             ("arena of pseudo-views", self.cross_view_arena),
             ("arena of other lights", self.relight_arena),
-            ("pictures under other lights", self.relit),
+            ("images shown to networks", self.relit),
             ("looking at what is needed", self.looking),
             ("uniforms and reports", self.small),
             ("staging", self.staging),

@@ -8,6 +8,7 @@
 use super::Intrinsic;
 use super::consistency::StepKind;
 use super::data::{Material, pack};
+use super::frames::shaded;
 use crate::error::{Result, TrainError};
 use crate::settings::Settings;
 use rayon::prelude::*;
@@ -37,6 +38,8 @@ pub(super) struct Relit {
     pub estimates: Vec<DeviceBuffer>,
     /// The step at which each view was asked about; 0 is never.
     pub asked_at: Vec<u32>,
+    /// Images of the step that they were last rendered for.
+    rendered: Option<(u32, Vec<Image>)>,
 }
 
 impl Relit {
@@ -50,7 +53,7 @@ impl Relit {
     pub fn options(settings: &Settings, bounds: &[[f32; 3]; 2]) -> RelitOptions {
         // The published unit is that of a box of side 3.
         let spacing = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max) / 3.0;
-        RelitOptions { copies: settings.intrinsic.relight.copies, spacing }
+        RelitOptions { as_is: false, copies: settings.intrinsic.relight.copies, spacing }
     }
 
     /// Starts the provider; none if it fails and training may go on without.
@@ -121,6 +124,7 @@ impl Relit {
             first,
             estimates: (0..Relit::count(settings)).map(make).collect::<Result<_>>()?,
             asked_at: vec![0; train.len()],
+            rendered: None,
         })
     }
 
@@ -139,42 +143,32 @@ impl Relit {
         before == 0 || step.saturating_sub(before) >= self.every
     }
 
-    /// Renders a view under other lights, asks, and keeps the answers. False if there is nobody to ask any more. Nothing may be
-    /// in flight.
-    pub fn ask(
+    /// Renders a view under other lights. Nothing may be in flight.
+    fn images(
         &mut self,
         device: &Device,
         tuning: &Tuning,
         inputs: &IntrinsicInputs<'_>,
         options: &IntrinsicOptions,
         surface: &Surface,
-        view: usize,
         values: &IntrinsicStepValues,
-    ) -> Result<bool> {
-        if self.view.is_none() {
-            self.view = Some(RelitView::new(device, tuning, inputs, options, &self.options)?);
-        }
-        let Some(shader) = &mut self.view else { return Ok(false) };
-        let lights = shader.shade(device, surface, values)?;
-        let [_, _, coverage] = surface.download(device)?;
+    ) -> Result<Vec<Image>> {
+        let mut shader = match self.view.take() {
+            Some(shader) => shader,
+            None => RelitView::new(device, tuning, inputs, options, &self.options)?,
+        };
+        let images = shaded(device, &mut shader, surface, values, self.background)?;
+        self.view = Some(shader);
+        Ok(images)
+    }
+
+    /// Asks about images of a view under other lights, and keeps the answers. False if there is nobody to ask any more.
+    fn ask(&mut self, device: &Device, view: usize, step: u32, images: &[Image]) -> Result<bool> {
         let camera = &self.cameras[view];
-        let behind = self.background.map(srgb_to_linear);
         let copies = self.options.copies as usize;
-        for (copy, light) in lights.iter().enumerate() {
-            let over = |(p, covered): (&[f32], &f32)| -> [f32; 3] {
-                std::array::from_fn(|i| {
-                    let light = if p[i].is_finite() { p[i] } else { 0.0 };
-                    covered * light + (1.0 - covered) * behind[i]
-                })
-            };
-            let data = light.chunks_exact(3).zip(&coverage).flat_map(over).collect();
-            let image = Image { width: camera.width, height: camera.height, channels: 3, data };
-            let picture = Picture {
-                image: &image,
-                encoding: Encoding::Linear,
-                view: Some(camera.name.as_str()),
-                camera: Some(camera),
-            };
+        for (copy, image) in images.iter().enumerate() {
+            let picture =
+                Picture { image, encoding: Encoding::Linear, view: Some(camera.name.as_str()), camera: Some(camera) };
             let maps: &[&str] = if self.roughness { &["albedo", "roughness"] } else { &["albedo"] };
             let Some(helper) = &mut self.helper else { return Ok(false) };
             let Some(found) = helper.ask(|p| p.materials(&picture, maps))? else { return Ok(false) };
@@ -189,7 +183,7 @@ impl Relit {
                 device.upload(buffer, offset, bytemuck::cast_slice(&words))?;
             }
         }
-        self.asked_at[view] = values.shaded.step;
+        self.asked_at[view] = step;
         Ok(true)
     }
 }
@@ -198,18 +192,33 @@ impl Intrinsic {
     /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
     pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
         let step = values.shaded.step;
-        let Some(mut relit) = self.relit.take() else { return Ok(self.required.intrinsic.relight.command().is_none()) };
+        let Some(relit) = &self.relit else { return Ok(self.required.intrinsic.relight.command().is_none()) };
         // Without a region there is nothing to compare.
         if values.shaded.region == 0 || !relit.is_due(view, step) {
-            self.relit = Some(relit);
             return Ok(true);
         }
         self.finish()?;
-        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
-        let inputs = self.inputs(StepKind::Plain);
-        let answered = relit.ask(&self.device, &self.tuning, &inputs, &self.options, &surface, view, values)?;
+        let images = self.relit_images(view, values)?;
+        let Some(mut relit) = self.relit.take() else { return Ok(false) };
+        let answered = relit.ask(&self.device, view, step, &images)?;
         self.relit = answered.then_some(relit);
         Ok(answered)
+    }
+
+    /// A training view under the perturbed lights of a step: linear images. Renders them once a step.
+    pub(super) fn relit_images(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<Vec<Image>> {
+        let step = values.shaded.step;
+        let Some(mut relit) = self.relit.take() else { return Ok(Vec::new()) };
+        if let Some((_, images)) = relit.rendered.take().filter(|(of, _)| *of == step) {
+            self.relit = Some(relit);
+            return Ok(images);
+        }
+        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
+        let inputs = self.inputs(StepKind::Plain);
+        let images = relit.images(&self.device, &self.tuning, &inputs, &self.options, &surface, values)?;
+        relit.rendered = Some((step, images.clone()));
+        self.relit = Some(relit);
+        Ok(images)
     }
 }
 

@@ -45,7 +45,7 @@ impl Intrinsic {
     /// it, so that moves longer by that go as far, and wander no farther, than one with every step.
     pub(super) fn set_pace(&mut self, every: u32, step: u32, moves: u32) -> Result<()> {
         self.finish()?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         self.options.environment_every = every;
         self.required.intrinsic.environment.every = every;
         let asked = &self.settings.intrinsic;

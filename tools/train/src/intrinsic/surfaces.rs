@@ -78,6 +78,13 @@ impl Surfaces {
         Ok(&self.kept[0])
     }
 
+    /// The surfaces of a pseudo-view, the first or the second of a step; not before the next call.
+    pub fn other(&mut self, gaussians: &Gaussians, camera: &Camera, which: usize) -> Result<&Surface> {
+        self.builder.fill(gaussians, camera, &self.others[which])?;
+        self.builder.finish()?;
+        Ok(&self.others[which])
+    }
+
     /// Bytes of all that is kept.
     pub fn bytes(&self) -> u64 {
         self.shape().bytes() * (self.kept.len() + self.others.len()) as u64

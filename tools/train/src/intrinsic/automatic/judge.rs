@@ -108,7 +108,7 @@ impl Intrinsic {
     pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
         // Pictures take about the room that steps do: not both at once.
         self.finish()?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         let (decided, changes) = match self.worthless(step) {
             Err(e) if e.is_out_of_memory() => (vec![no_room(step)], Changes::default()),
             other => other?,

@@ -140,7 +140,7 @@ impl Intrinsic {
     /// Gives up what a part has in memory; graphs are made without it when they are due.
     fn leave_out(&mut self, part: Part) -> Result<()> {
         self.finish()?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         match part {
             Part::Environment => {
                 self.seldom = None;
@@ -198,7 +198,7 @@ impl Intrinsic {
     /// Makes it a field of so many levels. What is there of these stays, with its moments; levels that are not start anew.
     pub(super) fn set_levels(&mut self, levels: u32) -> Result<()> {
         self.finish()?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         let Some(field) = self.parameters.visibility.take() else { return Ok(()) };
         let config = *field.config();
         let made = if levels < config.levels {
@@ -217,7 +217,7 @@ impl Intrinsic {
     /// Room for so many lobes of each light, with these values.
     pub(super) fn set_lobes(&mut self, lobes: u32, raw: &[f32]) -> Result<()> {
         self.finish()?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         self.light_model.lobes = lobes;
         self.required.intrinsic.lights.lobes = lobes;
         self.options.lights = self.options.lights.map(|(_, normalizer)| (self.light_model, normalizer));

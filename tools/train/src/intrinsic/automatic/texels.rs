@@ -93,7 +93,7 @@ impl Intrinsic {
         let fine = Texels { size: e.size(), data: texels.download(&self.device)? };
         let moments = texels.download_moments(&self.device)?;
         let tables = tables(&self.required.intrinsic, size)?;
-        self.execs = [None, None, None];
+        self.forget_steps();
         (self.seldom, self.environment, self.parameters.environment) = (None, None, None);
         let fewer = size < fine.size;
         let start = if fewer { coarser(&fine, size).data } else { tables.start(self.required.seed as u32) };
