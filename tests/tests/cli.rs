@@ -281,7 +281,7 @@ fn wrong_usage_exits_with_2() {
         &["train", "scene"],
         &["train", "scene", "-o", "run", "--geometry-steps", "x"],
         &["train", "scene", "-o", "run", "--stage", "nonsense"],
-        &["render", "a.ply", "-o", "out"],
+        &["render", "a.ply", "--cameras", "c"],
         &["render", "a.ply", "--cameras", "c", "-o", "out", "--channels", "smell"],
         &["render", "a.ply", "--cameras", "c", "-o", "out", "--background", "red"],
         &["synth", "out", "--size", "big"],

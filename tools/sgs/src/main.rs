@@ -10,6 +10,8 @@ mod palette;
 mod pictures;
 mod report;
 mod ui;
+mod video;
+mod viewpoints;
 mod watch;
 
 use clap::{CommandFactory, Parser, Subcommand};

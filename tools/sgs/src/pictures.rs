@@ -79,13 +79,17 @@ pub fn write(format: Format, dir: &Path, stem: &str, name: &str, image: &Image) 
     let names: &[&str] = if image.channels == 1 { &["Y"] } else { &["R", "G", "B"] };
     match format {
         Format::Exr => write_exr(&path, image, names)?,
-        Format::Png if image.channels == 3 => write_png(&path, &displayed(image))?,
-        Format::Png => {
-            let data = image.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-            write_png(&path, &Image { data, ..image.clone() })?;
-        }
+        Format::Png => write_png(&path, &shown(image))?,
     }
     Ok(path)
+}
+
+/// Converts a linear image, or one channel, to what a screen shows.
+pub fn shown(image: &Image) -> Image {
+    if image.channels == 3 {
+        return displayed(image);
+    }
+    Image { data: image.data.iter().map(|v| v.clamp(0.0, 1.0)).collect(), ..image.clone() }
 }
 
 /// What lights a run, or a file: lights in it or beside it, surroundings beside it.

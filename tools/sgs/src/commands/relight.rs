@@ -1,11 +1,13 @@
 //! `sgs relight`: pictures of a run under other light, of other materials, with other things in it.
 
-use super::train::{open_scene, validated};
+use super::train::validated;
 use crate::cameras::splats_of;
 use crate::classes::head_of;
 use crate::common::Common;
 use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
+use crate::video::VideoArgs;
+use crate::viewpoints::ViewpointArgs;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Camera, Scene, Splats};
@@ -22,12 +24,13 @@ pub struct Args {
     /// What changes: see docs/RELIGHT.md. Nothing by default.
     #[arg(long, value_name = "FILE.json")]
     edit: Option<PathBuf>,
-    /// Cameras: a transforms file.
-    #[arg(long, value_name = "FILE.json", required_unless_present = "bake")]
-    cameras: Option<PathBuf>,
-    /// Directory for the pictures.
-    #[arg(short, long, value_name = "DIR", required_unless_present = "bake", requires = "cameras")]
+    #[command(flatten)]
+    viewpoints: ViewpointArgs,
+    /// Directory for the images.
+    #[arg(short, long, value_name = "DIR", required_unless_present_any = ["bake", "video"])]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    video: VideoArgs,
     /// Also write the scene as it is lit now as a PLY with plain spherical harmonics, for any viewer of 3DGS. Colors are
     /// fitted to pictures from the run's training views and between them; from --cameras, if the source is a PLY.
     #[arg(long, value_name = "FILE.ply")]
@@ -48,9 +51,6 @@ pub struct Args {
     /// it by default, but traced where it was learned and none of the run's own lights is left at its place.
     #[arg(long, value_enum)]
     visibility: Option<Seen>,
-    /// Another place of the scene than the run remembers, for regions of its views and the cameras of --bake.
-    #[arg(long)]
-    scene: Option<PathBuf>,
     /// Color behind everything.
     #[arg(
         long,
@@ -100,15 +100,12 @@ impl Channel {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let background = background_of(&a.background)?;
     let edit = a.edit.as_deref().map(Edit::read).transpose()?.unwrap_or_default();
+    if a.video.video.is_some() && a.channels.len() != 1 {
+        bail!("--video shows one channel; name only one with --channels.");
+    }
+    let mut video = a.video.open()?;
     let (splats, settings) = splats_of(&a.source)?;
     check_materials(&a.source, &splats, false)?;
-    let cameras = match &a.cameras {
-        Some(file) => Camera::read_transforms(file)?,
-        None => Vec::new(),
-    };
-    if let (Some(file), true) = (&a.cameras, cameras.is_empty()) {
-        bail!("\"{}\" holds no cameras.", file.display());
-    }
     if let Some(file) = &a.bake {
         check_bake(a, file, settings.is_some())?;
     }
@@ -119,6 +116,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         false => None,
     };
     let scene = scene_of(a, &edit, settings.as_ref())?;
+    let cameras = match a.output.is_some() || video.is_some() || a.viewpoints.are_given() {
+        true => a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, scene.as_ref())?,
+        false => Vec::new(),
+    };
     let from = match (&scene, &settings) {
         (Some(scene), Some(s)) if a.bake.is_some() => bake_cameras(scene, &s.geometry.pseudo)?,
         _ => cameras.clone(),
@@ -148,6 +149,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(output) = &a.output {
         std::fs::create_dir_all(output)
             .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", output.display()))?;
+    }
+    if a.output.is_some() || video.is_some() {
         let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
         for (i, camera) in cameras.iter().enumerate() {
             let shaded = shading.shade(camera)?;
@@ -155,11 +158,19 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 let part = channel.part();
                 let name = if part == Part::Pbr { "relit" } else { part.name() };
                 let image = part.of(&shaded, background);
-                written.push(pictures::write(a.format, output, &camera.name, name, &image)?);
+                if let Some(output) = &a.output {
+                    written.push(pictures::write(a.format, output, &camera.name, name, &image)?);
+                }
+                if let Some(video) = &mut video {
+                    video.push(&pictures::shown(&image))?;
+                }
             }
             bar.set(i as u64 + 1, || camera.name.clone());
         }
         bar.finish();
+    }
+    if let Some(video) = video {
+        written.push(video.finish()?);
     }
     let lights = relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
     let mut answer = serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written});
@@ -179,7 +190,7 @@ fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
     if let Some(folder) = folder.filter(|p| !p.is_dir()) {
         bail!("\"{}\" is no directory to write into.", folder.display());
     }
-    if !run && a.cameras.is_none() {
+    if !run && !a.viewpoints.are_given() {
         bail!("\"{}\" is no run and has no training views; give --cameras to bake from.", a.source.display());
     }
     Ok(())
@@ -225,11 +236,7 @@ fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Resul
     if edit.materials.iter().all(|m| m.place.region.is_none()) && !cameras {
         return Ok(None);
     }
-    let mut settings = settings.cloned().unwrap_or_default();
-    if let Some(scene) = &a.scene {
-        settings.scene.clone_from(scene);
-    }
-    Ok(Some(open_scene(&settings)?))
+    Ok(Some(a.viewpoints.open_scene(&a.source, settings)?))
 }
 
 /// What an insertion names.

@@ -1,5 +1,5 @@
-//! `sgs render`: pictures of a run or a PLY from any cameras: what is trained (color, depth, normals, classes), materials,
-//! and light part by part.
+//! `sgs render`: images or a video of a run or a PLY from any cameras: what is trained (color, depth, normals, classes),
+//! materials, and light part by part.
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
@@ -7,6 +7,8 @@ use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_
 use crate::common::Common;
 use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
+use crate::video::{Video, VideoArgs};
+use crate::viewpoints::ViewpointArgs;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
@@ -20,12 +22,13 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory, or a PLY or glTF file.
     source: PathBuf,
-    /// Cameras: a transforms file.
-    #[arg(long, value_name = "FILE.json")]
-    cameras: PathBuf,
-    /// Directory for the pictures.
-    #[arg(short, long, value_name = "DIR")]
-    output: PathBuf,
+    #[command(flatten)]
+    viewpoints: ViewpointArgs,
+    /// Directory for the images.
+    #[arg(short, long, value_name = "DIR", required_unless_present = "video")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    video: VideoArgs,
     /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains. From
     /// "albedo" on the source needs materials, from "pbr" on also light; "lights" is --lights.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
@@ -97,11 +100,10 @@ impl Channel {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let background = background_of(&a.background)?;
+    check_video(a)?;
+    let mut video = a.video.open()?;
     let (splats, settings) = splats_of(&a.source)?;
-    let cameras = Camera::read_transforms(&a.cameras)?;
-    if cameras.is_empty() {
-        bail!("\"{}\" holds no cameras.", a.cameras.display());
-    }
+    let cameras = a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, None)?;
     if a.channels.contains(&Channel::Normal) && splats.normals.is_none() {
         bail!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
@@ -118,73 +120,114 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let make = if meaning.is_some() { Renderer::with_features } else { Renderer::new };
     let mut renderer = make(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
-    std::fs::create_dir_all(&a.output)
-        .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
+    if let Some(output) = &a.output {
+        std::fs::create_dir_all(output)
+            .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", output.display()))?;
+    }
     let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
     let mut written = Vec::new();
+    // Depth of a video has the scale of its first frame: otherwise it would flicker.
+    let mut far = None;
     for (i, camera) in cameras.iter().enumerate() {
         let c = sgs_train::camera(camera);
         let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, background)?;
         for channel in &a.channels {
-            written.extend(write(&a.output, &camera.name, *channel, a.format, &picture, channels)?);
+            let Some(blended) = Blended::of(*channel, &picture, channels) else { continue };
+            if let Some(output) = &a.output {
+                written.push(blended.write(a.format, output, &camera.name)?);
+            }
+            if let Some(video) = &mut video {
+                video.push(&blended.shown(*far.get_or_insert_with(|| blended.largest())))?;
+            }
         }
         if let Some(light) = &mut light {
-            written.extend(light.write(&device, a, camera, background)?);
+            written.extend(light.write(&device, a, camera, background, video.as_mut())?);
         }
-        if let Some(meaning) = &mut meaning {
+        if let (Some(meaning), Some(output)) = (&mut meaning, &a.output) {
             let classes = meaning.classifier.classify(&renderer, &picture)?;
-            written.extend(meaning.write(a, &camera.name, picture.size, classes)?);
+            written.extend(meaning.write(a, output, &camera.name, picture.size, classes)?);
         }
         bar.set(i as u64 + 1, || camera.name.clone());
     }
     bar.finish();
+    if let Some(video) = video {
+        written.push(video.finish()?);
+    }
     let mut answer = serde_json::json!({"gaussians": splats.len(), "files": written});
-    if let Some(meaning) = meaning.filter(|_| a.channels.contains(&Channel::Semantic)) {
-        answer["labels"] = serde_json::to_value(meaning.legend.write(&a.output)?)?;
+    if let (Some(meaning), Some(output)) = (meaning.filter(|_| a.channels.contains(&Channel::Semantic)), &a.output) {
+        answer["labels"] = serde_json::to_value(meaning.legend.write(output)?)?;
     }
     common.answer(&answer)?;
     validated(&device)
 }
 
-/// Writes one channel of a picture; gives the file's path. Classes and what is shaded are no channels of it.
-fn write(
-    dir: &Path,
-    stem: &str,
-    channel: Channel,
-    format: Format,
-    p: &Picture,
-    channels: Channels,
-) -> anyhow::Result<Option<PathBuf>> {
-    let c = p.channels as usize;
-    let pixels = p.transmittance.len();
-    let pick = |from: usize, count: usize| -> Vec<f32> {
-        (0..pixels).flat_map(|i| (from..from + count).map(move |k| p.image[i * c + k])).collect()
-    };
-    let (name, names, data): (&str, &[&str], Vec<f32>) = match channel {
-        Channel::Rgb => ("rgb", &["R", "G", "B"], pick(0, 3)),
-        Channel::Alpha => ("alpha", &["Y"], p.transmittance.iter().map(|t| 1.0 - t).collect()),
-        Channel::Normal => ("normal", &["X", "Y", "Z"], pick(3, 3)),
-        Channel::Depth => ("depth", &["Z"], pick(if channels.normals { 6 } else { 3 }, 1)),
-        _ => return Ok(None),
-    };
-    let mut image = Image { width: p.size[0], height: p.size[1], channels: names.len() as u32, data };
-    let path = format.file(dir, stem, name);
-    match format {
-        Format::Exr => write_exr(&path, &image, names)?,
-        Format::Png => {
-            match channel {
-                Channel::Normal => image.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5),
-                Channel::Depth => {
-                    let far = image.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-                    image.data.iter_mut().for_each(|v| *v /= far);
-                }
-                _ => {}
-            }
-            image.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-            write_png(&path, &image)?;
-        }
+/// Refuses what a video cannot show, and images without a directory.
+fn check_video(a: &Args) -> anyhow::Result<()> {
+    if a.video.video.is_none() {
+        return Ok(());
     }
-    Ok(Some(path))
+    let [channel] = a.channels[..] else { bail!("--video shows one channel; name only one with --channels.") };
+    if matches!(channel, Channel::Semantic | Channel::Lights) {
+        bail!("--video does not show the channels \"semantic\" and \"lights\"; choose another with --channels.");
+    }
+    if a.output.is_none() && (a.lights || !a.query.is_empty()) {
+        bail!("--lights and --query write images; name their directory with --output.");
+    }
+    Ok(())
+}
+
+/// A channel of a blended image.
+struct Blended {
+    channel: Channel,
+    name: &'static str,
+    /// Names of its channels in an EXR file.
+    names: &'static [&'static str],
+    image: Image,
+}
+
+impl Blended {
+    /// Takes it from an image; none if the channel is classified or shaded.
+    fn of(channel: Channel, p: &Picture, channels: Channels) -> Option<Blended> {
+        let c = p.channels as usize;
+        let pixels = p.transmittance.len();
+        let pick = |from: usize, count: usize| -> Vec<f32> {
+            (0..pixels).flat_map(|i| (from..from + count).map(move |k| p.image[i * c + k])).collect()
+        };
+        let (name, names, data): (_, &[_], Vec<f32>) = match channel {
+            Channel::Rgb => ("rgb", &["R", "G", "B"], pick(0, 3)),
+            Channel::Alpha => ("alpha", &["Y"], p.transmittance.iter().map(|t| 1.0 - t).collect()),
+            Channel::Normal => ("normal", &["X", "Y", "Z"], pick(3, 3)),
+            Channel::Depth => ("depth", &["Z"], pick(if channels.normals { 6 } else { 3 }, 1)),
+            _ => return None,
+        };
+        let image = Image { width: p.size[0], height: p.size[1], channels: names.len() as u32, data };
+        Some(Blended { channel, name, names, image })
+    }
+
+    /// The largest value.
+    fn largest(&self) -> f32 {
+        self.image.data.iter().fold(1e-6, |m: f32, v| m.max(*v))
+    }
+
+    /// Display-referred values; `far` is the depth that is shown white.
+    fn shown(&self, far: f32) -> Image {
+        let value = |v: &f32| match self.channel {
+            Channel::Normal => *v * 0.5 + 0.5,
+            Channel::Depth => *v / far,
+            _ => *v,
+        };
+        Image { data: self.image.data.iter().map(|v| value(v).clamp(0.0, 1.0)).collect(), ..self.image.clone() }
+    }
+
+    /// Writes it; returns the file's path.
+    fn write(&self, format: Format, dir: &Path, stem: &str) -> anyhow::Result<PathBuf> {
+        let path = format.file(dir, stem, self.name);
+        match format {
+            Format::Exr => write_exr(&path, &self.image, self.names)?,
+            Format::Png => write_png(&path, &self.shown(self.largest()))?,
+        }
+        Ok(path)
+    }
 }
 
 /// What is asked about materials and light.
@@ -251,17 +294,23 @@ impl Lit {
         a: &Args,
         camera: &Camera,
         background: [f32; 3],
+        mut video: Option<&mut Video>,
     ) -> anyhow::Result<Vec<PathBuf>> {
         let mut written = Vec::new();
-        let (dir, stem) = (&a.output, &camera.name);
+        let stem = &camera.name;
         if !self.parts.is_empty() {
             let shaded = self.shading.shade(camera)?;
             for part in &self.parts {
                 let image = part.of(&shaded, background);
-                written.push(pictures::write(a.format, dir, stem, part.name(), &image)?);
+                if let Some(dir) = &a.output {
+                    written.push(pictures::write(a.format, dir, stem, part.name(), &image)?);
+                }
+                if let Some(video) = &mut video {
+                    video.push(&pictures::shown(&image))?;
+                }
             }
         }
-        if self.each {
+        if let Some(dir) = a.output.as_ref().filter(|_| self.each) {
             // As wide as the last number, so that names stand in order.
             let digits = self.gains.len().saturating_sub(1).to_string().len().max(2);
             for i in 0..self.gains.len() {
@@ -321,10 +370,17 @@ impl Meaning {
     }
 
     /// Writes what was asked for; gives the files' paths.
-    fn write(&self, a: &Args, stem: &str, size: [u32; 2], classes: Classes) -> anyhow::Result<Vec<PathBuf>> {
+    fn write(
+        &self,
+        a: &Args,
+        dir: &Path,
+        stem: &str,
+        size: [u32; 2],
+        classes: Classes,
+    ) -> anyhow::Result<Vec<PathBuf>> {
         let mut written = Vec::new();
         if a.channels.contains(&Channel::Semantic) {
-            let path = a.format.file(&a.output, stem, "semantic");
+            let path = a.format.file(dir, stem, "semantic");
             match a.format {
                 Format::Exr => write_labels_exr(&path, size, &classes.labels)?,
                 Format::Png => self.legend.write_png(&path, size, &classes.labels)?,
@@ -332,7 +388,7 @@ impl Meaning {
             written.push(path);
         }
         for ((name, scale), relevance) in self.queries.iter().zip(classes.relevance) {
-            let path = a.format.file(&a.output, stem, &format!("semantic_{name}"));
+            let path = a.format.file(dir, stem, &format!("semantic_{name}"));
             match a.format {
                 Format::Exr => write_relevance_exr(&path, size, relevance)?,
                 Format::Png => write_relevance_png(&path, size, &relevance, *scale)?,

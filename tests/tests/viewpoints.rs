@@ -1,0 +1,110 @@
+//! Cameras that `sgs render` and `sgs relight` choose from a scene, and videos of what they see.
+
+use sgs_tests::Place;
+use sgs_tests::cli::{Finished, sgs, start_with, wait};
+use sgs_tests::rooms::Room;
+use sgs_tests::runs::{Parts, fabricate};
+use std::collections::BTreeSet;
+use std::os::unix::fs::PermissionsExt;
+
+/// A run without training, and a room whose cameras it can be seen from.
+fn place() -> Place {
+    let place = Place::new(Room { views: 4, ..Room::default() });
+    fabricate(&place.path("run"), Parts::NONE);
+    place
+}
+
+/// Arguments of a command on the run, with the room as its scene.
+fn arguments(place: &Place, command: &str, more: &[&str]) -> Vec<String> {
+    let mut all: Vec<String> =
+        [command, &place.text("run"), "--scene", &place.text("scene"), "--json"].map(String::from).into();
+    all.extend(more.iter().map(|s| (*s).to_owned()));
+    all
+}
+
+fn run(place: &Place, command: &str, more: &[&str]) -> Finished {
+    sgs(&arguments(place, command, more))
+}
+
+/// Names of the files that a command has written.
+fn written(finished: Finished) -> Vec<String> {
+    let answer = finished.ok().json();
+    let name = |file: &serde_json::Value| {
+        let path = std::path::PathBuf::from(file.as_str().expect("a path"));
+        assert!(path.is_file(), "{} is absent", path.display());
+        path.file_name().expect("a name").to_string_lossy().into_owned()
+    };
+    answer["files"].as_array().expect("files").iter().map(name).collect()
+}
+
+#[test]
+fn views_of_the_scene_are_rendered_by_split() {
+    let place = place();
+    let out = place.text("out");
+    assert_eq!(written(run(&place, "render", &["-o", &out])), ["001_rgb.png"]);
+    let all: Vec<String> = ["000", "001", "002", "003"].map(|n| format!("{n}_rgb.png")).into();
+    assert_eq!(written(run(&place, "render", &["-o", &out, "--views", "all"])), all);
+    let train = written(run(&place, "relight", &["-o", &out, "--views", "train"]));
+    assert_eq!(train, ["000_relit.png", "002_relit.png", "003_relit.png"]);
+    // The same as with a file of the cameras.
+    let cameras = place.text("scene/transforms.json");
+    sgs(&["render", &place.text("run"), "--cameras", &cameras, "-o", &place.text("by_file")]).ok();
+    for name in all {
+        assert!(place.read(&format!("out/{name}")) == place.read(&format!("by_file/{name}")), "{name}");
+    }
+    // Without a place of the scene there is nothing to look from.
+    sgs(&["render", &place.text("run"), "-o", &out]).refused(&["--scene", "--cameras"]);
+    sgs(&["render", &place.text("run/scene.ply"), "-o", &out]).refused(&["is no run", "--scene", "--cameras"]);
+    sgs(&["relight", &place.text("run"), "--orbit", "3", "-o", &out]).refused(&["--scene"]);
+    for wrong in
+        [&["--cameras", "a", "--orbit", "3"][..], &["--orbit", "0"], &["--path", "--views", "all"], &["--frames", "3"]]
+    {
+        let finished = run(&place, "render", &[&["-o", &out], wrong].concat());
+        assert_eq!(finished.status, Some(2), "{wrong:?}: {}", finished.stderr);
+    }
+    assert_eq!(run(&place, "render", &[]).status, Some(2));
+}
+
+#[test]
+fn orbits_and_paths_are_rendered_and_written_as_videos() {
+    let place = place();
+    let (out, gif) = (place.text("out"), place.text("path.gif"));
+    let orbit = written(run(&place, "render", &["-o", &out, "--orbit", "5"]));
+    assert_eq!(orbit, [0, 1, 2, 3, 4].map(|i| format!("orbit_{i:03}_rgb.png")));
+    let different: BTreeSet<Vec<u8>> = orbit.iter().map(|name| place.read(&format!("out/{name}"))).collect();
+    assert_eq!(different.len(), 5, "cameras of an orbit coincide");
+    let path = written(run(&place, "relight", &["-o", &out, "--path", "--frames", "3", "--video", &gif]));
+    assert_eq!(path, ["path_000_relit.png", "path_001_relit.png", "path_002_relit.png", "path.gif"]);
+    let bytes = place.read("path.gif");
+    assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
+    // Without a directory the video is all.
+    let depth = ["--channels", "depth", "--orbit", "2", "--video", &gif];
+    assert_eq!(written(run(&place, "render", &depth)), ["path.gif"]);
+    run(&place, "render", &["--channels", "rgb,depth", "--video", &gif]).refused(&["--video", "one channel"]);
+    run(&place, "render", &["--video", &place.text("a.avi")]).refused(&["a.avi", ".mp4, .webp or .gif"]);
+    run(&place, "relight", &["--video", &place.text("none/a.gif")]).refused(&["none/a.gif", "does not exist"]);
+}
+
+#[test]
+fn mp4_needs_ffmpeg_and_says_so() {
+    let place = place();
+    let mp4 = place.text("orbit.mp4");
+    let with_path = |path: &str| {
+        let a = arguments(&place, "render", &["--orbit", "3", "--video", &mp4]);
+        wait(start_with(&a, &[("PATH", path)]))
+    };
+    with_path("/nowhere").refused(&["orbit.mp4", "ffmpeg", ".gif"]);
+    assert!(!place.path("orbit.mp4").exists());
+    // A stand-in that keeps what it is sent.
+    std::fs::create_dir(place.path("bin")).unwrap();
+    let program = place.path("bin/ffmpeg");
+    let script = "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\ncat > \"$last\"\n";
+    std::fs::write(&program, script).unwrap();
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:/usr/bin:/bin", place.text("bin"));
+    assert_eq!(written(with_path(&path)), ["orbit.mp4"]);
+    assert_eq!(place.read("orbit.mp4").len(), 3 * 32 * 24 * 3);
+    // One that fails says why.
+    std::fs::write(&program, script.replace("cat", "echo no codec >&2; exit 1; cat")).unwrap();
+    with_path(&path).refused(&["orbit.mp4", "ffmpeg failed", "no codec"]);
+}

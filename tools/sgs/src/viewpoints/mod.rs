@@ -1,0 +1,132 @@
+//! Cameras to render from: a transforms file, the scene's own views, an orbit or a path.
+
+mod orbit;
+mod path;
+
+use crate::commands::train::open_scene;
+use anyhow::bail;
+use glam::DVec3;
+use sgs_scene::{Camera, Scene, Splats};
+use sgs_train::Settings;
+use std::path::{Path, PathBuf};
+
+/// Options that choose cameras.
+#[derive(clap::Args)]
+pub struct ViewpointArgs {
+    /// Cameras: a transforms file. The scene's views by default.
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["views", "orbit", "path"])]
+    pub cameras: Option<PathBuf>,
+    /// The scene's own views of this split; test by default.
+    #[arg(long, value_enum, value_name = "SPLIT", conflicts_with_all = ["orbit", "path"])]
+    views: Option<Views>,
+    /// N cameras on a circle around the center of the scene, at the training cameras' height and distance.
+    #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    orbit: Option<u32>,
+    /// Cameras on a smooth path through the training cameras.
+    #[arg(long)]
+    path: bool,
+    /// Number of cameras on the path.
+    #[arg(long, value_name = "N", requires = "path", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    /// Scene directory; the one that the run was trained on by default.
+    #[arg(long, value_name = "DIR")]
+    pub scene: Option<PathBuf>,
+}
+
+/// Views of a scene by split.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Views {
+    Train,
+    Test,
+    All,
+}
+
+impl ViewpointArgs {
+    /// Whether an option names cameras, so that their absence is no wish to have none.
+    pub fn are_given(&self) -> bool {
+        self.cameras.is_some() || self.views.is_some() || self.orbit.is_some() || self.path
+    }
+
+    /// Opens the scene that `--scene` or the run names.
+    pub fn open_scene(&self, source: &Path, settings: Option<&Settings>) -> anyhow::Result<Scene> {
+        if settings.is_none() && self.scene.is_none() {
+            bail!("\"{}\" is no run and has no views of its own; give --cameras or --scene.", source.display());
+        }
+        let mut settings = settings.cloned().unwrap_or_default();
+        if let Some(scene) = &self.scene {
+            settings.scene.clone_from(scene);
+        }
+        if !settings.scene.exists() {
+            bail!(
+                "The scene \"{}\" does not exist; give its directory with --scene, or cameras with --cameras.",
+                settings.scene.display()
+            );
+        }
+        open_scene(&settings)
+    }
+
+    /// The cameras that the options choose; `scene` is opened if it is needed and absent.
+    pub fn cameras(
+        &self,
+        source: &Path,
+        settings: Option<&Settings>,
+        splats: &Splats,
+        scene: Option<&Scene>,
+    ) -> anyhow::Result<Vec<Camera>> {
+        if let Some(file) = &self.cameras {
+            let cameras = Camera::read_transforms(file)?;
+            if cameras.is_empty() {
+                bail!("\"{}\" holds no cameras.", file.display());
+            }
+            return Ok(cameras);
+        }
+        let opened;
+        let scene = match scene {
+            Some(scene) => scene,
+            None => {
+                opened = self.open_scene(source, settings)?;
+                &opened
+            }
+        };
+        let of = |list: &[usize]| list.iter().map(|&i| scene.views[i].camera.clone()).collect::<Vec<_>>();
+        let train = of(&scene.split.train);
+        if let Some(count) = self.orbit {
+            return Ok(orbit::cameras(&train, &splats.means, count));
+        }
+        if self.path {
+            return Ok(path::cameras(&train, self.frames));
+        }
+        let cameras = match self.views.unwrap_or(Views::Test) {
+            Views::Train => train,
+            Views::Test => of(&scene.split.test),
+            Views::All => scene.views.iter().map(|view| view.camera.clone()).collect(),
+        };
+        if cameras.is_empty() {
+            bail!("The scene \"{}\" has no test views; use --views train.", scene.root.display());
+        }
+        Ok(cameras)
+    }
+}
+
+/// The world's up: the mean of the cameras' own.
+fn up_of(cameras: &[Camera]) -> DVec3 {
+    let sum: DVec3 = cameras.iter().map(|c| -(c.rotation.transpose() * DVec3::Y)).sum();
+    sum.try_normalize().unwrap_or(DVec3::NEG_Y)
+}
+
+/// A name with a number as wide as the largest, so that files sort in order.
+fn numbered(word: &str, index: u32, count: u32) -> String {
+    let digits = count.saturating_sub(1).to_string().len().max(3);
+    format!("{word}_{index:0digits$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_as_wide_as_the_largest() {
+        assert_eq!(numbered("path", 7, 120), "path_007");
+        assert_eq!(numbered("path", 7, 1001), "path_0007");
+    }
+}
