@@ -5,7 +5,7 @@ mod path;
 
 use crate::commands::train::open_scene;
 use anyhow::bail;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use sgs_scene::{Camera, Scene, Splats};
 use sgs_train::Settings;
 use std::path::{Path, PathBuf};
@@ -108,10 +108,20 @@ impl ViewpointArgs {
     }
 }
 
-/// The world's up: the mean of the cameras' own.
+/// The world's up: perpendicular to the cameras' horizontal axes, and near the mean of their own up.
+///
+/// The mean alone is tilted where all cameras look down in much the same direction. Where their horizontal axes are parallel,
+/// the mean's part perpendicular to them remains.
 fn up_of(cameras: &[Camera]) -> DVec3 {
-    let sum: DVec3 = cameras.iter().map(|c| -(c.rotation.transpose() * DVec3::Y)).sum();
-    sum.try_normalize().unwrap_or(DVec3::NEG_Y)
+    let count = cameras.len().max(1) as f64;
+    let (mut level, mut mean) = (DMat3::IDENTITY * 1e-3, DVec3::ZERO);
+    for camera in cameras {
+        let to_world = camera.rotation.transpose();
+        let right = to_world.x_axis;
+        level += DMat3::from_cols(right * right.x, right * right.y, right * right.z) * (1.0 / count);
+        mean -= to_world.y_axis / count;
+    }
+    (level.inverse() * mean).try_normalize().unwrap_or(DVec3::NEG_Y)
 }
 
 /// A name with a number as wide as the largest, so that files sort in order.

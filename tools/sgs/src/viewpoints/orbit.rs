@@ -15,7 +15,9 @@ const FACING: f64 = 0.6;
 pub fn cameras(train: &[Camera], means: &[[f32; 3]], count: u32) -> Vec<Camera> {
     let Some(first) = train.first() else { return Vec::new() };
     let up = up_of(train);
-    let center = focus(train).unwrap_or_else(|| middle(means));
+    let mean = train.iter().map(Camera::position).sum::<DVec3>() / train.len() as f64;
+    let one_place = train.iter().all(|c| c.position().distance(mean) <= 1e-6 * (1.0 + mean.length()));
+    let center = if one_place { mean } else { focus(train).unwrap_or_else(|| middle(means)) };
     let offset = |camera: &Camera| camera.position() - center;
     let level = |v: DVec3| v - up * v.dot(up);
     let height = median(train.iter().map(|c| offset(c).dot(up)).collect());
@@ -102,7 +104,7 @@ mod tests {
         assert_eq!((all.len(), all[3].name.as_str(), all[0].width), (8, "orbit_003", 40));
         for c in &all {
             let offset = c.position() - center;
-            assert!((offset.y - 1.0).abs() < 0.2 && (offset.with_y(0.0).length() - 3.0).abs() < 0.2, "{offset}");
+            assert!((offset.y - 1.0).abs() < 0.1 && (offset.with_y(0.0).length() - 3.0).abs() < 0.1, "{offset}");
             let pixel = c.project(center).expect("in front");
             assert!((pixel - glam::DVec2::new(20.0, 15.0)).length() < 1.0, "{pixel}");
             // The image's x axis is level, and its y axis points down.
