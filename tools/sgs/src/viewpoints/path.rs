@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn few_and_equal_cameras_make_a_path() {
         let one = walk(2).remove(0);
-        assert!(cameras(&[one.clone()], 3).iter().all(|c| c.position().distance(one.position()) < 1e-9));
+        assert!(cameras(std::slice::from_ref(&one), 3).iter().all(|c| c.position().distance(one.position()) < 1e-9));
         let still = cameras(&[one.clone(), one.clone(), one.clone()], 5);
         assert!(still.iter().all(|c| c.problem().is_none() && c.position().distance(one.position()) < 1e-9));
         assert_eq!(cameras(&walk(3), 1).len(), 1);
