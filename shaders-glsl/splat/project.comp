@@ -1,4 +1,5 @@
-// Projects the Gaussians that can be seen into a compact list: footprint, depth, channels, number of tiles.
+// Projects the Gaussians that `project_count` marked as visible into a compact list: footprint, depth, channels, number of
+// tiles. Culled ones are not read.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -6,8 +7,7 @@
 #include "splat.glsl"
 #include "sh.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
-layout(constant_id = 1) const uint SUBGROUP = 32;
+layout(constant_id = 0) const uint WORKGROUP = 256;  // a multiple of 32
 layout(constant_id = 2) const uint SH_DEGREE = 3;    // stored bands
 layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, normal, z and z², each if any
 layout(constant_id = 4) const bool HAS_NORMALS = false;
@@ -30,16 +30,13 @@ IN(vec3, sh1);
 IN(vec3, sh2);
 IN(vec3, sh3);
 IN(vec3, normals);
+IN(uint, visible_bits);
 IN(uint, block_offsets);
 OUT(uint, splat_ids);
 OUT(uint, depth_keys);
 OUT(Splat, splats);
 OUT(uint, features);
 OUT(uint, tile_counts);
-
-const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
-
-shared uint sums[SUBGROUPS];
 
 vec3 color_of(uint i, vec3 mean) {
     Camera camera = params.step.camera;
@@ -87,30 +84,27 @@ uint count_tiles(Splat s, float limit, PixelBox box) {
 void main() {
     uint block = folded_workgroup();
     uint i = block * WORKGROUP + gl_LocalInvocationID.x;
+    if (i >= gaussians[0].count) return;
+    uint word = i / 32u, bit = 1u << (i % 32u), bits = visible_bits[word];
+    if ((bits & bit) == 0u) return;
+    uint v = block_offsets[block] + bitCount(bits & (bit - 1u));
+    for (uint w = block * (WORKGROUP / 32u); w < word; ++w) v += bitCount(visible_bits[w]);
     Camera camera = params.step.camera;
+    vec3 mean = means[i];
     Projection p;
-    PixelBox box = PixelBox(ivec2(0), ivec2(-1));
-    float limit = 0.0;
-    bool visible = false;
-    vec3 mean = vec3(0.0);
-    if (i < gaussians[0].count) {
-        mean = means[i];
-        if (project_splat(camera, mean, log_scales[i], rotations[i], opacity_logits[i], p)) {
-            limit = exponent_limit(p.splat);
-            box = splat_box(p.splat, limit, camera.size);
-            visible = !box_is_empty(box);
-        }
+    bool projects = project_splat(camera, mean, log_scales[i], rotations[i], opacity_logits[i], p);
+    if (!projects) {
+        // Its slot is taken: a footprint that touches no tile.
+        p.point = vec3(0.0, 0.0, camera.near);
+        p.splat = Splat(vec2(0.0), vec3(1.0, 0.0, 1.0), 0.0);
     }
-    uvec4 votes = subgroupBallot(visible);
-    if (subgroupElect()) sums[gl_SubgroupID] = subgroupBallotBitCount(votes);
-    barrier();
-    if (!visible) return;
-    uint v = block_offsets[block] + subgroupBallotExclusiveBitCount(votes);
-    for (uint s = 0u; s < gl_SubgroupID; ++s) v += sums[s];
+    float limit = exponent_limit(p.splat);
+    PixelBox box = splat_box(p.splat, limit, camera.size);
+    projects = projects && !box_is_empty(box);
     splat_ids[v] = i;
     depth_keys[v] = depth_key(p.point.z, camera.near);
     splats[v] = p.splat;
-    tile_counts[v] = count_tiles(p.splat, limit, box);
+    tile_counts[v] = projects ? count_tiles(p.splat, limit, box) : 0u;
     uint at = v * CHANNEL_WORDS;
     if (HAS_COLORS) {
         vec3 color = color_of(i, mean);

@@ -1,12 +1,12 @@
-// How many Gaussians of each workgroup can be seen: the first half of compaction by reduce-then-scan. Projection is
-// cheap against the memory that flags of every Gaussian would cost, so the second half computes it again.
+// Decides which Gaussians the camera sees, once for the whole step: one bit each, and how many of each workgroup. That is the
+// first half of compaction by reduce-then-scan; `project` follows these bits, since its own arithmetic may differ by an ulp.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
 
-layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 0) const uint WORKGROUP = 256; // a multiple of 32
 layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 
@@ -16,15 +16,24 @@ IN(vec3, means);
 IN(vec3, log_scales);
 IN(vec4, rotations);
 IN(float, opacity_logits);
+OUT(uint, visible_bits); // by Gaussian, 32 a word
 OUT(uint, block_counts);
 
-const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
+const uint WORDS = WORKGROUP / 32u;
 
-shared uint sums[SUBGROUPS];
+// Votes by subgroup: a part of a word each, or several words. No subgroup has fewer than 8 lanes.
+shared uint parts[(WORKGROUP + 7u) / 8u];
+
+uint word_of(uint w) {
+    if (SUBGROUP >= 32u) return parts[w];
+    uint each = 32u / SUBGROUP, word = 0u;
+    for (uint k = 0u; k < each; ++k) word |= parts[w * each + k] << (k * SUBGROUP);
+    return word;
+}
 
 void main() {
     uint block = folded_workgroup();
-    uint i = block * WORKGROUP + gl_LocalInvocationID.x;
+    uint i = block * WORKGROUP + gl_SubgroupID * SUBGROUP + gl_SubgroupInvocationID;
     bool visible = false;
     if (i < gaussians[0].count) {
         Projection p;
@@ -32,12 +41,16 @@ void main() {
             visible = !box_is_empty(splat_box(p.splat, exponent_limit(p.splat), params.step.camera.size));
         }
     }
-    uint sum = subgroupBallotBitCount(subgroupBallot(visible));
-    if (subgroupElect()) sums[gl_SubgroupID] = sum;
+    uvec4 votes = subgroupBallot(visible);
+    uint each = max(SUBGROUP / 32u, 1u);
+    if (gl_SubgroupInvocationID < each) parts[gl_SubgroupID * each + gl_SubgroupInvocationID] = votes[gl_SubgroupInvocationID];
     barrier();
-    if (gl_LocalInvocationID.x == 0u) {
+    if (block >= block_counts.length()) return;
+    uint w = gl_LocalInvocationID.x;
+    if (w < WORDS) visible_bits[block * WORDS + w] = word_of(w);
+    if (w == 0u) {
         uint total = 0u;
-        for (uint s = 0u; s < gl_NumSubgroups; ++s) total += sums[s];
-        if (block < block_counts.length()) block_counts[block] = total;
+        for (uint k = 0u; k < WORDS; ++k) total += bitCount(word_of(k));
+        block_counts[block] = total;
     }
 }

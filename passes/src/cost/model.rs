@@ -33,13 +33,14 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     let fetched = 8.0 + SPLAT_BYTES + 4.0 * words;
     let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS"));
     let (bytes, operations) = match s.kernel {
-        "project_count" => (SHAPE_BYTES * n, PROJECT * n),
+        // And a bit of each Gaussian.
+        "project_count" => ((SHAPE_BYTES + 0.125) * n, PROJECT * n),
         "project" => {
             let degree = spec("SH_DEGREE");
             let read = 12.0 * (degree + 1.0).powi(2) + 12.0 * spec("HAS_NORMALS");
             // Id, depth, number of tiles, footprint, features. Tiles are counted row by row: about 3 rows of 30.
             let written = 12.0 + SPLAT_BYTES + 4.0 * words;
-            (SHAPE_BYTES * n + (read + written) * v, PROJECT * n + (harmonics(degree) + 90.0) * v)
+            (0.125 * n + (SHAPE_BYTES + read + written) * v, (PROJECT + harmonics(degree) + 90.0) * v)
         }
         "intersect" => ((16.0 + SPLAT_BYTES) * v + 8.0 * e, 90.0 * v + 10.0 * e),
         "tile_ranges" => (4.0 * e, 2.0 * e),

@@ -156,7 +156,7 @@ pub fn semantic_targets(
         specs.entries(),
         bytemuck::bytes_of(&push),
     );
-    pass.dispatch(groups(u64::from(samples), 1))
+    pass.subgroup_size(Some(tuning.subgroup_size)).dispatch(groups(u64::from(samples), 1))
 }
 
 /// Adds the passes that make the decoder's small matrices. Once a step, before every loss that has the same head.

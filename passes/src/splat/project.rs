@@ -1,7 +1,7 @@
 //! `project`, `project_bwd`, its form fused with Adam, and its form for what came through features alone.
 //!
-//! Cost a Gaussian of N: 44 bytes read twice (the first time only to count). Cost a visible one: 4 (d+1)² · 3 bytes of
-//! harmonics read, 36 + 4 C written (4 fewer with colors in 16 bits). Backward, fused: the gradients of its entries read
+//! Cost a Gaussian of N: 44 bytes read and one bit written, which is read again. Cost a visible one: the 44 bytes again and
+//! 4 (d+1)² · 3 bytes of harmonics read, 36 + 4 C written (4 fewer with colors in 16 bits). Backward, fused: the gradients of its entries read
 //! once (4 (6 + C) bytes each), 12 bytes read and 12 written for each of its scalars.
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen};
@@ -42,7 +42,7 @@ impl Visible {
     }
 }
 
-/// Projects the Gaussians of a step.
+/// Projects the Gaussians of a step. The first pass decides which are visible; all later ones follow its bits.
 ///
 /// # Errors
 /// If the graph refuses a pass.
@@ -55,6 +55,8 @@ pub fn project(
 ) -> Result<Visible, GraphError> {
     let n = u64::from(gaussians.capacity);
     let blocks = n.div_ceil(u64::from(t.workgroup));
+    debug_assert!(t.workgroup.is_multiple_of(32), "workgroups write whole words of bits");
+    let visible_bits = g.transient("visible_bits", blocks * u64::from(t.workgroup / 8));
     let block_counts = g.transient("block_counts", 4 * blocks);
     let block_offsets = g.transient("block_offsets", 4 * blocks);
     let total = g.transient("visible_total", 4);
@@ -65,6 +67,7 @@ pub fn project(
         log_scales: gaussians.group(Group::LogScales).into(),
         rotations: gaussians.group(Group::Rotations).into(),
         opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        visible_bits: visible_bits.into(),
         block_counts: block_counts.into(),
     };
     let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size, });
@@ -105,6 +108,7 @@ pub fn project(
         sh2: gaussians.group(Group::Sh2).into(),
         sh3: gaussians.group(Group::Sh3).into(),
         normals: gaussians.group(Group::Normals).into(),
+        visible_bits: visible_bits.into(),
         block_offsets: block_offsets.into(),
         splat_ids: visible.ids.into(),
         depth_keys: visible.depth_keys.into(),
@@ -113,7 +117,6 @@ pub fn project(
         tile_counts: visible.tile_counts.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
-        subgroup: t.subgroup_size,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
@@ -123,9 +126,7 @@ pub fn project(
         color_bits,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1], });
-    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
-        .subgroup_size(Some(t.subgroup_size))
-        .dispatch(groups(n, t.workgroup))?;
+    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
     Ok(visible)
 }
 
