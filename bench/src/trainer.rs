@@ -99,7 +99,7 @@ impl<'w> Trainer<'w> {
                 normals: workload.model.normals,
                 depth: workload.model.normals || masks.is_some(),
             },
-            statistics: densify,
+            statistics: densify.then(|| workload.settings.geometry.densify.statistic.gathered()),
             dense_adam,
             backward,
             semantic_geometry: true,

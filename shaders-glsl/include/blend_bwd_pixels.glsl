@@ -13,9 +13,10 @@ layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0; // 1: also the sum of blending weights
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "statistic.glsl"
 #include "lane_sums.glsl"
 
-const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS;
+const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
 const uint PARTS = (GRADIENTS + SUBGROUP - 1u) / SUBGROUP;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -26,6 +27,7 @@ IN(Splat, splats);
 IN(uint, features);
 IN(float, grad_image);
 IN(float, debt);
+IN(float, statistic_debt); // the debt of the losses that enter the statistic
 #ifdef ATOMIC
 INOUT(float, splat_gradients); // [visible * GRADIENTS]
 #else
@@ -42,6 +44,7 @@ void main() {
     float py = float(tile.first.y) + 0.5;
     float T[PER_LANE];
     float R[PER_LANE];
+    float statistic_R[PER_LANE];
     float g[PER_LANE * CHANNELS];
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
         uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y);
@@ -49,6 +52,7 @@ void main() {
         uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
         T[k] = inside ? 1.0 : -1.0;
         R[k] = inside ? debt[at] : 0.0;
+        if (STATISTIC_FLOATS > 0u) statistic_R[k] = inside ? statistic_debt[at] : 0.0;
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
             g[k * CHANNELS + c] = inside ? grad_image[at * CHANNELS + c] : 0.0;
         }
@@ -97,10 +101,11 @@ void main() {
                 float next = T[k] - alpha * T[k];
                 bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;
                 float w = stop && !KEEP_LAST ? 0.0 : alpha * T[k];
-                float s_dot_g = 0.0;
+                float s_dot_g = 0.0, statistic_dot = 0.0;
                 [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
                     sum[MOMENTS + c] += w * g[k * CHANNELS + c];
                     s_dot_g += color[c] * g[k * CHANNELS + c];
+                    if (STATISTIC_FLOATS > 0u && in_statistic(c)) statistic_dot += color[c] * g[k * CHANNELS + c];
                 }
                 if (WEIGHTS > 0u) sum[MOMENTS + CHANNELS] += w;
                 R[k] -= w * s_dot_g;
@@ -115,6 +120,14 @@ void main() {
                 sum[3] += hp * dy;
                 sum[4] += hy;
                 sum[5] += hy * dy;
+                if (STATISTIC_FLOATS > 0u) {
+                    statistic_R[k] -= w * statistic_dot;
+                    float owed = statistic_R[k] / (1.0 - alpha);
+                    float of_statistic = w > 0.0 && raw <= ALPHA_MAX
+                        ? -0.69314718055994531 * alpha * (T[k] * statistic_dot - owed) : 0.0;
+                    sum[(MOMENTS + CHANNELS + WEIGHTS) % GRADIENTS] += of_statistic * p;
+                    sum[(MOMENTS + CHANNELS + WEIGHTS + 1u) % GRADIENTS] += of_statistic * dy;
+                }
                 T[k] = stop ? -(KEEP_LAST ? next : T[k]) : next;
             }
             [[unroll]] for (uint part = 0u; part < PARTS; ++part) {

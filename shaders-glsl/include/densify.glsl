@@ -3,6 +3,7 @@
 // Settings, in a uniform.
 struct Densify {
     float grad_threshold; // mean length of the screen-space gradient from which a Gaussian is refined
+    float normal_threshold; // mean length of the gradient by its raw normal from which it is refined as well; 0 for none
     float split_size;     // largest axis, world units: above it a Gaussian is split, else cloned
     float prune_opacity;  // fainter ones go
     float prune_weight;   // with less accumulated blending weight they go

@@ -14,6 +14,12 @@ struct SplatGradient {
     vec3 camera_translation;
 };
 
+// Gradient of the projected mean, pixels, from the moments h p and h dy.
+vec2 screen_gradient(Projection o, float hp, float hy) {
+    float u11 = o.splat.factor.x, u12 = o.splat.factor.y, u22 = o.splat.factor.z;
+    return -2.0 * vec2(u11 * hp, u12 * hp + u22 * u22 * hy);
+}
+
 // `moments` are h, h p, h p², h p dy, h dy, h dy² (see blend_bwd.glsl); `depth` is d/dz from the channels.
 //
 // The exponent of a pixel d is |U d|² = FACTOR_SCALE² d·C⁻¹d, with (p, q) = U d and C = T Tᵀ + DILATION, T = J W R S. By a column v of T its
@@ -22,7 +28,7 @@ struct SplatGradient {
 SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_scale, float moments[6], float depth) {
     SplatGradient g;
     float u11 = o.splat.factor.x, u12 = o.splat.factor.y, u22 = o.splat.factor.z;
-    g.mean2d = -2.0 * vec2(u11 * moments[1], u12 * moments[1] + u22 * u22 * moments[4]);
+    g.mean2d = screen_gradient(o, moments[1], moments[4]);
     // alpha dL/dalpha summed = -h / ln2; d(alpha)/d(logit) = alpha (1 - opacity)
     g.opacity_logit = -1.4426950408889634 * moments[0] * (1.0 - o.splat.opacity);
     // U T, by columns: c t0 - b t1 without dilation is t1 x (t0 x t1).

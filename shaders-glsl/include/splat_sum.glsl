@@ -11,6 +11,7 @@ struct Visible {
     float inverse_range; // 1 / distance
     vec3 normal;         // d/d(raw normal)
     float weight;        // sum of blending weights, if asked for
+    vec2 statistic;      // screen gradient of the losses that enter the statistic of densification, pixels
     SplatGradient gradient;
     bool touched;        // anything but zeros
 };
@@ -24,14 +25,19 @@ Visible visible_splat(uint v) {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] = 0.0;
     s.weight = 0.0;
+    vec2 statistic = vec2(0.0);
     uint first = entry_starts[v], last = first + tile_counts[v];
     // Where entries' gradients have been added up already, each splat has one.
     uint from = REDUCED ? v : first, to = REDUCED ? v + 1u : last;
     for (uint e = from; e < to; ++e) {
-        uint at = e * (6u + CHANNELS + WEIGHTS);
+        uint at = e * (6u + CHANNELS + WEIGHTS + STATISTIC_FLOATS);
         [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_gradients[at + j];
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] += entry_gradients[at + 6u + c];
         if (WEIGHTS > 0u) s.weight += entry_gradients[at + 6u + CHANNELS];
+        if (STATISTIC_FLOATS > 0u) {
+            uint from_statistic = at + 6u + CHANNELS + WEIGHTS;
+            statistic += vec2(entry_gradients[from_statistic], entry_gradients[from_statistic + 1u]);
+        }
     }
     // Moments that came through features; the features' own gradients are summed elsewhere (features_bwd).
     if (FEATURES > 0u) {
@@ -71,6 +77,7 @@ Visible visible_splat(uint v) {
     s.inverse_range = inversesqrt(max(dot(away, away), 1e-30));
     s.direction = away * s.inverse_range;
     s.gradient = project_gradient(camera, p, s.mean, s.log_scale, moments, depth);
+    s.statistic = STATISTIC_FLOATS > 0u ? screen_gradient(p, statistic.x, statistic.y) : s.gradient.mean2d;
     return s;
 }
 

@@ -16,7 +16,7 @@ IN(vec3, log_scales);
 IN(vec4, rotations);
 IN(float, opacity_logits);
 IN(vec3, sh0);
-IN(float, statistics);  // by Gaussian: sum of gradients, their number, sum of blending weights
+IN(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 OUT(uint, verdicts);
 INOUT(uint, counters);
 
@@ -35,10 +35,19 @@ void main() {
     float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));
     Densify d = params.densify;
     bool faint = opacity < d.prune_opacity;
-    bool weightless = valid && !faint && statistics[3u * i + 2u] < d.prune_weight;
+    vec4 gathered = statistics[i];
+    bool weightless = valid && !faint && gathered.z < d.prune_weight;
     bool prune = !valid || faint || weightless || largest > d.prune_size;
-    float gradient = statistics[3u * i] / max(statistics[3u * i + 1u], 1.0);
-    bool refine = !prune && is_finite(gradient) && gradient >= d.grad_threshold;
+    float count = max(gathered.y, 1.0);
+    float gradient = gathered.x / count;
+    bool refine = is_finite(gradient) && gradient >= d.grad_threshold;
+    if (d.normal_threshold > 0.0 && is_finite(gradient)) {
+        float by_normal = gathered.w / count;
+        refine = refine || by_normal >= d.normal_threshold;
+        // Under the cap the two gradients compete by their multiples of their thresholds.
+        gradient = max(gradient, by_normal / d.normal_threshold * d.grad_threshold);
+    }
+    refine = refine && !prune;
     uint verdict = prune ? PRUNE : KEEP;
     if (refine) {
         uint strength = strength_of(gradient);

@@ -15,8 +15,9 @@ layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0;
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "statistic.glsl"
 
-const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS;
+const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);
@@ -26,6 +27,7 @@ IN(Splat, splats);
 IN(uint, features);
 IN(float, grad_image);
 IN(float, debt);
+IN(float, statistic_debt); // the debt of the losses that enter the statistic
 OUT(float, entry_gradients);
 
 void main() {
@@ -37,6 +39,7 @@ void main() {
     // Each lane keeps the state of its own pixels and hands it around.
     float T[PER_LANE];
     float R[PER_LANE];
+    float statistic_R[PER_LANE];
     float g[PER_LANE * CHANNELS];
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
         uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y);
@@ -44,6 +47,7 @@ void main() {
         uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
         T[k] = inside ? 1.0 : -1.0;
         R[k] = inside ? debt[at] : 0.0;
+        if (STATISTIC_FLOATS > 0u) statistic_R[k] = inside ? statistic_debt[at] : 0.0;
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
             g[k * CHANNELS + c] = inside ? grad_image[at * CHANNELS + c] : 0.0;
         }
@@ -57,6 +61,7 @@ void main() {
         float total[MOMENTS];
         float total_color[CHANNELS];
         float total_weight = 0.0;
+        vec2 total_statistic = vec2(0.0);
         [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) total[j] = 0.0;
         [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) total_color[c] = 0.0;
         float best = -1.0;
@@ -83,11 +88,12 @@ void main() {
                     bool stopped = any(notEqual(stops, uvec4(0u)));
                     uint first = stopped ? subgroupBallotFindLSB(stops) : SUBGROUP;
                     float w = lane < first || KEEP_LAST && lane == first ? alpha * before : 0.0;
-                    float s_dot_g = 0.0;
+                    float s_dot_g = 0.0, statistic_dot = 0.0;
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
                         float gradient = subgroupShuffle(g[k * CHANNELS + c], i);
                         total_color[c] += w * gradient;
                         s_dot_g += f[c] * gradient;
+                        if (STATISTIC_FLOATS > 0u && in_statistic(c)) statistic_dot += f[c] * gradient;
                     }
                     if (WEIGHTS > 0u) total_weight += w;
                     float after = debt - subgroupInclusiveAdd(w * s_dot_g);
@@ -101,12 +107,23 @@ void main() {
                     total[3] += hp * dy;
                     total[4] += hy;
                     total[5] += hy * dy;
+                    float statistic_owed = 0.0;
+                    if (STATISTIC_FLOATS > 0u) {
+                        float statistic_after =
+                            subgroupShuffle(statistic_R[k], i) - subgroupInclusiveAdd(w * statistic_dot);
+                        float owed = statistic_after / (1.0 - alpha);
+                        float of_statistic = w > 0.0 && raw <= ALPHA_MAX
+                            ? -0.69314718055994531 * alpha * (before * statistic_dot - owed) : 0.0;
+                        total_statistic += of_statistic * vec2(p, dy);
+                        statistic_owed = subgroupShuffle(statistic_after, SUBGROUP - 1u);
+                    }
                     // The pixel goes on from where the last lane left it, or stops for good.
                     float rest = subgroupShuffle(before - alpha * before, SUBGROUP - 1u);
                     float owed = subgroupShuffle(after, SUBGROUP - 1u);
                     if (lane == i) {
                         T[k] = stopped ? -1.0 : rest;
                         R[k] = owed;
+                        if (STATISTIC_FLOATS > 0u) statistic_R[k] = statistic_owed;
                     }
                 }
             }
@@ -116,6 +133,10 @@ void main() {
             [[unroll]] for (uint j = 0u; j < MOMENTS; ++j) entry_gradients[at + j] = total[j];
             [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) entry_gradients[at + MOMENTS + c] = total_color[c];
             if (WEIGHTS > 0u) entry_gradients[at + MOMENTS + CHANNELS] = total_weight;
+            if (STATISTIC_FLOATS > 0u) {
+                entry_gradients[at + MOMENTS + CHANNELS + WEIGHTS] = total_statistic.x;
+                entry_gradients[at + MOMENTS + CHANNELS + WEIGHTS + 1u] = total_statistic.y;
+            }
         }
     }
 }

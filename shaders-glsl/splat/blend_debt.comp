@@ -1,5 +1,6 @@
 // What the loss owes to the splats behind each pixel, before the first of them (see blend_bwd.glsl): one number, so that
-// the picture itself is not needed any more when blending goes backward.
+// the picture itself is not needed any more when blending goes backward. With STATISTIC only the losses that enter the
+// statistic of densification count.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -7,6 +8,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint CHANNELS = 3;
 layout(local_size_x_id = 0) in;
+#include "statistic.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(float, image);
@@ -19,7 +21,10 @@ void main() {
     uvec2 size = params.step.camera.size;
     uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (pixel >= size.x * size.y) return;
-    float sum = transmittance[pixel] * grad_transmittance[pixel];
-    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) sum += image[pixel * CHANNELS + c] * grad_image[pixel * CHANNELS + c];
+    float sum = STATISTIC == STATISTIC_PHOTOMETRIC ? 0.0 : transmittance[pixel] * grad_transmittance[pixel];
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
+        if (STATISTIC == STATISTIC_TOTAL || in_statistic(c))
+            sum += image[pixel * CHANNELS + c] * grad_image[pixel * CHANNELS + c];
+    }
     debt[pixel] = sum;
 }

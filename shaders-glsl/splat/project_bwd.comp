@@ -20,6 +20,7 @@ layout(constant_id = 8) const uint FEATURES = 0; // if their gradients reach opa
 layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "statistic.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);

@@ -24,6 +24,7 @@ layout(constant_id = 10) const bool EXTRA = false; // whether other views left g
 layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "statistic.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
@@ -54,7 +55,7 @@ INOUT(vec2, sh1_moments);
 INOUT(vec2, sh2_moments);
 INOUT(vec2, sh3_moments);
 INOUT(vec2, normals_moments);
-INOUT(float, statistics); // grad_sum, grad_count, weight_sum of each Gaussian
+INOUT(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 INOUT(uint, skipped);     // splats whose gradients were not finite
 OUT(uint, seen);          // by Gaussian: whether it was updated here; with `extra`, also if it was skipped here
 
@@ -76,11 +77,11 @@ void main() {
     Visible s = visible_splat(v);
     uint i = s.gaussian;
     if (STATISTICS && by_workgroup(params.step.gather_statistics) != 0u) {
-        vec2 ndc = s.gradient.mean2d * 0.5 * vec2(params.step.camera.size);
-        float size = length(ndc);
-        statistics[3u * i] += is_finite(size) ? size : 0.0;
-        statistics[3u * i + 1u] += 1.0;
-        statistics[3u * i + 2u] += is_finite(s.weight) ? s.weight : 0.0;
+        float screen = length(s.statistic * 0.5 * vec2(params.step.camera.size));
+        float by_normal = STATISTIC == STATISTIC_GEOMETRIC && HAS_NORMALS ? length(s.normal) : 0.0;
+        vec3 sums = vec3(screen, s.weight, by_normal);
+        sums = mix(vec3(0.0), sums, bvec3(is_finite(sums.x), is_finite(sums.y), is_finite(sums.z)));
+        statistics[i] += vec4(sums.x, 1.0, sums.yz);
     }
     bool touched = s.touched;
     vec3 gm = s.gradient.mean, gs = s.gradient.log_scale;

@@ -81,7 +81,7 @@ pub fn steps_of(
         largest: camera.size,
         entry_capacity: 1 << 14,
         channels: channels(g, depth),
-        statistics: false,
+        statistics: None,
         dense_adam: false,
         backward: BackwardKernel::Pixel,
         semantic_geometry: false,

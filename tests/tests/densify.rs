@@ -11,6 +11,7 @@ use sgs_tests::{Gpu, Tolerance, assert_close};
 
 const SETTINGS: Settings = Settings {
     grad_threshold: 1e-4,
+    normal_threshold: 0.0,
     split_size: 0.01,
     prune_opacity: 0.005,
     prune_weight: 1e-4,
@@ -59,7 +60,7 @@ impl Scene {
             capacity,
             parameters: std::array::from_fn(|g| vec![f32::from_bits(u32::MAX); capacity * width(g)]),
             moments: std::array::from_fn(|g| vec![f32::from_bits(u32::MAX); 2 * capacity * width(g)]),
-            statistics: vec![f32::from_bits(u32::MAX); 3 * capacity],
+            statistics: vec![f32::from_bits(u32::MAX); 4 * capacity],
         };
         for (i, &fate) in fates.iter().enumerate() {
             for g in 0..9 {
@@ -93,7 +94,9 @@ impl Scene {
                 _ => rng.range(0.0, 0.9e-4) * f64::from(seen),
             };
             let weight = if fate == Fate::Unseen { 0.5e-4 } else { rng.range(0.01, 10.0) };
-            scene.statistics[3 * i..][..3].copy_from_slice(&[gradient as f32, seen, weight as f32]);
+            // About as much as the screen gradient, in units of 1e-3.
+            let by_normal = 1e-3 * gradient * rng.range(0.5, 2.0);
+            scene.statistics[4 * i..][..4].copy_from_slice(&[gradient as f32, seen, weight as f32, by_normal as f32]);
         }
         scene
     }
@@ -125,7 +128,7 @@ impl Scene {
             rotation: [0, 1, 2, 3].map(|k| of(Group::Rotations, k)),
             opacity_logit: of(Group::OpacityLogits, 0),
             sh0: [0, 1, 2].map(|k| of(Group::Sh0, k)),
-            statistics: [0, 1, 2].map(|k| f64::from(self.statistics[3 * i + k])),
+            statistics: [0, 1, 2, 3].map(|k| f64::from(self.statistics[4 * i + k])),
         }
     }
 
@@ -152,6 +155,7 @@ impl Scene {
         densify(&mut g, gpu.tuning(), &a).unwrap();
         let values = structs::Densify {
             grad_threshold: s.grad_threshold as f32,
+            normal_threshold: s.normal_threshold as f32,
             split_size: s.split_size as f32,
             prune_opacity: s.prune_opacity as f32,
             prune_weight: s.prune_weight as f32,
@@ -267,6 +271,29 @@ fn densify_is_its_reference() {
     }
 }
 
+/// The published statistic: a large gradient by the normal refines what the screen gradient would leave alone. Under the cap
+/// both count by the multiple of their threshold.
+#[test]
+fn gradients_by_normals_refine() {
+    let gpu = Gpu::new();
+    let by_normals = Settings { normal_threshold: 1e-7, ..SETTINGS };
+    for (seed, (count, capacity)) in [(2, 2), (257, 300), (1000, 1000), (5000, 20000)].into_iter().enumerate() {
+        Scene::random(count, capacity, 40 + seed as u32).check(&gpu, &by_normals);
+    }
+    let mut scene = Scene::new(&[Fate::Keep; 300], 600, 6);
+    let of_normals = |s: &mut Scene, i: usize, by_normal: f32| {
+        s.statistics[4 * i..][..4].copy_from_slice(&[1e-5, 2.0, 1.0, by_normal]);
+    };
+    (0..300).for_each(|i| of_normals(&mut scene, i, if i < 100 { 4e-7 } else { 1e-8 }));
+    assert_eq!(scene.check(&gpu, &SETTINGS).1.cloned, 0);
+    assert_eq!(scene.check(&gpu, &by_normals).1.cloned, 100);
+    // Of a hundred whose screen gradient is three times its threshold, and one with four times that of its normal, one stays.
+    scene.statistics.as_chunks_mut::<4>().0[..100].iter_mut().for_each(|s| *s = [6e-4, 2.0, 1.0, 0.0]);
+    of_normals(&mut scene, 70, 8e-7);
+    let (after, stats) = scene.check(&gpu, &Settings { cap: 301, ..by_normals });
+    assert_eq!((stats.cloned, after.parameters[TAG][300 * width(TAG)]), (1, 70.0));
+}
+
 #[test]
 fn densify_of_one_kind_only() {
     use Fate::{Clone, Faint, Huge, Keep, Nan, Split, Unseen};
@@ -322,7 +349,7 @@ fn densify_fills_the_cap_and_not_more() {
     assert_eq!(after.count, 2100);
     // Gradients that are all the same: by index.
     let mut equal = Scene::new(&[Fate::Clone; 1000], 1100, 9);
-    equal.statistics.as_chunks_mut::<3>().0.iter_mut().for_each(|s| *s = [0.5, 1.0, 1.0]);
+    equal.statistics.as_chunks_mut::<4>().0.iter_mut().for_each(|s| *s = [0.5, 1.0, 1.0, 0.0]);
     let (after, _) = equal.check(&gpu, &SETTINGS);
     assert_eq!(after.count, 1100);
     assert_eq!(after.parameters[TAG][1099 * width(TAG)], 99.0);

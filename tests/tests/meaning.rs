@@ -6,7 +6,7 @@ use sgs_engine::{Device, DeviceOptions};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes, Masks, SemanticSizes};
 use sgs_passes::scene::{EMBEDDING, Group, Layout, Model};
-use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_passes::splat::{BackwardKernel, Channels, Statistic};
 use sgs_provider::Fallback;
 use sgs_scene::{Scene, SceneOptions, write_ids, write_npy_f16};
 use sgs_tests::cli::sgs;
@@ -137,6 +137,35 @@ fn neither_room_nor_interruptions_matter() {
     }
 }
 
+/// Maps of one cell a pixel, and maps that are larger than the image, are trained on alike. What they take is in the estimate.
+#[test]
+fn semantic_maps_may_have_the_size_of_the_image() {
+    let room = Room { views: 6, ..Room::default() };
+    let (fine, coarse) = (Meaning { stride: 1, ..Meaning::default() }, Meaning::default());
+    let device = device();
+    let run = |place: &Place, scale: f64| {
+        let options = SceneOptions { scale, ..SceneOptions::default() };
+        let scene = Scene::open(&place.path("scene"), &options).unwrap();
+        let mut s = settings(40, 99);
+        s.geometry.temperature = 0.2;
+        let (training, losses) = train(&device, &scene, &s);
+        let bytes = training.needs().semantics;
+        assert!(mean(&losses, 36..41, 0) < 0.9 * mean(&losses, 1..6, 0), "the cosine: {losses:?}");
+        (bytes, mean(&losses, 36..41, 0))
+    };
+    let (fine, coarse) = (place(room, fine), place(room, coarse));
+    let (many, of_pixels) = run(&fine, 1.0);
+    let (few, of_cells) = run(&coarse, 1.0);
+    assert!((of_pixels - of_cells).abs() < 0.1, "{of_pixels} {of_cells}");
+    // A cell takes 512 halves and its target: four of six views are trained on, of 32 x 24 pixels and of 8 x 6 cells.
+    let row = 1024 + size_of::<sgs_shaders::structs::SemanticTarget>() as u64;
+    let views = Scene::open(&fine.path("scene"), &SceneOptions::default()).unwrap().split.train.len() as u64;
+    assert_eq!(many - few, views * row * (32 * 24 - 8 * 6));
+    // At half the size a map of 32 x 24 has more cells than the image has pixels: 16 x 12 of them are kept.
+    let (half, _) = run(&fine, 0.5);
+    assert_eq!(many - half, views * row * (32 * 24 - 16 * 12));
+}
+
 /// Without the option, features change nothing that can be seen; with it they do.
 #[test]
 fn features_move_geometry_only_if_they_may() {
@@ -237,7 +266,7 @@ fn memory_of_pixels_does_not_know_the_width_of_embeddings() {
             largest: size,
             entry_capacity: 1 << 15,
             channels: Channels { colors: true, normals: false, depth: true },
-            statistics: true,
+            statistics: Some(Statistic::Total),
             dense_adam: false,
             backward: BackwardKernel::Pixel,
             semantic_geometry: true,

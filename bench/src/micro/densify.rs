@@ -33,6 +33,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let capacity = (count + count / 2) as u32;
     let settings = Settings {
         grad_threshold: 2e-4,
+        normal_threshold: 0.0,
         split_size: 0.01 * w.extent,
         prune_opacity: 0.005,
         prune_weight: 1e-4,
@@ -89,6 +90,7 @@ fn inside(times: &[sgs_engine::graph::exec::PassTime]) -> Vec<f64> {
 fn values(s: &Settings) -> Values {
     Values {
         grad_threshold: s.grad_threshold as f32,
+        normal_threshold: s.normal_threshold as f32,
         split_size: s.split_size as f32,
         prune_opacity: s.prune_opacity as f32,
         prune_weight: s.prune_weight as f32,

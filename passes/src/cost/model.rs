@@ -31,7 +31,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     // What blending fetches for an entry: its number, its splat, footprint and features; what it leaves backward.
     let words = channels - if spec("COLOR_BITS") == 16.0 { 1.0 } else { 0.0 };
     let fetched = 8.0 + SPLAT_BYTES + 4.0 * words;
-    let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS"));
+    let own = if spec("STATISTIC") > 0.0 { 2.0 } else { 0.0 };
+    let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS") + own);
     let (bytes, operations) = match s.kernel {
         // And a bit of each Gaussian.
         "project_count" => ((SHAPE_BYTES + 0.125) * n, PROJECT * n),
@@ -50,11 +51,12 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
         // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 a channel.
         "blend_bwd" | "blend_bwd_splat" => {
-            ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
+            ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels + 8.0 * own) * c.pairs)
         }
         // Each sum is read and written where it is added.
         "blend_bwd_atomic" => {
-            ((fetched + 2.0 * gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels) * c.pairs)
+            let operations = 45.0 + 4.0 * channels + 8.0 * own;
+            ((fetched + 2.0 * gradients) * e + 4.0 * (channels + 1.0) * p, operations * c.pairs)
         }
         // The separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels.
         // Pixels are interleaved: whoever reads three channels fetches all.
@@ -65,7 +67,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "geometry_loss" => (56.0 * p, 450.0 * p),
         "project_bwd_adam" => {
             // Every scalar of a visible Gaussian and both its moments, read and written.
-            let gaussian = 24.0 * c.width + 12.0 + 4.0 * words + 24.0 * spec("STATISTICS");
+            let gaussian = 24.0 * c.width + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
             let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
@@ -116,11 +118,11 @@ fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
     Some(Cost { bytes, operations })
 }
 
-/// Densification: 68 bytes of parameters and statistics decide; flags, ranks and lists follow; then what is copied.
+/// Densification: 72 bytes of parameters and statistics decide; flags, ranks and lists follow; then what is copied.
 fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let n = c.gaussians;
     let bytes = match s.kernel {
-        "densify_decide" => 72.0 * n,
+        "densify_decide" => 76.0 * n,
         "densify_flags" => 16.0 * n,
         "densify_slots" => 8.0 * n + 4.0 * c.moved,
         "densify_assign" => 16.0 * n + 20.0 * c.moved,

@@ -3,7 +3,8 @@
 //! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of SGS-Intrinsic. A Gaussian
 //! is pruned if it is fainter than a threshold, has gathered too little blending weight, is too large, or has a number
 //! that is not finite. Of the others, one whose screen-space gradient is large on average is refined: cloned if it is
-//! small (parent and child equal), split if it is large (both halves drawn from it, scales divided by 1.6).
+//! small (parent and child equal), split if it is large (both halves drawn from it, scales divided by 1.6). A large mean
+//! gradient by its raw normal refines it as well, if `normal_threshold` is above 0.
 //!
 //! Promises:
 //! * the live Gaussians are `0..N'` afterwards, and at least one remains if there was one;
@@ -19,7 +20,7 @@
 //! (`densify_flags`); a list of the holes (`densify_slots`) and of who is copied where (`densify_assign`); the copies,
 //! group by group (`densify_move`); the halves of splits (`densify_split`); statistics to zero.
 //!
-//! Cost a Gaussian: 68 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
+//! Cost a Gaussian: 72 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
 //! Then 12 bytes read and 12 to 24 written for each scalar of what is cloned, split or moved (59 with all bands of
 //! spherical harmonics). Memory: 36 bytes for each Gaussian of the capacity, for the duration.
 
@@ -47,7 +48,7 @@ pub struct Densify {
     pub parameters: [Buffer; Group::COUNT],
     /// Moments, likewise.
     pub moments: [Buffer; Group::COUNT],
-    /// By Gaussian: sum of screen gradients, their number, sum of blending weights.
+    /// By Gaussian: sum of screen gradients, their number, sum of blending weights, sum of gradients by the raw normal.
     pub statistics: Buffer,
     /// The number of Gaussians, a `Work`.
     pub live: Buffer,

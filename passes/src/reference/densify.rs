@@ -9,6 +9,8 @@ use super::rng::{normal_from, random_bits};
 pub struct Settings {
     /// Mean screen gradient from which a Gaussian is refined.
     pub grad_threshold: f64,
+    /// Mean gradient by the raw normal from which it is refined as well; 0 for none.
+    pub normal_threshold: f64,
     /// Largest axis above which it is split, else cloned.
     pub split_size: f64,
     /// Fainter ones are pruned.
@@ -36,8 +38,8 @@ pub struct Candidate {
     pub opacity_logit: f64,
     /// Band 0 of the spherical harmonics.
     pub sh0: [f64; 3],
-    /// Sum of screen gradients, their number, sum of blending weights.
-    pub statistics: [f64; 3],
+    /// Sum of screen gradients, their number, sum of blending weights, sum of gradients by the raw normal.
+    pub statistics: [f64; 4],
 }
 
 /// What happens to a Gaussian.
@@ -94,9 +96,14 @@ pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
     if opacity < s.prune_opacity || c.statistics[2] < s.prune_weight || largest > s.prune_size {
         return Verdict::Prune { valid };
     }
-    let gradient = c.statistics[0] / c.statistics[1].max(1.0);
-    if !gradient.is_finite() || gradient < s.grad_threshold {
+    let count = c.statistics[1].max(1.0);
+    let (mut gradient, by_normal) = (c.statistics[0] / count, c.statistics[3] / count);
+    let by_normals = s.normal_threshold > 0.0 && by_normal >= s.normal_threshold;
+    if !gradient.is_finite() || (gradient < s.grad_threshold && !by_normals) {
         return Verdict::Keep;
+    }
+    if s.normal_threshold > 0.0 {
+        gradient = gradient.max(by_normal / s.normal_threshold * s.grad_threshold);
     }
     // Eight steps an octave: the leading bits of the number in 32 bits.
     let strength = 1 + ((gradient.max(0.0) as f32).to_bits() >> 20);

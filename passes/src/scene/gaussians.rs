@@ -6,8 +6,9 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;
 
-/// Scalars of the densification statistics: sum of screen gradients, count, sum of blending weights.
-pub const STATISTICS: u32 = 3;
+/// Scalars of the densification statistics: sum of screen gradients, count, sum of blending weights, sum of gradients by the
+/// raw normal.
+pub const STATISTICS: u32 = 4;
 
 /// Parameters of some Gaussians on the host, one flat array a group (empty for groups that the model lacks).
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -75,6 +75,28 @@ pub fn blend(
         .dispatch(groups(u64::from(screen.tiles()), 1))
 }
 
+/// Which losses' gradients enter the statistic of densification.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Statistic {
+    /// Those of color.
+    Photometric,
+    /// Those of normals and depth; gradients by raw normals are a second criterion.
+    Geometric,
+    /// All that reach the footprint, those of features included if features move geometry.
+    Total,
+}
+
+impl Statistic {
+    /// Its number in the kernels.
+    pub(crate) fn spec(self) -> u32 {
+        match self {
+            Statistic::Total => 0,
+            Statistic::Photometric => 1,
+            Statistic::Geometric => 2,
+        }
+    }
+}
+
 /// What backward starts from.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelGradients {
@@ -82,6 +104,8 @@ pub struct PixelGradients {
     pub image: Buffer,
     /// `[pixels]`: picture times gradient, summed over channels and transmittance.
     pub debt: Buffer,
+    /// A statistic of densification that needs moments of its own, and its debt ([`statistic_debt`]).
+    pub statistic: Option<(Statistic, Buffer)>,
 }
 
 /// Works out the debt of every pixel from the picture and its gradients. A loss of color alone does that by itself
@@ -97,7 +121,25 @@ pub fn blend_debt(
     blended: &Blended,
     gradient: &Blended,
 ) -> Result<PixelGradients, GraphError> {
-    let debt = g.transient("debt", 4 * screen.pixels());
+    let debt = statistic_debt(g, t, screen, channels, blended, gradient, Statistic::Total)?;
+    Ok(PixelGradients { image: gradient.image, debt, statistic: None })
+}
+
+/// The debt of the losses that enter a statistic of densification, from the gradients of all losses.
+///
+/// # Errors
+/// If the graph refuses the pass.
+pub fn statistic_debt(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    channels: u32,
+    blended: &Blended,
+    gradient: &Blended,
+    statistic: Statistic,
+) -> Result<Buffer, GraphError> {
+    let name = if statistic == Statistic::Total { "debt" } else { "statistic_debt" };
+    let debt = g.transient(name, 4 * screen.pixels());
     let bindings = blend_debt_kernel::Bindings {
         params: screen.step.into(),
         image: blended.image.into(),
@@ -106,10 +148,10 @@ pub fn blend_debt(
         grad_transmittance: gradient.transmittance.into(),
         debt: debt.into(),
     };
-    let specs = blend_debt_kernel::Specs { workgroup: t.workgroup, channels };
-    stage(g, "blend_debt", &blend_debt_kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+    let specs = blend_debt_kernel::Specs { workgroup: t.workgroup, channels, statistic: statistic.spec() };
+    stage(g, &format!("blend_{name}"), &blend_debt_kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))?;
-    Ok(PixelGradients { image: gradient.image, debt })
+    Ok(debt)
 }
 
 /// Backward of [`blend`]: gradients of every entry from those of the picture.
@@ -127,7 +169,9 @@ pub fn blend_bwd(
     weights: bool,
 ) -> Result<EntryGradients, GraphError> {
     let channels = visible.channels.count();
-    let floats = u64::from(6 + channels + u32::from(weights));
+    let statistic = gradient.statistic.map_or(Statistic::Total, |s| s.0);
+    let own = if statistic == Statistic::Total { 0 } else { 2 };
+    let floats = u64::from(6 + channels + u32::from(weights) + own);
     let reduced = which == BackwardKernel::Atomic;
     let (name, rows) =
         if reduced { ("splat_gradients", visible.capacity) } else { ("entry_gradients", entries.capacity) };
@@ -146,6 +190,7 @@ pub fn blend_bwd(
                 features: visible.features.into(),
                 grad_image: gradient.image.into(),
                 debt: gradient.debt.into(),
+                statistic_debt: gradient.statistic.map_or(gradient.debt, |s| s.1).into(),
                 $gradients: gradients.into(),
             };
             let specs = splat_specs!($kernel, t, { subgroup: t.subgroup_size,
@@ -154,6 +199,7 @@ pub fn blend_bwd(
                 tile_height: screen.tile[1],
                 channels,
                 weights: u32::from(weights),
+                statistic: statistic.spec(),
                 color_bits: visible.color_bits, });
             stage(g, stringify!($kernel), &sgs_shaders::$kernel::KERNEL, bindings.entries(), specs.entries(), &[])
                 .subgroup_size(Some(t.subgroup_size))
@@ -167,7 +213,7 @@ pub fn blend_bwd(
         BackwardKernel::Splat => add!(blend_bwd_splat, entry_gradients),
         BackwardKernel::Atomic => add!(blend_bwd_atomic, splat_gradients),
     }
-    Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights, reduced })
+    Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights, statistic, reduced })
 }
 
 pub(crate) fn per_lane(t: &Tuning, screen: &Screen) -> u32 {

@@ -13,7 +13,7 @@ mod project;
 mod show;
 
 pub(crate) use blend::per_lane;
-pub use blend::{BackwardKernel, Blended, PixelGradients, blend, blend_bwd, blend_debt};
+pub use blend::{BackwardKernel, Blended, PixelGradients, Statistic, blend, blend_bwd, blend_debt, statistic_debt};
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
     EntryFeatures, FeatureAdam, Wanted, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,

@@ -4,7 +4,7 @@
 //! 4 (d+1)² · 3 bytes of harmonics read, 36 + 4 C written (4 fewer with colors in 16 bits). Backward, fused: the gradients of its entries read
 //! once (4 (6 + C) bytes each), 12 bytes read and 12 written for each of its scalars.
 
-use super::{Channels, EntryFeatures, ExtraGradients, Screen};
+use super::{Channels, EntryFeatures, ExtraGradients, Screen, Statistic};
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
@@ -135,12 +135,15 @@ pub fn project(
 pub struct EntryGradients {
     /// First entry of each visible splat.
     pub starts: Buffer,
-    /// `[entries * (6 + channels + weights)]`; of visible splats in place of entries where these have been added up.
+    /// `[entries * (6 + channels + weights + statistic)]`; of visible splats in place of entries where these have been added
+    /// up.
     pub gradients: Buffer,
     /// What came through features, if that moves opacities and footprints.
     pub features: Option<EntryFeatures>,
     /// Whether the sum of weights is among them.
     pub weights: bool,
+    /// What enters the statistic of densification; unless it is all, two moments of its own are among them.
+    pub statistic: Statistic,
     /// Whether the entries of each splat have been added up.
     pub reduced: bool,
 }
@@ -209,6 +212,7 @@ pub fn project_bwd(
         has_normals: visible.channels.normals,
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
+        statistic: entries.statistic.spec(),
         reduced: entries.reduced,
         pose: into.pose.is_some(),
         features: feature_width(entries),
@@ -304,6 +308,7 @@ pub fn project_bwd_adam(
         has_normals: visible.channels.normals,
         has_depth: visible.channels.depth,
         weights: u32::from(entries.weights),
+        statistic: entries.statistic.spec(),
         reduced: entries.reduced,
         statistics: adam.statistics,
         mark_seen: adam.seen.is_some(),

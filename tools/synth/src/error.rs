@@ -25,6 +25,14 @@ pub enum SynthError {
         /// The largest allowed value.
         max: u64,
     },
+    /// A share lies outside 0 to 1.
+    #[error("{option} is {value}, but must be 0 to 1")]
+    NoShare {
+        /// The option's name.
+        option: &'static str,
+        /// The value given.
+        value: f32,
+    },
     /// The output directory holds something that may not be replaced.
     #[error("{} already holds something; choose another directory or allow it to be replaced", .0.display())]
     OutputOccupied(PathBuf),

@@ -145,7 +145,8 @@ impl Job<'_> {
         let regions = masks::imitate(&film, options.seed, number);
         view::priors(stage, &stem, &film, &maps, &regions)?;
         if train {
-            let features = semantic::imitate(&film, self.embeddings, options.seed, number);
+            let grid = semantic::Grid { cell: options.semantic_cell, wrong: options.semantic_wrong };
+            let features = semantic::imitate(&film, self.embeddings, grid, options.seed, number);
             view::semantic(stage, &stem, &features)?;
         } else {
             for relighting in self.relightings {
@@ -161,7 +162,7 @@ impl Job<'_> {
         let stage = self.stage;
         let frame = json!({ "normal": { "frame": "camera-opengl" } });
         stage.write("priors/priors.json", &meta::text(&frame))?;
-        let labels = meta::labels(semantic::DIM, semantic::CELL);
+        let labels = meta::labels(semantic::DIM, self.options.semantic_cell);
         stage.write("priors/semantic/labels.json", &meta::text(&labels))?;
         stage.write("gt/semantic/labels.json", &meta::text(&json!({ "labels": CLASSES })))?;
         let flat: Vec<u8> = self.embeddings.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();

@@ -95,6 +95,10 @@ pub struct SynthOptions {
     pub samples_per_pixel: usize,
     /// Surface points in `points.ply`.
     pub points: usize,
+    /// Pixels along the side of a cell of semantic priors; 1 for maps at image resolution.
+    pub semantic_cell: usize,
+    /// Share of the regions of semantic priors that have the class of another place in the view, 0 to 1.
+    pub semantic_wrong: f32,
     /// Whether images are denoised; without it they are the plain average of their samples.
     pub denoise: bool,
     /// Whether `gt/relit` is written: the test views under other lighting, where the scene has several light groups.
@@ -114,6 +118,8 @@ impl Default for SynthOptions {
             seed: 1,
             samples_per_pixel: 48,
             points: 5000,
+            semantic_cell: 8,
+            semantic_wrong: 0.0,
             denoise: true,
             relit: true,
             replace: false,
@@ -128,19 +134,26 @@ impl SynthOptions {
     ///
     /// [`SynthError::OutOfRange`] for the first option that lies outside.
     pub fn validate(&self) -> Result<(), SynthError> {
-        let limits: [(&'static str, usize, u64, u64); 6] = [
+        let limits: [(&'static str, usize, u64, u64); 7] = [
             ("the number of training views", self.views, 1, 2000),
             ("the number of test views", self.test_views, 0, 2000),
             ("the image width", self.width, 16, 2048),
             ("the image height", self.height, 16, 2048),
             ("the number of samples per pixel", self.samples_per_pixel, 1, 65_536),
             ("the number of points", self.points, 0, 5_000_000),
+            ("the size of a semantic cell in pixels", self.semantic_cell, 1, 256),
         ];
         for (option, value, min, max) in limits {
             let value = value as u64;
             if value < min || value > max {
                 return Err(SynthError::OutOfRange { option, value, min, max });
             }
+        }
+        if !(0.0..=1.0).contains(&self.semantic_wrong) {
+            return Err(SynthError::NoShare {
+                option: "the share of wrong semantic regions",
+                value: self.semantic_wrong,
+            });
         }
         Ok(())
     }

@@ -67,10 +67,10 @@ pub use run::{IntrinsicLog, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
-    AutomaticSettings, Backward, DensifyOptions, EnvironmentSettings, GeometrySettings, IntrinsicLosses,
-    IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MOST_BANDS, MaterialStart,
-    MemorySettings, Metallic, OnDivergence, PRESETS, Preset, ProviderSettings, Rates, RelightSettings, Settings,
-    ShDegree, TrainSettings, VisibilityKind, VisibilitySettings, accuracy_named, overlay,
+    AutomaticSettings, Backward, DensifyOptions, DensifyStatistic, EnvironmentSettings, GeometrySettings,
+    IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MOST_BANDS,
+    MaterialStart, MemorySettings, Metallic, OnDivergence, PRESETS, Preset, ProviderSettings, Rates, RelightSettings,
+    Settings, ShDegree, TrainSettings, VisibilityKind, VisibilitySettings, accuracy_named, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

@@ -1,6 +1,6 @@
 //! What a step is made of, as a function of its number alone: resuming needs nothing but the number.
 
-use crate::settings::{Rates, Settings, ShDegree};
+use crate::settings::{DensifyStatistic, Rates, Settings, ShDegree};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Schedules of a run.
@@ -130,6 +130,7 @@ impl Schedule {
         let after_reset = d.reset_interval > 0 && step > d.reset_interval;
         Some(DensifySettings {
             grad_threshold: d.grad_threshold,
+            normal_threshold: if d.statistic == DensifyStatistic::Geometric { d.normal_threshold } else { 0.0 },
             split_size: (d.split_size * self.extent) as f32,
             prune_opacity: d.prune_opacity,
             prune_weight: self.least_weight(step),

@@ -9,7 +9,7 @@ use sgs_passes::Tuning;
 use sgs_passes::loss::{count_targets, normalize_embeddings, semantic_targets};
 use sgs_passes::pipeline::{SemanticInputs, SemanticSizes, SemanticTarget, Step};
 use sgs_passes::scene::{Decoder, EMBEDDING};
-use sgs_scene::{FeatureMap, Scene, TextEmbeddings};
+use sgs_scene::{Camera, FeatureMap, Scene, TextEmbeddings};
 use std::sync::Arc;
 
 /// A view's map in the buffers of all.
@@ -61,6 +61,7 @@ pub struct SemanticData {
 
 impl SemanticMaps {
     /// Looks at the maps of the training views; none without text embeddings or without any map. Maps may differ in size.
+    /// Of a map that is larger than its image, the cells nearest to the image's pixels are kept.
     ///
     /// # Errors
     /// If a file cannot be used, a width is not 512, or there are too many samples.
@@ -79,7 +80,7 @@ impl SemanticMaps {
         // One map at a time is in the host's memory.
         for &i in &scene.split.train {
             let map = scene.semantic_prior(i)?;
-            let size = map.map_or([0, 0], |m| [m.width as u32, m.height as u32]);
+            let size = map.map_or([0, 0], |m| size_within(&m, &scene.views[i].camera));
             views.push(SemanticView { size, offset: samples as u32, ..Default::default() });
             samples += u64::from(size[0]) * u64::from(size[1]);
             largest = largest.max(size[0] * size[1]);
@@ -96,6 +97,27 @@ impl SemanticMaps {
         Ok(Some(SemanticMaps { text, views, samples, largest }))
     }
 
+    /// Refuses maps that together exceed what a kernel can be bound to.
+    ///
+    /// # Errors
+    /// If the device's largest binding is smaller than the features of all views.
+    pub fn check(&self, device: &Device) -> Result<()> {
+        let (bytes, most) = (self.samples * 2 * EMBEDDING as u64, device.info().max_storage_range);
+        if bytes <= most {
+            return Ok(());
+        }
+        let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+        Err(TrainError::Memory(format!(
+            "The semantic maps of {} views hold {} cells in {} MiB, but {} binds at most {} MiB at once; use smaller maps in \
+             priors/semantic, --scale or --views.",
+            self.views.len(),
+            self.samples,
+            mib(bytes),
+            device.info().name,
+            most >> 20
+        )))
+    }
+
     /// What they will take.
     pub fn sizes(&self) -> SemanticSizes {
         SemanticSizes { samples: self.samples, largest: self.largest, classes: self.text.labels.len() as u32 }
@@ -110,7 +132,8 @@ impl SemanticMaps {
         let row = 2 * EMBEDDING as u64;
         let features = device.buffer("semantic_features", samples * row, Location::Device)?;
         for (&i, view) in scene.split.train.iter().zip(&views) {
-            if let Some(FeatureMap { data, .. }) = scene.semantic_prior(i)? {
+            if let Some(map) = scene.semantic_prior(i)? {
+                let FeatureMap { data, .. } = thinned(map, view.size);
                 device.upload(&features, u64::from(view.offset) * row, bytemuck::cast_slice::<f16, u8>(&data))?;
             }
         }
@@ -157,6 +180,32 @@ impl SemanticMaps {
 fn labels_of(device: &Device, targets: &DeviceBuffer, samples: usize) -> Result<Vec<u32>> {
     let said: Vec<SemanticTarget> = device.download_as(targets, samples)?;
     Ok(said.iter().map(|t| t.label).collect())
+}
+
+/// Columns and rows of a map that are used with a camera: no more than the image has.
+fn size_within(map: &FeatureMap, camera: &Camera) -> [u32; 2] {
+    [(map.width as u32).min(camera.width), (map.height as u32).min(camera.height)]
+}
+
+/// The map with so many columns and rows: of more, those nearest to evenly spread ones, the first and the last included.
+fn thinned(map: FeatureMap, [width, height]: [u32; 2]) -> FeatureMap {
+    let (width, height) = (width as usize, height as usize);
+    if (map.width, map.height) == (width, height) {
+        return map;
+    }
+    let nearest = |i: usize, of: usize, from: usize| match of {
+        0 | 1 => 0,
+        _ => (2 * i * (from - 1) + of - 1) / (2 * (of - 1)),
+    };
+    let mut data = Vec::with_capacity(width * height * map.channels);
+    for row in 0..height {
+        let row = nearest(row, height, map.height) * map.width;
+        for column in 0..width {
+            let at = (row + nearest(column, width, map.width)) * map.channels;
+            data.extend_from_slice(&map.data[at..at + map.channels]);
+        }
+    }
+    FeatureMap { width, height, channels: map.channels, data }
 }
 
 impl SemanticData {
@@ -228,4 +277,28 @@ fn work_out(
         exec.finish()
     };
     Ok(run()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_larger_than_the_image_keep_the_nearest_cells() {
+        let map = |width: usize, height: usize| FeatureMap {
+            width,
+            height,
+            channels: 1,
+            data: (0..width * height).map(|i| f16::from_f32(i as f32)).collect(),
+        };
+        let kept = |of: FeatureMap, size: [u32; 2]| -> Vec<f32> {
+            let kept = thinned(of, size);
+            assert_eq!([kept.width as u32, kept.height as u32], size);
+            kept.data.iter().map(|v| v.to_f32()).collect()
+        };
+        assert_eq!(kept(map(5, 1), [5, 1]), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(kept(map(5, 1), [3, 1]), [0.0, 2.0, 4.0]);
+        assert_eq!(kept(map(9, 2), [4, 2]), [0.0, 3.0, 5.0, 8.0, 9.0, 12.0, 14.0, 17.0]);
+        assert_eq!(kept(map(4, 3), [1, 1]), [0.0]);
+    }
 }

@@ -15,9 +15,9 @@ use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step};
 use crate::splat::{
-    Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen, Visible,
-    Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
-    features_pack, intersect, project, project_bwd_adam, wanted_words,
+    Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen,
+    Statistic, Visible, Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd,
+    features_bwd_adam, features_pack, intersect, project, project_bwd_adam, statistic_debt, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
@@ -93,14 +93,15 @@ pub(super) fn build(
         None => None,
     };
     let mut entry_gradients =
-        blend_bwd(g, t, &screen, &view.visible, &view.entries, &gradient, o.backward, o.statistics)?;
+        blend_bwd(g, t, &screen, &view.visible, &view.entries, &gradient, o.backward, o.statistics.is_some())?;
     entry_gradients.features = meaning.as_ref().map(|m| m.entries).filter(|_| o.semantic_geometry);
     let extra = meaning.as_ref().and_then(|m| m.pseudo.as_ref()).and_then(|p| p.extra);
     let seen = (o.dense_adam || extra.is_some()).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;
     }
-    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics: o.statistics, seen, extra };
+    let statistics = o.statistics.is_some();
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra };
     project_bwd_adam(g, t, &screen, gaussians, &view.visible, &entry_gradients, &adam)?;
     if let (Some(meaning), Some(moments)) = (&meaning, gaussians.moments) {
         let moments = moments[Group::Semantics as usize];
@@ -165,7 +166,10 @@ fn appearance(
     let loss = Photometric { step, image: view.blended.image, targets: inputs.targets, channels, largest: o.largest };
     let partials = photometric(g, *t, &loss)?;
     if !o.channels.normals && !o.channels.depth {
-        let gradient = photometric_bwd_in_place(g, *t, &loss, &partials)?;
+        let mut gradient = photometric_bwd_in_place(g, *t, &loss, &partials)?;
+        // Of what a step compares, features alone are no color.
+        let apart = inputs.semantics.is_some() && o.semantic_geometry;
+        gradient.statistic = own_statistic(o).filter(|_| apart).map(|which| (which, gradient.debt));
         loss_sum(g, *t, step, (partials.sums, partials.count), None, stats)?;
         return Ok(gradient);
     }
@@ -187,7 +191,17 @@ fn appearance(
     };
     let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
     loss_sum(g, *t, step, (partials.sums, partials.count), Some((sums.sums, sums.count)), stats)?;
-    blend_debt(g, t, screen, channels, &view.blended, &gradient)
+    let mut owed = blend_debt(g, t, screen, channels, &view.blended, &gradient)?;
+    if let Some(which) = own_statistic(o) {
+        let debt = statistic_debt(g, t, screen, channels, &view.blended, &gradient, which)?;
+        owed.statistic = Some((which, debt));
+    }
+    Ok(owed)
+}
+
+/// The statistic of densification, unless it is that of all gradients.
+fn own_statistic(o: &GeometryOptions) -> Option<Statistic> {
+    o.statistics.filter(|which| *which != Statistic::Total)
 }
 
 /// What the losses of features leave.
@@ -220,7 +234,8 @@ fn meaning(
     let mask = region.as_ref().map(|r| r.mask);
     wanted_samples(g, *t, screen, mask, s.targets.targets, wanted)?;
     let image = g.transient("feature_image", FEATURE_BYTES * screen.pixels());
-    let shown = Wanted { pixels: wanted, dense: region.is_some() };
+    let dense = region.is_some() || 2 * u64::from(s.targets.largest) >= screen.pixels();
+    let shown = Wanted { pixels: wanted, dense };
     blend_features(g, t, screen, gaussians, &view.visible, &view.entries, shown, image)?;
     let prepared = semantic_prepare(g, *t, &s.head)?;
     let gradient = g.transient("grad_feature_image", FEATURE_BYTES * screen.pixels());

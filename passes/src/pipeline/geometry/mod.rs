@@ -12,7 +12,7 @@ use super::Step;
 use super::status::{Status, StatusHandles};
 use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
-use crate::splat::{BackwardKernel, Channels};
+use crate::splat::{BackwardKernel, Channels, Statistic};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph, Plan};
 use sgs_engine::{Device, Result, Ticket};
@@ -41,8 +41,8 @@ pub struct GeometryOptions {
     pub entry_capacity: u32,
     /// What is blended; normals and depth only where a loss needs them.
     pub channels: Channels,
-    /// Whether densification statistics are gathered.
-    pub statistics: bool,
+    /// Which losses' gradients enter the statistics of densification, if these are gathered.
+    pub statistics: Option<Statistic>,
     /// Whether Adam also moves what a step did not see.
     pub dense_adam: bool,
     /// Which backward kernel.

@@ -216,7 +216,7 @@ fn tensors() -> Files {
     for (name, (_, shape, _)) in moments.iter().zip(&groups) {
         state.push((name.as_str(), vec![shape[0], shape[1], 2], 0.0));
     }
-    state.push(("statistics", vec![2, 3], 0.0));
+    state.push(("statistics", vec![2, 4], 0.0));
     let state = tensor_file(&state, &[], &meta);
     let decisions = "[{\"step\":0,\"what\":\"lights\",\"on\":true,\"reason\":\"there are lamps\",\"setting\":\"intrinsic.lights.count\"},\
                      {\"step\":20,\"what\":\"pace\",\"on\":false,\"reason\":\"8 steps\",\"measured\":0.01,\"asked\":0.02,\"setting\":\"x\"}]";

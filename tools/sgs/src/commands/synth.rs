@@ -18,6 +18,12 @@ pub struct Args {
     /// Columns and rows of the images.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
+    /// Pixels along a cell of the semantic priors; 1 for maps at image resolution.
+    #[arg(long, value_name = "PIXELS", default_value_t = 8)]
+    semantic_cell: usize,
+    /// Share of the regions of the semantic priors whose class is wrong, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    semantic_wrong: f32,
     /// Seed of furniture and noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -31,6 +37,7 @@ fn size(text: &str) -> Result<(usize, usize), String> {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut options = sgs_synth::SynthOptions { scene: a.scene.parse()?, seed: a.seed, ..Default::default() };
+    (options.semantic_cell, options.semantic_wrong) = (a.semantic_cell, a.semantic_wrong);
     if let Some(views) = a.views {
         options.views = views;
     }

@@ -1,4 +1,5 @@
-//! Imitated language-aligned features: class embeddings on a coarse grid, mixed at borders, with noise.
+//! Imitated language-aligned features: class embeddings on a grid, mixed at borders, with noise. Whole regions may have a wrong
+//! class.
 
 use half::f16;
 
@@ -9,8 +10,8 @@ use crate::trace::film::Film;
 
 /// Length of an embedding.
 pub(crate) const DIM: usize = 512;
-/// Pixels along the side of a feature cell.
-pub(crate) const CELL: usize = 8;
+/// Pixels along the side of the regions that have a wrong class, and of the cells that features' noise is made for.
+const REGION: usize = 8;
 
 /// One unit vector a class. A label has the same vector in every scene, so features compare across scenes.
 pub(crate) fn embeddings() -> Vec<Vec<f32>> {
@@ -33,15 +34,25 @@ pub(crate) struct Features {
     pub(crate) values: Vec<f16>,
 }
 
+/// How feature maps are made.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Grid {
+    /// Pixels along the side of a cell.
+    pub(crate) cell: usize,
+    /// Share of the regions that have the class of another place in the view.
+    pub(crate) wrong: f32,
+}
+
 /// The features of one view.
-pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], seed: u64, view: u64) -> Features {
-    let (height, width) = (film.height.div_ceil(CELL), film.width.div_ceil(CELL));
+pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], grid: Grid, seed: u64, view: u64) -> Features {
+    let (height, width) = (film.height.div_ceil(grid.cell), film.width.div_ceil(grid.cell));
+    let classes = classes(film, grid.wrong, seed, view);
     let mut rng = Rng::new(&[seed, view, 31]);
     let salt = rng.next_u32();
     let mut values = Vec::with_capacity(height * width * DIM);
     for row in 0..height {
         for column in 0..width {
-            let share = shares(film, row, column);
+            let share = shares(film, &classes, grid.cell, row, column);
             let mut feature = vec![0.0; DIM];
             for (class, share) in share.iter().enumerate().filter(|(_, s)| **s > 0.0) {
                 for (f, e) in feature.iter_mut().zip(&embeddings[class]) {
@@ -50,7 +61,7 @@ pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], seed: u64, view: u64
             }
             let mut feature = unit(feature);
             // Half of the noise is shared with neighbors, as features of large receptive fields are.
-            let place = glam::Vec2::new(column as f32, row as f32) / 3.0;
+            let place = glam::Vec2::new(column as f32, row as f32) * (grid.cell as f32 / REGION as f32) / 3.0;
             let scale = 1.0 / (DIM as f32).sqrt();
             for (k, f) in feature.iter_mut().enumerate() {
                 let slow = (value(place, salt.wrapping_add(k as u32)) - 0.5) * 4.5;
@@ -62,16 +73,32 @@ pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], seed: u64, view: u64
     Features { height, width, values }
 }
 
-/// How much of a cell and its surroundings belongs to each class.
-fn shares(film: &Film, row: usize, column: usize) -> Vec<f32> {
+/// The class of every pixel, after some regions got that of another place in the view.
+fn classes(film: &Film, wrong: f32, seed: u64, view: u64) -> Vec<usize> {
+    let truth: Vec<usize> = film.features.iter().map(|f| f.class as usize).collect();
+    let mut rng = Rng::new(&[seed, view, 32]);
+    let across = film.width.div_ceil(REGION);
+    let moved: Vec<Option<usize>> = (0..across * film.height.div_ceil(REGION))
+        .map(|_| {
+            // Both numbers are always drawn, so that a larger share makes the same regions wrong and more.
+            let (chance, place) = (rng.uniform(), rng.index(truth.len()));
+            (chance < wrong).then(|| truth[place])
+        })
+        .collect();
+    let region = |i: usize| i / film.width / REGION * across + i % film.width / REGION;
+    truth.iter().enumerate().map(|(i, class)| moved[region(i)].unwrap_or(*class)).collect()
+}
+
+/// How much of a cell and a margin of a quarter around it belongs to each class.
+fn shares(film: &Film, classes: &[usize], cell: usize, row: usize, column: usize) -> Vec<f32> {
     let mut share = vec![0.0; CLASSES.len()];
-    let span = |cell: usize, limit: usize| {
-        let from = (cell * CELL).saturating_sub(CELL / 4);
-        from..((cell + 1) * CELL + CELL / 4).min(limit)
+    let span = |i: usize, limit: usize| {
+        let from = (i * cell).saturating_sub(cell / 4);
+        from..((i + 1) * cell + cell / 4).min(limit)
     };
     for y in span(row, film.height) {
         for x in span(column, film.width) {
-            share[film.features[y * film.width + x].class as usize] += 1.0;
+            share[classes[y * film.width + x]] += 1.0;
         }
     }
     let total: f32 = share.iter().sum();

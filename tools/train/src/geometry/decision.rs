@@ -1,6 +1,7 @@
 //! What was decided about the model: what, when, and by what measure. `training.json` holds all of it.
 
-use crate::settings::Settings;
+use crate::error::{Result, TrainError};
+use crate::settings::{DensifyStatistic, GeometrySettings, Settings};
 use serde::{Deserialize, Serialize};
 
 /// A decision about what is modeled.
@@ -70,6 +71,19 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         of("semantics", found[1], semantics, "geometry.semantics"),
         of("pseudo-views", found[2], regions, "geometry.correspondence"),
     ]
+}
+
+/// Refuses a geometric statistic of densification where no geometric loss has a weight: nothing would be densified.
+pub(super) fn check_statistic(g: &GeometrySettings, normals: bool) -> Result<()> {
+    let d = &g.densify;
+    if !d.enabled || d.statistic != DensifyStatistic::Geometric || normals || g.depth_terms() {
+        return Ok(());
+    }
+    Err(TrainError::Setting(
+        "geometry.densify.statistic = \"geometric\" requires a loss of normals or depth; set geometry.depth_smooth = true, use \
+         another statistic, or add --no-densify."
+            .into(),
+    ))
 }
 
 impl Decision {

@@ -143,6 +143,7 @@ impl Geometry {
         let wants_views = g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let (data, maps) = given.read(wants_normals, wants_semantics)?;
+        maps.iter().try_for_each(|maps| maps.check(device))?;
         let inputs = InputSizes {
             targets: data.image_bytes(),
             normals: data.normal_bytes(),
@@ -163,6 +164,7 @@ impl Geometry {
             initial.normals = Some(initial_normals(&start.means, &views));
             start = &initial;
         }
+        decision::check_statistic(g, model.normals)?;
         let count = start.len() as u32;
         let all_bands = Model { sh_degree: sh_degree.max(g.sh_degree.most()), ..model };
         let most = most_by_binding(device, all_bands);
@@ -174,7 +176,7 @@ impl Geometry {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { colors: true, normals: model.normals, depth },
-            statistics: g.densify.enabled,
+            statistics: g.densify.enabled.then(|| g.densify.statistic.gathered()),
             dense_adam: g.dense_adam,
             backward: kernel_of(g.backward, device)?,
             semantic_geometry: g.semantic_geometry,

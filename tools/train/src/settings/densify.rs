@@ -2,6 +2,30 @@
 
 use crate::error::{Result, TrainError};
 use serde::{Deserialize, Serialize};
+use sgs_passes::splat::Statistic;
+
+/// Which losses' gradients enter the statistic of densification.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DensifyStatistic {
+    /// Screen gradients of the photometric loss.
+    Photometric,
+    /// Screen gradients of the losses of normals and depth, or gradients by raw normals: the published statistic.
+    Geometric,
+    /// Screen gradients of every loss, semantic losses included if they move geometry.
+    Total,
+}
+
+impl DensifyStatistic {
+    /// What kernels gather.
+    pub fn gathered(self) -> Statistic {
+        match self {
+            DensifyStatistic::Photometric => Statistic::Photometric,
+            DensifyStatistic::Geometric => Statistic::Geometric,
+            DensifyStatistic::Total => Statistic::Total,
+        }
+    }
+}
 
 /// Densification (Kerbl et al. 2023, section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,8 +39,12 @@ pub struct DensifyOptions {
     pub until: f64,
     /// Steps between.
     pub interval: u32,
-    /// Mean screen gradient (NDC) from which a Gaussian is refined.
+    /// Which losses' gradients count.
+    pub statistic: DensifyStatistic,
+    /// Mean screen gradient (NDC) from which a Gaussian is refined. The published value for "geometric" is 1e-4.
     pub grad_threshold: f32,
+    /// Mean gradient by its raw normal from which a Gaussian is refined as well. Only "geometric" uses it; 0 for none.
+    pub normal_threshold: f32,
     /// Largest scale that is cloned rather than split, as a fraction of the extent.
     pub split_size: f64,
     /// Fainter Gaussians are pruned.
@@ -42,7 +70,9 @@ impl Default for DensifyOptions {
             from: 500,
             until: 0.8,
             interval: 100,
+            statistic: DensifyStatistic::Total,
             grad_threshold: 4e-4,
+            normal_threshold: 6e-8,
             split_size: 0.01,
             prune_opacity: 0.005,
             prune_weight: 1e-4,
@@ -61,6 +91,7 @@ impl DensifyOptions {
         let fail = |what: String| Err(TrainError::Setting(what));
         for (name, value) in [
             ("grad_threshold", f64::from(self.grad_threshold)),
+            ("normal_threshold", f64::from(self.normal_threshold)),
             ("split_size", self.split_size),
             ("prune_opacity", f64::from(self.prune_opacity)),
             ("prune_weight", f64::from(self.prune_weight)),

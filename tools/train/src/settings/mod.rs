@@ -15,7 +15,7 @@ mod train;
 pub use accuracy::accuracy_named;
 pub use automatic::AutomaticSettings;
 pub use degree::{MOST_BANDS, ShDegree};
-pub use densify::DensifyOptions;
+pub use densify::{DensifyOptions, DensifyStatistic};
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
