@@ -16,12 +16,12 @@ use sgs_shaders::structs::{Densify as Values, DensifyStats, Work};
 /// A tenth is refined, a tenth pruned, as in the first thousands of steps.
 fn statistics(count: usize) -> Vec<f32> {
     let mut rng = Pcg::new(6);
-    let mut all = Vec::with_capacity(3 * count);
+    let mut all = Vec::with_capacity(4 * count);
     for _ in 0..count {
         let kind = rng.uniform();
         let gradient = if kind < 0.1 { rng.range(3e-4, 1e-2) } else { rng.range(0.0, 1e-4) };
         let weight = if kind > 0.9 { 0.0 } else { rng.range(0.1, 5.0) };
-        all.extend([gradient as f32, 1.0, weight as f32]);
+        all.extend([gradient as f32, 1.0, weight as f32, 0.0]);
     }
     all
 }
@@ -116,7 +116,7 @@ fn check(
             rotation: [0, 1, 2, 3].map(|k| of(Group::Rotations, 4 * i + k)),
             opacity_logit: of(Group::OpacityLogits, i),
             sh0: [0, 1, 2].map(|k| of(Group::Sh0, 3 * i + k)),
-            statistics: [0, 1, 2].map(|k| f64::from(statistics[3 * i + k])),
+            statistics: [0, 1, 2, 3].map(|k| f64::from(statistics[4 * i + k])),
         };
         match verdict(&candidate, settings) {
             Verdict::Prune { .. } => pruned += 1,
