@@ -3,7 +3,7 @@
     engine-bench passes --filter lights --dump CASE
     python3 shading_torch.py CASE [--repeats 3] [--threads N]
 
-Reads the case that engine-bench wrote, shades forward and back with tensors of pixels x lights x lobes and automatic
+Uses every core that the process may use, as the kernels do, unless `--threads` says otherwise. Reads the case that engine-bench wrote, shades forward and back with tensors of pixels x lights x lobes and automatic
 differentiation, compares radiance and every gradient with those of the kernels, and prints its times beside theirs. Exit status 1 if they disagree.
 Needs torch and numpy.
 """
@@ -11,6 +11,7 @@ Needs torch and numpy.
 import argparse
 import json
 import math
+import os
 import pathlib
 import sys
 import time
@@ -76,8 +77,7 @@ def main():
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--threads", type=int)
     options = parser.parse_args()
-    if options.threads:
-        torch.set_num_threads(options.threads)
+    torch.set_num_threads(options.threads or len(os.sched_getaffinity(0)))
     case = json.loads((options.case / "case.json").read_text())
     pixels, lights, lobes = case["pixels"], case["lights"], case["lobes"]
     get = lambda name, *shape: load(options.case, name, shape)

@@ -28,12 +28,12 @@ impl Finished {
         self
     }
 
-    /// Fails unless the program refused with exit status 1, nothing on standard output, and one sentence on standard
-    /// error that holds all of the words. Warnings may come before it.
+    /// Fails unless the program refused with the exit status of a refusal, nothing on standard output, and one sentence on
+    /// standard error that holds all of the words. Warnings may come before it.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) -> &Finished {
         let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
-        assert_eq!(self.status, Some(1), "{context}");
+        assert!(self.status.is_some_and(|s| [1, 2, 42, 75].contains(&s)), "{context}");
         assert_eq!(self.stdout, "", "{context}");
         self.assert_no_panic();
         let said: Vec<&str> =
@@ -44,6 +44,14 @@ impl Finished {
             assert!(sentence.contains(word), "\"{word}\" is missing: {context}");
         }
         self
+    }
+
+    /// As [`Finished::refused`], with one exit status.
+    #[track_caller]
+    pub fn refused_with(&self, status: i32, words: &[&str]) -> &Finished {
+        let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
+        assert_eq!(self.status, Some(status), "{context}");
+        self.refused(words)
     }
 
     /// Fails if the program panicked.

@@ -128,7 +128,7 @@ fn what_is_done_is_not_done_again() {
     // A variant alone leaves the others in the table; other settings leave nothing.
     ablate(&place, &["-q", "--only", "rgb"]).ok();
     assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 3);
-    ablate(&place, &["-q", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
+    ablate(&place, &["-q", "--force", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
     let table = json(&place, "table/ablation.json");
     assert_eq!(table["variants"].as_array().unwrap().len(), 1);
     assert_eq!(table["variants"][0]["runs"].as_array().unwrap().len(), 2);
@@ -146,7 +146,7 @@ fn an_interrupted_table_is_gone_on_with() {
     let reached = until(&mut child, || place.logged("table/normal_seed5").last().is_some_and(|s| *s >= 20));
     signal(&child, "INT");
     let stopped = wait(child);
-    assert!(reached && stopped.status == Some(1), "{stopped:?}");
+    assert!(reached && stopped.status == Some(130), "{stopped:?}");
     assert!(stopped.stderr.contains("stopped in") && stopped.stderr.contains("normal_seed5"), "{stopped:?}");
     let half = json(&place, "table/ablation.json");
     assert_eq!(half["variants"].as_array().unwrap().len(), 2, "what is done is in the table");

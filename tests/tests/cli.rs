@@ -1,4 +1,4 @@
-//! What `sgs` refuses and how: one clear sentence, exit status 1; 2 for wrong usage; never a panic.
+//! What `sgs` refuses and how: one clear sentence, a status of refusal; never a panic.
 
 use glam::DVec3;
 use serde_json::json;
@@ -27,6 +27,9 @@ impl Place {
         let (scene, run) = (self.text("scene"), self.text("run"));
         let mut arguments = vec!["train", &scene, "-o", &run, "--geometry-steps", "2"];
         arguments.extend(more);
+        if !more.contains(&"--resume") {
+            arguments.push("--force");
+        }
         sgs(&arguments)
     }
 

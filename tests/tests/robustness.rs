@@ -92,7 +92,7 @@ fn a_table_of_two_cases_is_that_of_trainings_by_hand_and_gone_on_with() {
     let reached = until(&mut child, || place.logged("again/normals_seed5").last().is_some_and(|s| *s >= 20));
     signal(&child, "INT");
     let stopped = wait(child);
-    assert!(reached && stopped.status == Some(1), "{stopped:?}");
+    assert!(reached && stopped.status == Some(130), "{stopped:?}");
     assert!(stopped.stderr.contains("stopped in") && stopped.stderr.contains("normals_seed5"), "{stopped:?}");
     assert_eq!(json(&place, "again/robustness.json")["variants"].as_array().unwrap().len(), 1);
     sgs(&long).ok();

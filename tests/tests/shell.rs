@@ -70,6 +70,7 @@ fn shells_get_completions() {
     assert_eq!(offered(&bash, &["sgs", "rel"]), ["relight"]);
     assert!(offered(&bash, &["sgs", "render", "--cam"]).contains(&"--cameras".to_owned()));
     assert_eq!(offered(&bash, &["sgs", "train", "--stage", "ge"]), ["geometry"]);
+    assert_eq!(offered(&bash, &["sgs", "train", "--preset", "pa"]), ["paper", "parity"]);
     let refused = sgs(&["completions", "tcl"]);
     assert_eq!(refused.status, Some(2));
 }

@@ -39,8 +39,9 @@ fn settings_and_seed_decide() {
     let other = ["train", &place.text("scene"), "-o", &place.text("a"), "--resume", "--seed", "9"];
     sgs(&other).refused(&["seed = 3", "9", "resume"]);
     place.assert_same("a", "b");
-    // Training into an old run forgets it: what is killed before its first checkpoint resumes as itself.
-    let mut child = start(&place.arguments("d", 4000, &["--seed", "3", "--set", "geometry.checkpoint_interval=0"]));
+    // Training over an old run forgets it: what is killed before its first checkpoint resumes as itself.
+    let mut child =
+        start(&place.arguments("d", 4000, &["--seed", "3", "--force", "--set", "geometry.checkpoint_interval=0"]));
     let begun = until(&mut child, || place.logged("d").last() == Some(&10));
     signal(&child, "KILL");
     wait(child);

@@ -163,6 +163,7 @@ fn the_program_says_one_sentence_and_its_files_stay_whole() {
     sgs(&place.arguments("run", 20, &[])).ok();
     let before = ["run/scene.ply", "run/log.jsonl", "run/config.toml"].map(|f| place.read(f));
     let text = place.text("run");
+    std::fs::remove_file(place.path("run/training.json")).unwrap();
     sgs(&["train", &place.text("scene"), "-o", &text, "--resume", "--timeout", "1e-9"]).refused(&["did not finish"]);
     assert!(before == ["run/scene.ply", "run/log.jsonl", "run/config.toml"].map(|f| place.read(f)));
     place.resume("run").ok();

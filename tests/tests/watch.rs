@@ -127,7 +127,7 @@ fn a_page_follows_the_training() {
 
     signal(&child, "INT");
     let ended = wait(child);
-    assert_eq!(ended.status, Some(1), "{}", ended.stderr);
+    assert_eq!(ended.status, Some(130), "{}", ended.stderr);
     ended.assert_no_panic();
     assert!(TcpListener::bind(("127.0.0.1", number)).is_ok(), "the port is still open");
     until_page(&mut browser, "document.body.classList.contains('ended')");

@@ -102,6 +102,8 @@ impl Scene {
     /// Every image's header is read and compared with its camera; pixels are not.
     pub fn open(path: &Path, options: &SceneOptions) -> Result<Self> {
         options.check()?;
+        let root = reader::scene_root(path);
+        let path = root.as_path();
         let layout = reader::recognize(path)?;
         let reader::Found { mut frames, missing, points, mut warnings, own_split } = reader::read(path, layout)?;
         frames.sort_by_cached_key(|frame| natural_key(&frame.camera.name));
@@ -132,10 +134,6 @@ impl Scene {
             seen.map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
         };
         let points = points.unwrap_or_else(random);
-        if points_are_random {
-            let n = points.len();
-            warnings.push(format!("{} has no point cloud; starting from {n} random points", path.display()));
-        }
         let mut options = options.clone();
         if options.exposure.is_none() {
             let train: Vec<&View> = split.train.iter().filter_map(|&i| views.get(i)).collect();
@@ -162,6 +160,30 @@ impl Scene {
             noise: Noise::default(),
             extent,
         })
+    }
+
+    /// Reports what a user should know who starts from the scene's points, and who evaluates a run need not: one sentence each.
+    pub fn start_warnings(&self) -> Result<Vec<String>> {
+        let mut warnings = Vec::new();
+        if self.points_are_random {
+            let n = self.points.len();
+            warnings.push(format!("{} has no point cloud; starting from {n} random points", self.root.display()));
+        }
+        // The first image speaks for all, so that opening a scene decodes one image and not all.
+        // A Blender scene without a room is meant to be transparent.
+        let first = self.split.train.first().filter(|_| self.layout != Layout::Blender);
+        let first = first.and_then(|&i| self.views.get(i));
+        if let Some(view) = first
+            && let Some(share) = view.transparent_share()?
+        {
+            warnings.push(format!(
+                "{} is transparent in {:.0} % of its pixels, which are trained as the color geometry.background; set that \
+                 color, or use images without transparency",
+                view.image_path.display(),
+                100.0 * share
+            ));
+        }
+        Ok(warnings)
     }
 
     /// A view by its index.

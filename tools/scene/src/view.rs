@@ -205,6 +205,23 @@ impl View {
         Ok((rgb, encoding))
     }
 
+    /// The share of the photograph's pixels that are not opaque; `None` for an opaque photograph, and for formats whose
+    /// colors hold their alpha already.
+    pub(crate) fn transparent_share(&self) -> Result<Option<f64>> {
+        let is_png = self.image_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        if !is_png {
+            return Ok(None);
+        }
+        let (raster, _) = read_raster(&self.image_path)?;
+        if !matches!(raster.channels, 2 | 4) {
+            return Ok(None);
+        }
+        let alphas = raster.data.chunks_exact(raster.channels as usize).filter_map(|pixel| pixel.last());
+        let through = alphas.filter(|a| **a < 1.0).count();
+        let pixels = f64::from(raster.width) * f64::from(raster.height);
+        Ok((through > 0).then(|| through as f64 / pixels))
+    }
+
     /// Linear light from the file's values.
     fn linear(&self, mut image: Image, encoding: Encoding, options: &LoadOptions) -> Result<Image> {
         match encoding {

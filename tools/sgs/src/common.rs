@@ -2,6 +2,7 @@
 
 use clap::Args;
 use sgs_engine::{Device, DeviceOptions};
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -45,6 +46,16 @@ impl Common {
             timeout: self.timeout.unwrap_or(defaults.timeout),
             ..defaults
         }
+    }
+
+    /// The `--json` of arguments that cannot be parsed as a whole, and defaults; `None` if they have no `--json`.
+    pub fn json_only(arguments: &[OsString]) -> Option<Common> {
+        let value = arguments.iter().find_map(|argument| match argument.to_str()? {
+            "--json" => Some("-"),
+            text => text.strip_prefix("--json="),
+        });
+        let json = Some(PathBuf::from(value?));
+        Some(Common { device: None, json, verbose: 0, quiet: false, timeout: None, validate: false })
     }
 
     /// Gives an answer as JSON where `--json` asked for it. True if it went to standard output, where nothing else may

@@ -1,11 +1,13 @@
 //! `sgs`: the command line. Thin: every command is a call into the libraries.
 //!
-//! Exit status 0 done, 1 failed (one sentence on standard error), 2 wrong usage.
+//! Exit status 0 done; otherwise one sentence on standard error and the status of its kind ([`failure::Kind`]).
 
 mod cameras;
 mod classes;
 mod commands;
 mod common;
+mod failure;
+mod output;
 mod palette;
 mod pictures;
 mod report;
@@ -82,14 +84,13 @@ fn arguments() -> Vec<OsString> {
     joined
 }
 
-/// A sentence without what files may have put into it to move a terminal's cursor.
-fn one_line(sentence: &str) -> String {
-    sentence.trim_end().chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
-}
-
 fn main() {
     ui::heed_closed_pipes();
-    let cli = Cli::parse_from(arguments());
+    let arguments = arguments();
+    let cli = match Cli::try_parse_from(&arguments) {
+        Ok(cli) => cli,
+        Err(error) => std::process::exit(failure::report_arguments(error, &arguments)),
+    };
     ui::start_logging(&cli.common);
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),
@@ -110,7 +111,6 @@ fn main() {
         Command::Man(a) => commands::shell::man(&cli.common, a, Cli::command()),
     };
     if let Err(error) = result {
-        eprintln!("sgs: {}", one_line(&format!("{error:#}")));
-        std::process::exit(1);
+        std::process::exit(failure::report(&cli.common, &error));
     }
 }

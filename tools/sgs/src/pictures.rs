@@ -2,6 +2,7 @@
 //!
 //! EXR holds the blended values as they are (linear); PNG shows them: light and albedo as a screen does (sRGB, clamped).
 
+use crate::failure::refuse_usage;
 use anyhow::bail;
 use sgs_scene::{Image, Splats, write_exr, write_png};
 use sgs_train::{RunDirectory, RunLight, Settings, ShadedView, displayed, light_of, read_light};
@@ -115,9 +116,9 @@ pub fn check_materials(source: &Path, splats: &Splats, metallic: bool) -> anyhow
 
 /// The color behind everything, from a command line.
 pub fn background_of(numbers: &[f32]) -> anyhow::Result<[f32; 3]> {
-    let [r, g, b] = *numbers else { bail!("--background takes three numbers, r,g,b.") };
+    let [r, g, b] = *numbers else { refuse_usage!("--background takes three numbers, r,g,b.") };
     if ![r, g, b].iter().all(|v| v.is_finite()) {
-        bail!("--background is {r},{g},{b}, but must be finite numbers.");
+        refuse_usage!("--background is {r},{g},{b}, but must be finite numbers.");
     }
     Ok([r, g, b])
 }

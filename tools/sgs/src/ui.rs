@@ -1,7 +1,9 @@
 //! Talking to people: logging, progress bars on a terminal, plain lines elsewhere, Ctrl-C.
 
 use crate::common::Common;
+use crate::failure::{Kind, failure};
 use indicatif::{ProgressBar, ProgressStyle};
+use signal_hook::{consts, flag};
 use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,6 +23,8 @@ pub fn start_logging(common: &Common) {
     // A window's system warns of what people can do nothing about.
     let usual = || Targets::new().with_default(level).with_target("winit", LevelFilter::ERROR);
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    // Names of modules say nothing to a user; colors belong on a terminal.
+    let lines = lines.with_target(level >= LevelFilter::DEBUG).with_ansi(std::io::stderr().is_terminal());
     tracing_subscriber::registry().with(lines.with_filter(wanted.unwrap_or_else(usual))).init();
 }
 
@@ -93,14 +97,45 @@ impl Bar {
     }
 }
 
-/// A flag that Ctrl-C (or a termination signal) raises; the second one ends the program at once.
-pub fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let raised = flag.clone();
-    ctrlc::set_handler(move || {
-        if raised.swap(true, Ordering::SeqCst) {
-            std::process::exit(130);
-        }
-    })?;
-    Ok(flag)
+/// A flag that a signal raises to stop a command; derefs to the flag.
+pub struct Stop {
+    raised: Arc<AtomicBool>,
+    terminated: Arc<AtomicBool>,
 }
+
+impl Stop {
+    /// Raises the flag on Ctrl-C and on signals that end a process; the second signal ends the program at once.
+    pub fn on_signals() -> anyhow::Result<Stop> {
+        let stop = Stop { raised: Arc::default(), terminated: Arc::default() };
+        for (signal, terminates) in SIGNALS {
+            // In this order: the first signal finds the flag down.
+            let status = if *terminates { 128 + signal } else { Kind::Interrupted.status() };
+            flag::register_conditional_shutdown(*signal, status, stop.raised.clone())?;
+            if *terminates {
+                flag::register(*signal, stop.terminated.clone())?;
+            }
+            flag::register(*signal, stop.raised.clone())?;
+        }
+        Ok(stop)
+    }
+
+    /// Makes the error of a command that was stopped.
+    pub fn failure(&self, text: impl Into<String>) -> anyhow::Error {
+        let kind = if self.terminated.load(Ordering::SeqCst) { Kind::Terminated } else { Kind::Interrupted };
+        failure(kind, text)
+    }
+}
+
+impl std::ops::Deref for Stop {
+    type Target = AtomicBool;
+
+    fn deref(&self) -> &AtomicBool {
+        &self.raised
+    }
+}
+
+/// Signals that stop a command, and whether they end it from outside.
+#[cfg(unix)]
+const SIGNALS: &[(i32, bool)] = &[(consts::SIGINT, false), (consts::SIGTERM, true), (consts::SIGHUP, true)];
+#[cfg(not(unix))]
+const SIGNALS: &[(i32, bool)] = &[(consts::SIGINT, false), (consts::SIGTERM, true)];

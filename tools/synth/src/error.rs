@@ -34,7 +34,7 @@ pub enum SynthError {
         value: f32,
     },
     /// The output directory holds something that may not be replaced.
-    #[error("{} already holds something; choose another directory or allow it to be replaced", .0.display())]
+    #[error("{} already holds something; name another directory, or replace a scene with --force", .0.display())]
     OutputOccupied(PathBuf),
     /// The output may be replaced, but it is no scene directory.
     #[error("{} is not replaced because it is no scene directory: it holds no transforms.json", .0.display())]

@@ -31,6 +31,14 @@ pub enum TrainError {
         /// What is wrong.
         reason: String,
     },
+    /// Another process writes into the directory.
+    #[error("\"{path}\" is locked: {reason}.", path = path.display())]
+    Locked {
+        /// The directory.
+        path: PathBuf,
+        /// Who holds it, and what to do.
+        reason: String,
+    },
     /// Training cannot go on.
     #[error("Training stopped at step {step}: {reason}.")]
     Diverged {

@@ -6,6 +6,7 @@ pub mod ablate;
 mod asked;
 mod checkpoint;
 mod classify;
+mod contents;
 mod convert;
 mod correspondence;
 mod data;
@@ -15,12 +16,14 @@ mod evaluate;
 mod evaluate_shaded;
 mod exchange;
 mod floats;
+mod framing;
 #[doc(hidden)]
 pub mod fuzzed;
 mod geometry;
 mod head;
 mod intrinsic;
 mod kept;
+mod lock;
 mod memory;
 pub mod metrics;
 mod normals;
@@ -38,6 +41,7 @@ mod visibility;
 
 pub use asked::Look;
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
+pub use contents::{Contents, RunContents, entries};
 pub use convert::{camera, gaussian_data, splats};
 pub use correspondence::Correspondence;
 pub use data::TrainingData;
@@ -51,10 +55,12 @@ pub use evaluate_shaded::{
     AlbedoMetrics, RELIT_MEAN, RelitMetrics, RelitSet, ShadedMetrics, evaluate_shaded, measure_relit,
 };
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
-pub use geometry::{Decision, Geometry, Progress, Sight};
+pub use framing::Framing;
+pub use geometry::{Decision, Geometry, MANY_POINTS, MOST_THINNED, Progress, Sight};
 pub use head::SemanticHead;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, Probe, read_lights, write_lights};
 pub use kept::Kept;
+pub use lock::{DirectoryLock, LockHolder};
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};

@@ -221,7 +221,7 @@ impl RunDirectory {
     /// # Errors
     /// If something cannot be removed.
     pub fn forget(&self) -> Result<()> {
-        let names = ["scene.ply", SEMANTICS, "log.jsonl", DIVERGED];
+        let names = ["scene.ply", SEMANTICS, "log.jsonl", DIVERGED, "profile.json", "graph.html"];
         // The checkpoint goes first: were it left with other settings, resuming would go on from it. A summary that is damaged is
         // in nobody's way.
         self.remove([self.checkpoint(), self.path("training.json")])?;
@@ -235,7 +235,8 @@ impl RunDirectory {
     /// # Errors
     /// If something cannot be removed, or `training.json` is damaged.
     pub fn forget_intrinsic(&self) -> Result<()> {
-        let names = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
+        let results = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
+        let names = results.into_iter().chain(["profile-intrinsic.json", "graph-intrinsic.html"]);
         self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))?;
         self.intrinsic_kept().forget()?;
         // What the geometry came to stays known.

@@ -67,6 +67,14 @@ pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     }
 }
 
+/// The EXIF orientation by which viewers exchange the sides of an image, 5 to 8; `None` where the sides stay.
+pub(crate) fn turning_orientation(path: &Path) -> Option<u16> {
+    match kind_of(path) {
+        Ok(Kind::Jpeg) => jpeg::orientation(path).filter(|o| *o >= 5),
+        _ => None,
+    }
+}
+
 /// Refuses sizes that cannot be a photograph's.
 pub(super) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
     if width == 0 || height == 0 {

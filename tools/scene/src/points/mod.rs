@@ -29,6 +29,19 @@ impl PointCloud {
         self.positions.is_empty()
     }
 
+    /// `count` of the points, spread evenly over their order; all of them if there are no more.
+    #[must_use]
+    pub fn spread(&self, count: usize) -> PointCloud {
+        let n = self.len();
+        let count = count.min(n);
+        let of = |all: &Vec<[f32; 3]>| (0..count).filter_map(|i| all.get(i * n / count).copied()).collect();
+        PointCloud {
+            positions: of(&self.positions),
+            colors: self.colors.as_ref().map(of),
+            normals: self.normals.as_ref().map(of),
+        }
+    }
+
     /// Whether colors and normals, where present, are as many as the points.
     pub(crate) fn problem(&self) -> Option<String> {
         let n = self.len();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::beside::Beside;
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
-use crate::image::{EXTENSIONS, read_size};
+use crate::image::{EXTENSIONS, read_size, turning_orientation};
 
 /// A photograph and its camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +34,20 @@ impl Frame {
         let camera = (self.camera.width, self.camera.height);
         if image == camera {
             return Ok(());
+        }
+        if (image.1, image.0) == camera
+            && let Some(orientation) = turning_orientation(&self.image)
+        {
+            let problem = format!(
+                "the file stores {}×{} pixels and an EXIF orientation ({orientation}) that turns them, but {} gives {}×{} for \
+                 its camera; turn the pixels themselves (mogrify -auto-orient), or calibrate the images as they are stored",
+                image.0,
+                image.1,
+                self.declared_in.display(),
+                camera.0,
+                camera.1
+            );
+            return Err(SceneError::image(&self.image, problem));
         }
         let declared_in = self.declared_in.clone();
         Err(SceneError::ImageSize { path: self.image.clone(), image, camera, declared_in })

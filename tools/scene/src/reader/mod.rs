@@ -11,10 +11,11 @@ mod fipt;
 mod frame;
 mod interiorverse;
 mod numbers;
+mod photographs;
 mod pose;
 pub(crate) mod transforms;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(crate) use frame::{Frame, stem_of};
 
@@ -36,6 +37,13 @@ pub enum Layout {
     Fipt,
 }
 
+impl Layout {
+    /// The layout of a scene directory; `None` for a directory that holds no scene.
+    pub fn of(root: &Path) -> Option<Layout> {
+        recognize(root).ok()
+    }
+}
+
 /// What a reader found.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
@@ -49,6 +57,11 @@ pub(crate) struct Found {
     pub(crate) warnings: Vec<String>,
     /// Whether the layout says which views are held out; `split.json` comes before it.
     pub(crate) own_split: bool,
+}
+
+/// The scene directory that a path names: itself, or the one whose COLMAP model it is.
+pub(crate) fn scene_root(path: &Path) -> PathBuf {
+    colmap::scene_of_model(path).unwrap_or_else(|| path.to_owned())
 }
 
 /// Recognizes the layout of a scene directory.
@@ -67,6 +80,8 @@ pub(crate) fn recognize(root: &Path) -> Result<Layout> {
         return Ok(Layout::Colmap);
     } else if blender::sign(root).is_some() {
         return Ok(Layout::Blender);
+    } else if let Some(problem) = photographs::problem(root) {
+        return Err(SceneError::NotAScene { path: root.to_path_buf(), problem });
     } else {
         "holds no scene: there is neither transforms.json, nor sparse/0 with cameras.bin or cameras.txt, nor \
          transforms_train.json, nor images NNN_im.exr, nor cam.txt with K_list.txt"
@@ -101,6 +116,9 @@ mod tests {
         assert!(recognize(root).unwrap_err().to_string().contains("neither transforms.json, nor sparse/0"));
         put("cam.txt", "");
         assert!(recognize(root).is_err());
+        put("images/a.JPG", "");
+        let error = recognize(root).unwrap_err().to_string();
+        assert!(error.contains("photographs without cameras"), "{error}");
         put("transforms_train.json", "");
         assert_eq!(recognize(root).unwrap(), Layout::Blender);
         put("im.exr", "");

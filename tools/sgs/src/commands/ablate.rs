@@ -3,7 +3,7 @@
 use super::series::{self, About, Row, Start};
 use super::train::Stage;
 use crate::common::Common;
-use anyhow::bail;
+use crate::failure::refuse_usage;
 use sgs_train::Settings;
 use sgs_train::ablate::{Entry, Scope, Variant};
 use std::path::PathBuf;
@@ -29,10 +29,10 @@ pub struct Args {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.start.is_some() && a.stage != Stage::Intrinsic {
-        bail!("--start gives geometry to variants of materials; add --stage intrinsic.");
+        refuse_usage!("--start gives geometry to variants of materials; add --stage intrinsic.");
     }
     if let Some(file) = a.start.as_deref().filter(|file| !file.is_file()) {
-        bail!("There is no file \"{}\" to start with.", file.display());
+        refuse_usage!("There is no file \"{}\" to start with.", file.display());
     }
     let scope = match a.stage {
         Stage::Geometry => Scope::Geometry,

@@ -1,9 +1,10 @@
 //! `sgs eval`: metrics at the views of a split, and the pictures behind them.
 
-use super::train::{open_scene, validated};
+use super::train::{open_scene_of_run, validated};
 use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, head_of};
 use crate::common::Common;
+use crate::output;
 use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Image, Scene, Splats, write_png};
@@ -52,7 +53,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let range = if a.lpips_signed { LpipsRange::Signed } else { LpipsRange::Plain };
     let lpips = a.lpips.as_deref().map(|file| Lpips::load(file, range)).transpose()?;
-    let scene = open_scene(&settings)?;
+    if let Some(images) = &a.images {
+        output::check_images(images, true)?;
+    }
+    let scene = open_scene_of_run(&a.run, &settings)?;
     let device = common.open_device()?;
     let result = measure(&device, &scene, &run, &splats, &settings, a.split, lpips.as_ref(), a.images.as_deref())?;
     if !common.answer(&result)? {
@@ -81,7 +85,7 @@ pub fn measure(
     let gaussians = upload(device, splats, head.is_some())?;
     let legend = head.as_ref().map(|head| Legend::new(&head.text.labels));
     if let Some(dir) = images {
-        std::fs::create_dir_all(dir).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", dir.display()))?;
+        output::make(dir)?;
         legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
     }
     let background = settings.geometry.background;

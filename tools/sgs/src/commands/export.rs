@@ -2,7 +2,7 @@
 
 use crate::cameras::splats_of;
 use crate::common::Common;
-use anyhow::bail;
+use crate::failure::refuse_usage;
 use sgs_scene::PlyDialect;
 use sgs_train::{RunDirectory, read_exchange, read_lights, write_exchange};
 use std::path::{Path, PathBuf};
@@ -69,11 +69,15 @@ impl Format {
             "ply" => Format::Ply,
             "gltf" => Format::Gltf,
             "glb" => Format::Glb,
-            _ => bail!("\"{}\" ends in none of .ply, .gltf and .glb, which are written.", path.display()),
+            _ => refuse_usage!("\"{}\" ends in none of .ply, .gltf and .glb, which are written.", path.display()),
         };
         match asked {
             Some(format) if format.extension() != end => {
-                bail!("\"{}\" does not end in .{}, as files of that format do.", path.display(), format.extension())
+                refuse_usage!(
+                    "\"{}\" does not end in .{}, as files of that format do.",
+                    path.display(),
+                    format.extension()
+                )
             }
             asked => Ok(asked.unwrap_or(named)),
         }

@@ -1,9 +1,9 @@
 //! `sgs plan`: what would be modeled, why, and what it costs.
 
 use super::plan_intrinsic::IntrinsicPlan;
-use super::train::{Options, Stage, open_scene, settings};
+use super::train::{Options, Stage, check_start, open_scene, settings, warn_without_priors};
 use crate::common::Common;
-use anyhow::Context;
+use crate::failure::{refuse_usage, usage};
 use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::cost::Cost;
@@ -108,18 +108,23 @@ impl Expected {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     // Before any work, so that a wrong name costs nothing.
-    let format =
-        match (&a.output, a.graph) {
-            (Some(path), None) => Some(Format::of(path).with_context(|| {
-                format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display())
-            })?),
-            (_, format) => format,
-        };
+    let format = match (&a.output, a.graph) {
+        (Some(path), None) => Some(Format::of(path).ok_or_else(|| {
+            usage(format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display()))
+        })?),
+        (_, format) => format,
+    };
     let s = settings(&a.scene, &a.options)?;
     if a.start.is_some() && a.stage == Stage::Geometry {
-        anyhow::bail!("--start gives geometry to the intrinsic stage; add --stage intrinsic or all.");
+        refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic or all.");
     }
     let scene = open_scene(&s)?;
+    if a.start.is_none() {
+        check_start(&scene)?;
+    }
+    if a.stage != Stage::Geometry {
+        warn_without_priors(&scene)?;
+    }
     let device = common.open_device()?;
     // One after the other, as they are trained.
     let intrinsic = match a.stage {

@@ -1,8 +1,8 @@
 //! `sgs priors`: networks over a scene's photographs.
 
 use crate::common::Common;
-use crate::ui::{Bar, interrupted};
-use anyhow::bail;
+use crate::failure::refuse_usage;
+use crate::ui::{Bar, Stop};
 use sgs_provider::{FillOptions, Prior, Provider, ProviderOptions, fill};
 use sgs_scene::{Scene, SceneOptions};
 use std::path::PathBuf;
@@ -50,7 +50,7 @@ enum Views {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     for (name, seconds) in [("--answer-seconds", a.answer_seconds), ("--start-seconds", a.start_seconds)] {
         if !(seconds > 0.0 && seconds.is_finite()) {
-            bail!("{name} is {seconds}, but must be a number of seconds above 0.");
+            refuse_usage!("{name} is {seconds}, but must be a number of seconds above 0.");
         }
     }
     let scene = Scene::open(&a.scene, &SceneOptions { exposure: a.exposure, ..SceneOptions::default() })?;
@@ -63,7 +63,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         force: a.force,
         labels: a.labels.iter().map(|l| l.trim().to_owned()).filter(|l| !l.is_empty()).collect(),
     };
-    let stop = interrupted()?;
+    let stop = Stop::on_signals()?;
     let mut provider = Provider::start(&ProviderOptions {
         command: a.provider.clone(),
         start_seconds: a.start_seconds,
@@ -78,6 +78,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     for warning in &filled.warnings {
         tracing::warn!("{warning}");
     }
+    if !filled.complete {
+        let written = filled.written.len();
+        return Err(stop.failure(format!("stopped after {written} files; the same command goes on from there")));
+    }
     let summary = serde_json::json!({
         "provider": provider.about().name,
         "written": filled.written,
@@ -86,11 +90,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     });
     if !common.answer(&summary)? && !common.quiet {
         eprintln!("wrote {} files, kept {}", filled.written.len(), filled.kept);
-    }
-    if !filled.complete {
-        eprintln!("stopped; the same command goes on");
-        drop(provider);
-        std::process::exit(1);
     }
     Ok(())
 }

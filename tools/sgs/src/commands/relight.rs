@@ -4,11 +4,12 @@ use super::train::validated;
 use crate::cameras::splats_of;
 use crate::classes::head_of;
 use crate::common::Common;
+use crate::failure::refuse_usage;
+use crate::output;
 use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
-use anyhow::bail;
 use sgs_engine::Device;
 use sgs_scene::{Camera, Scene, Splats};
 use sgs_train::{
@@ -44,6 +45,9 @@ pub struct Args {
     /// What to write. "relit": all light.
     #[arg(long, value_delimiter = ',', default_value = "relit")]
     channels: Vec<Channel>,
+    /// Write among files of other kinds, too.
+    #[arg(long)]
+    force: bool,
     /// File format: exr keeps the values (float32, linear), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -101,7 +105,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let background = background_of(&a.background)?;
     let edit = a.edit.as_deref().map(Edit::read).transpose()?.unwrap_or_default();
     if a.video.video.is_some() && a.channels.len() != 1 {
-        bail!("--video shows one channel; name only one with --channels.");
+        refuse_usage!("--video shows one channel; name only one with --channels.");
+    }
+    if let Some(output) = &a.output {
+        output::check_images(output, a.force)?;
     }
     let mut video = a.video.open()?;
     let (splats, settings) = splats_of(&a.source)?;
@@ -131,7 +138,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
     match a.visibility {
         Some(Seen::Learned) if !matches!(given, Visibility::Learned(_)) => {
-            bail!("\"{}\" has no learned visibility; use --visibility traced or none.", a.source.display())
+            refuse_usage!("\"{}\" has no learned visibility; use --visibility traced or none.", a.source.display())
         }
         Some(Seen::Learned) => relit.light.visibility = given,
         Some(Seen::Traced) => {
@@ -142,13 +149,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         None => {}
     }
     if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
-        bail!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
+        refuse_usage!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
     let mut shading = Shading::new(&device, relit.upload(&device)?)?;
     let mut written = Vec::new();
     if let Some(output) = &a.output {
-        std::fs::create_dir_all(output)
-            .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", output.display()))?;
+        output::make(output)?;
     }
     if a.output.is_some() || video.is_some() {
         let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
@@ -184,14 +190,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 /// Refuses what baking cannot do, before any work.
 fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
-        bail!("\"{}\" does not end in .ply, the format that is written.", file.display());
+        refuse_usage!("\"{}\" does not end in .ply, the format that is written.", file.display());
     }
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|p| !p.is_dir()) {
-        bail!("\"{}\" is no directory to write into.", folder.display());
+        refuse_usage!("\"{}\" is no directory to write into.", folder.display());
     }
     if !run && !a.viewpoints.are_given() {
-        bail!("\"{}\" is no run and has no training views; give --cameras to bake from.", a.source.display());
+        refuse_usage!("\"{}\" is no run and has no training views; give --cameras to bake from.", a.source.display());
     }
     Ok(())
 }

@@ -5,11 +5,12 @@ use super::train::validated;
 use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
+use crate::failure::refuse_usage;
+use crate::output;
 use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use crate::video::{Video, VideoArgs};
 use crate::viewpoints::ViewpointArgs;
-use anyhow::bail;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
@@ -43,6 +44,9 @@ pub struct Args {
     /// Of the probabilities of --query: the lower, the surer; that of training by default.
     #[arg(long, value_name = "T")]
     temperature: Option<f32>,
+    /// Write among files of other kinds, too.
+    #[arg(long)]
+    force: bool,
     /// File format: exr keeps the blended values (float32), png shows them.
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
@@ -101,11 +105,14 @@ impl Channel {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let background = background_of(&a.background)?;
     check_video(a)?;
+    if let Some(output) = &a.output {
+        output::check_images(output, a.force)?;
+    }
     let mut video = a.video.open()?;
     let (splats, settings) = splats_of(&a.source)?;
     let cameras = a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, None)?;
     if a.channels.contains(&Channel::Normal) && splats.normals.is_none() {
-        bail!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
+        refuse_usage!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
     let asked = Asked::of(a, &splats)?;
     let light = Light::of(a, &splats, settings.as_ref())?;
@@ -121,8 +128,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let make = if meaning.is_some() { Renderer::with_features } else { Renderer::new };
     let mut renderer = make(&device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
     if let Some(output) = &a.output {
-        std::fs::create_dir_all(output)
-            .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", output.display()))?;
+        output::make(output)?;
     }
     let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
     let mut written = Vec::new();
@@ -166,12 +172,14 @@ fn check_video(a: &Args) -> anyhow::Result<()> {
     if a.video.video.is_none() {
         return Ok(());
     }
-    let [channel] = a.channels[..] else { bail!("--video shows one channel; name only one with --channels.") };
+    let [channel] = a.channels[..] else { refuse_usage!("--video shows one channel; name only one with --channels.") };
     if matches!(channel, Channel::Semantic | Channel::Lights) {
-        bail!("--video does not show the channels \"semantic\" and \"lights\"; choose another with --channels.");
+        refuse_usage!(
+            "--video does not show the channels \"semantic\" and \"lights\"; choose another with --channels."
+        );
     }
     if a.output.is_none() && (a.lights || !a.query.is_empty()) {
-        bail!("--lights and --query write images; name their directory with --output.");
+        refuse_usage!("--lights and --query write images; name their directory with --output.");
     }
     Ok(())
 }
@@ -252,16 +260,16 @@ impl Light {
         let lit = parts.iter().find(|p| p.is_light());
         if let (Some(part), None, None) = (lit, &light.lights, &light.environment) {
             let name = part.name();
-            bail!(
+            refuse_usage!(
                 "\"{source}\" has materials but neither lights nor an environment; leave \"{name}\" out of --channels."
             );
         }
         if parts.contains(&Part::Visibility) && (matches!(light.visibility, Visibility::None) || light.lights.is_none())
         {
-            bail!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
+            refuse_usage!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
         }
         if each && light.lights.is_none() {
-            bail!("\"{source}\" has no lights; leave out --lights.");
+            refuse_usage!("\"{source}\" has no lights; leave out --lights.");
         }
         Ok(Some(Light { parts, each, light }))
     }
@@ -339,7 +347,9 @@ impl Asked {
         }
         let mut head = head_of(&a.source, splats)?;
         match a.temperature {
-            Some(t) if !(t.is_finite() && t >= 1e-3) => bail!("--temperature is {t}, but must be at least 0.001."),
+            Some(t) if !(t.is_finite() && t >= 1e-3) => {
+                refuse_usage!("--temperature is {t}, but must be at least 0.001.")
+            }
             Some(t) => head.temperature = t,
             None => {}
         }

@@ -1,7 +1,7 @@
 //! `sgs report`: a run as one page: pictures, tables, curves, lights, times, settings. Nothing else is needed to look at it.
 
 use super::eval::{Split, measure};
-use super::train::{open_scene, validated};
+use super::train::{open_scene_of_run, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::report::lamps::{self, Lamps};
@@ -46,7 +46,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(scene) = &a.scene {
         settings.scene.clone_from(scene);
     }
-    let scene = open_scene(&settings)?;
+    let scene = open_scene_of_run(&a.run, &settings)?;
     let split = if a.split == Split::Test { &scene.split.test } else { &scene.split.train };
     let chosen = spread(split, a.views as usize);
     if chosen.is_empty() {
@@ -96,8 +96,13 @@ fn check_output(path: &Path) -> anyhow::Result<()> {
     if path.is_dir() {
         bail!("\"{}\" is a directory; name a file for the page.", path.display());
     }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let trial = folder.join(format!(".{name}.{}.tmp", std::process::id()));
     if !folder.is_dir() {
         bail!("\"{}\" does not exist; make it first, or name another place for the page.", folder.display());
+    }
+    if let Err(e) = std::fs::File::create(&trial).and_then(|_| std::fs::remove_file(&trial)) {
+        bail!("\"{}\" cannot be written: {e}; name another place for the page.", path.display());
     }
     Ok(())
 }

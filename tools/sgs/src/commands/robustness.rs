@@ -3,7 +3,7 @@
 use super::series::{self, About, Row};
 use super::train::Stage;
 use crate::common::Common;
-use anyhow::bail;
+use crate::failure::refuse_usage;
 use sgs_train::ablate::Case;
 
 #[derive(clap::Args)]
@@ -22,7 +22,7 @@ pub struct Args {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let wanted = Case::named(&a.only)?;
     if a.stage == Stage::Intrinsic {
-        bail!("--stage is geometry or all here: materials need the geometry that the noise has led to.");
+        refuse_usage!("--stage is geometry or all here: materials need the geometry that the noise has led to.");
     }
     let series::Base { settings, scene } = series::base(&a.series)?;
     let wanted = series::possible("case", wanted, !a.only.is_empty(), |case| {

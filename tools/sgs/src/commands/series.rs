@@ -5,15 +5,17 @@
 use super::eval::{Split, measure};
 use super::geometry::{Ended, train_into};
 use super::intrinsic::{IntrinsicEnded, intrinsic_into};
-use super::train::{Options, Stage, open_scene, settings, validated};
+use super::train::{Options, Stage, check_start, open_scene, settings, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
-use crate::ui::interrupted;
+use crate::failure::refuse_usage;
+use crate::output;
+use crate::ui::Stop;
 use anyhow::bail;
 use sgs_scene::Scene;
 use sgs_train::ablate::{Ablation, Entry, Goal, Measures, State};
 use sgs_train::metrics::Lpips;
-use sgs_train::{RunDirectory, Settings, read_splats};
+use sgs_train::{RunContents, RunDirectory, Settings, read_splats};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,6 +33,9 @@ pub struct Series {
     /// Weights of LPIPS, which is measured, too.
     #[arg(long, value_name = "FILE.safetensors")]
     pub lpips: Option<PathBuf>,
+    /// Train rows again whose runs have other settings.
+    #[arg(long)]
+    pub force: bool,
     #[command(flatten)]
     pub options: Options,
 }
@@ -75,6 +80,7 @@ impl Start {
 pub fn base(a: &Series) -> anyhow::Result<Base> {
     let settings = settings(&a.scene, &a.options)?;
     let scene = open_scene(&settings)?;
+    check_start(&scene)?;
     if scene.split.test.is_empty() {
         bail!("\"{}\" has no test views to compare at; name some in split.json.", a.scene.display());
     }
@@ -95,7 +101,7 @@ pub fn possible<T: Copy>(
         match lacks(&one)? {
             None => kept.push(one),
             Some((name, lacking)) if !named => tracing::warn!("The {what} \"{name}\" is left out: {lacking}."),
-            Some((name, lacking)) => bail!("The {what} \"{name}\" would differ from no other: {lacking}."),
+            Some((name, lacking)) => refuse_usage!("The {what} \"{name}\" would differ from no other: {lacking}."),
         }
     }
     Ok(kept)
@@ -114,11 +120,12 @@ pub struct About<'a> {
 /// Trains and measures what is wanted and was not done before; writes `NAME.json` and `NAME.md`.
 pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows: &[Row]) -> anyhow::Result<()> {
     let Some(last) = base.seed.checked_add(a.seeds - 1) else {
-        bail!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
+        refuse_usage!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
     };
     let lpips = a.lpips.as_deref().map(|file| Lpips::load(file, Default::default())).transpose()?;
     let goal = Goal { materials: about.stage != Stage::Geometry, lpips: lpips.as_ref().map(|l| l.about()) };
-    let stop = interrupted()?;
+    output::check_series(&a.output, &["ablation", "robustness"])?;
+    let stop = Stop::on_signals()?;
     let mut table = Ablation {
         scene: a.scene.display().to_string(),
         steps: about.start.is_none().then_some(base.geometry.steps),
@@ -127,9 +134,8 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
         lpips: goal.lpips,
         ..Ablation::default()
     };
-    std::fs::create_dir_all(&a.output)
-        .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
-    let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop, output: &a.output };
+    let _lock = output::lock(&a.output)?;
+    let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop, output: &a.output, force: a.force };
     // Seed by seed, so that an early look compares all rows. One that was measured before stays in the table.
     for seed in base.seed..=last {
         for row in rows {
@@ -138,8 +144,8 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
                 Came::To(device, measures) => table.add(&row.entry, seed, device, *measures),
                 Came::Nowhere => continue,
                 Came::Stopped => {
-                    eprintln!("stopped in {}; the same command goes on from there", root.display());
-                    std::process::exit(1);
+                    let text = format!("stopped in {}; the same command goes on from there", root.display());
+                    return Err(stop.failure(text));
                 }
             }
             write(&a.output, about.name, &table)?;
@@ -168,6 +174,8 @@ struct Runs<'a> {
     lpips: Option<&'a Lpips>,
     stop: &'a AtomicBool,
     output: &'a Path,
+    /// Whether runs with other settings may be replaced.
+    force: bool,
 }
 
 impl Runs<'_> {
@@ -201,6 +209,9 @@ impl Runs<'_> {
         // Materials are gone on with if they were begun with the same settings.
         let began = RunDirectory::open(root).and_then(|run| run.settings()).ok();
         let same = state != State::Absent && began.is_some_and(|began| began.intrinsic == asked.intrinsic);
+        let others = self.goal.materials && state == State::Formed && !same;
+        self.check(root, state == State::Absent, others)?;
+        let _lock = output::lock(root)?;
         // A device of its own, so that its memory's peak is that of this run.
         let device = self.common.open_device()?;
         if row.start.is_none() && matches!(state, State::Absent | State::Begun) {
@@ -236,6 +247,18 @@ impl Runs<'_> {
         }
     }
 
+    /// Refuses to replace a run or its materials, unless `--force` allows it.
+    fn check(&self, root: &Path, run: bool, materials: bool) -> anyhow::Result<()> {
+        let there = RunContents::of(root).unwrap_or_default();
+        if !self.force && (run && there.is_trained() || materials && there.materials) {
+            refuse_usage!(
+                "\"{}\" holds a run with other settings: replace it with --force, or name another directory.",
+                root.display()
+            );
+        }
+        Ok(())
+    }
+
     /// Trains the geometry that rows have in common, as far as that was not done before; whether it is whole.
     fn formed(&self, entry: &Entry, settings: &Settings, seed: u64) -> anyhow::Result<bool> {
         let root = self.output.join(entry.folder(seed));
@@ -244,6 +267,8 @@ impl Runs<'_> {
         if !matches!(state, State::Absent | State::Begun) {
             return Ok(true);
         }
+        self.check(&root, state == State::Absent, false)?;
+        let _lock = output::lock(&root)?;
         let (begun, what) = (state == State::Begun, format!("{}, seed {seed}", entry.name));
         let device = self.common.open_device()?;
         let ended = train_into(self.common, &device, &scene, &asked, &root, begun, self.stop, &what, None)?;

@@ -32,8 +32,7 @@ pub fn completions(a: &Completions, mut command: Command) -> anyhow::Result<()> 
 
 /// Writes a page for the program and one for every command.
 pub fn man(common: &Common, a: &Pages, command: Command) -> anyhow::Result<()> {
-    std::fs::create_dir_all(&a.output)
-        .map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", a.output.display()))?;
+    crate::output::make(&a.output)?;
     // What is built knows the options of all commands, too.
     let mut command = command.disable_help_subcommand(true);
     command.build();

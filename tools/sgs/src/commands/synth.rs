@@ -24,6 +24,9 @@ pub struct Args {
     /// Share of the regions of the semantic priors whose class is wrong, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     semantic_wrong: f32,
+    /// Replace a scene that is there.
+    #[arg(long)]
+    force: bool,
     /// Seed of furniture and noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -36,7 +39,8 @@ fn size(text: &str) -> Result<(usize, usize), String> {
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let mut options = sgs_synth::SynthOptions { scene: a.scene.parse()?, seed: a.seed, ..Default::default() };
+    let mut options =
+        sgs_synth::SynthOptions { scene: a.scene.parse()?, seed: a.seed, replace: a.force, ..Default::default() };
     (options.semantic_cell, options.semantic_wrong) = (a.semantic_cell, a.semantic_wrong);
     if let Some(views) = a.views {
         options.views = views;

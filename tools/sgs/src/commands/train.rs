@@ -3,13 +3,37 @@
 use super::geometry::{Ended, train_into};
 use super::intrinsic::{IntrinsicEnded, intrinsic_into};
 use crate::common::Common;
-use crate::ui::interrupted;
+use crate::failure::{refuse_usage, usage};
+use crate::output::{self, Begin, Permission};
+use crate::ui::Stop;
 use crate::watch::{Port, Watch};
 use anyhow::bail;
+use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
+use clap::{Arg, Command};
 use sgs_engine::Device;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Backward, Intrinsic, Preset, RunDirectory, Settings, accuracy_named, overlay};
+use sgs_train::{
+    Backward, Framing, Intrinsic, MANY_POINTS, MOST_THINNED, PRESETS, Preset, RunDirectory, Settings, accuracy_named,
+    overlay,
+};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+
+/// Names that shells complete; another name is refused where it is used, with a suggestion.
+#[derive(Clone)]
+struct Names(fn() -> Vec<&'static str>);
+
+impl TypedValueParser for Names {
+    type Value = String;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, arg, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new((self.0)().into_iter().map(PossibleValue::new)))
+    }
+}
 
 /// Options that shape training; `sgs plan` takes them too.
 #[derive(clap::Args)]
@@ -33,16 +57,16 @@ pub struct Options {
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
     /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml): growth is slowed to stay
-    /// within, and only a start that does not fit is refused.
+    /// within, many points are thinned, and only a start that does not fit is refused.
     #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
     pub memory_budget: Option<u64>,
     /// Settings to begin with: "draft" (quick, on a processor), "balanced" (the defaults), "paper" (the paper's sizes and
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
     /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/TRADEOFF.md); sets all of accuracy.*, and how
     /// often surroundings move and visibility is taught.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Names(|| vec!["exact", "balanced", "fast"]))]
     pub accuracy: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
@@ -67,9 +91,12 @@ pub struct Args {
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
-    /// Go on where an interrupted run stopped.
+    /// Continue an interrupted run; a finished one is left as it is.
     #[arg(long)]
     resume: bool,
+    /// Replace the run that is in the directory.
+    #[arg(long, conflicts_with = "resume")]
+    force: bool,
     /// Serve a page of the training while it goes on, to this machine alone: curves, and pictures of views that are held
     /// back, for which it stops no more than a twentieth of its time. 0 takes any port that is free.
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8117", require_equals = true)]
@@ -110,9 +137,9 @@ fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
 /// What `--config` says.
 fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
     let Some(path) = &o.config else { return Ok(toml::Table::new()) };
-    let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
+    let text = std::fs::read_to_string(path).map_err(|e| usage(format!("\"{}\": {e}.", path.display())))?;
     let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
-    text.parse().map_err(|e| anyhow::anyhow!("\"{}\": {}.", path.display(), wrong(e)))
+    text.parse().map_err(|e| usage(format!("\"{}\": {}.", path.display(), wrong(e))))
 }
 
 /// Settings of the intrinsic stage on the geometry of a run: the run's, whose geometry they made, and over them what preset,
@@ -135,7 +162,7 @@ fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Resul
 fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     for pair in &o.set {
         let Some((key, value)) = pair.split_once('=') else {
-            bail!("--set takes KEY=VALUE, not \"{pair}\".");
+            refuse_usage!("--set takes KEY=VALUE, not \"{pair}\".");
         };
         set(&mut table, key.trim(), value.trim())?;
     }
@@ -165,7 +192,7 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
     }
     s.check()?;
     if o.views == Some(0) {
-        bail!("--views is 0, but there must be at least one training view.");
+        refuse_usage!("--views is 0, but there must be at least one training view.");
     }
     Ok(s)
 }
@@ -177,11 +204,15 @@ fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
         .and_then(|mut t| t.remove("x"))
         .unwrap_or_else(|| toml::Value::String(value.to_owned()));
     let mut parts: Vec<&str> = key.split('.').collect();
-    let Some(last) = parts.pop().filter(|l| !l.is_empty()) else { bail!("--set has no key before \"={value}\".") };
+    let Some(last) = parts.pop().filter(|l| !l.is_empty()) else {
+        refuse_usage!("--set has no key before \"={value}\".");
+    };
     let mut at = table;
     for part in parts {
         let entry = at.entry(part).or_insert_with(|| toml::Value::Table(toml::Table::new()));
-        let toml::Value::Table(inner) = entry else { bail!("\"{key}\" is not a setting: \"{part}\" is a value.") };
+        let toml::Value::Table(inner) = entry else {
+            refuse_usage!("\"{key}\" is not a setting: \"{part}\" is a value.");
+        };
         at = inner;
     }
     at.insert(last.to_owned(), parsed);
@@ -195,6 +226,41 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
         tracing::warn!("{warning}");
     }
     Ok(scene)
+}
+
+/// Opens the scene of a run, which may have moved since.
+pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
+    if !s.scene.exists() {
+        let (run, scene) = (run.display(), s.scene.display());
+        bail!("the scene of \"{run}\" is no longer at \"{scene}\"; name its place with --scene DIR.");
+    }
+    open_scene(s)
+}
+
+/// Refuses a scene whose points no training view sees, and warns of what makes a bad start.
+pub fn check_start(scene: &Scene) -> anyhow::Result<()> {
+    let mut warnings = scene.start_warnings()?;
+    warnings.extend(Framing::of(scene).check(scene)?);
+    for warning in warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(())
+}
+
+/// Warns where nothing but photographs says what materials are.
+pub fn warn_without_priors(scene: &Scene) -> anyhow::Result<()> {
+    for &view in &scene.split.train {
+        let materials = scene.albedo_prior(view)?.is_some() || scene.roughness_prior(view)?.is_some();
+        if materials || scene.metallic_prior(view)?.is_some() || scene.normal_prior(view)?.is_some() {
+            return Ok(());
+        }
+    }
+    tracing::warn!(
+        "{} has no priors of normals or materials: photographs alone do not tell albedo from light; sgs priors makes priors \
+         (docs/PRIORS.md)",
+        scene.root.display()
+    );
+    Ok(())
 }
 
 /// The settings that a run was begun with. What the command line says must agree with them, since other settings would
@@ -226,7 +292,7 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
         began.intrinsic.rates = asked.intrinsic.rates;
     }
     if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
-        bail!(
+        refuse_usage!(
             "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
             a.output.display()
         );
@@ -243,10 +309,46 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
     })
 }
 
+/// What of a run is complete.
+#[derive(Clone, Copy, Default)]
+struct Complete {
+    geometry: bool,
+    materials: bool,
+}
+
+impl Complete {
+    /// Compares what a run says of itself with the steps that were asked for.
+    fn of(run: &RunDirectory, settings: &Settings) -> Complete {
+        let summary = run.training_summary().unwrap_or_default();
+        let whole = run.path("scene.ply").is_file() && !run.has_diverged();
+        let all = |value: &serde_json::Value, steps: u32| whole && value["steps"].as_u64() == Some(steps.into());
+        Complete {
+            geometry: all(&summary, settings.geometry.steps),
+            materials: all(&summary["intrinsic"], settings.intrinsic.steps),
+        }
+    }
+
+    /// Whether a stage has nothing left to train.
+    fn covers(self, stage: Stage) -> bool {
+        match stage {
+            Stage::Geometry => self.geometry,
+            Stage::Intrinsic => self.materials,
+            Stage::All => self.geometry && self.materials,
+        }
+    }
+}
+
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.start.is_some() && a.stage != Stage::Intrinsic {
-        bail!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
+        refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
     }
+    let begin = match (a.stage, &a.start) {
+        (Stage::Intrinsic, None) => Begin::Materials,
+        (Stage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
+        _ => Begin::Geometry,
+    };
+    let permission = Permission { force: a.force, resume: a.resume };
+    output::check_run(&a.output, begin, permission)?;
     let port = a.watch.map(Port::take).transpose()?;
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
@@ -255,26 +357,45 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let mut settings = if resuming {
         resumed(a)?
-    } else if a.stage == Stage::Intrinsic && there && a.start.is_none() {
+    } else if begin == Begin::Materials && there {
         // The geometry is the run's, and so are the settings that it came from.
         settings_of_stage(&RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?
     } else {
         settings(&a.scene, &a.options)?
     };
+    let complete = match resuming {
+        true => Complete::of(&RunDirectory::open(&a.output)?, &settings),
+        false => Complete::default(),
+    };
+    if complete.covers(a.stage) {
+        if !common.quiet {
+            eprintln!("nothing to do: \"{}\" has all of its steps", a.output.display());
+        }
+        common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
+        return Ok(());
+    }
     let scene = open_scene(&settings)?;
     // What was chosen for the scene belongs to the run: it is measured and resumed alike.
     settings.exposure = scene.exposure();
+    if begin == Begin::Geometry && !resuming {
+        check_start(&scene)?;
+    }
+    if a.stage != Stage::Geometry && !resuming {
+        warn_without_priors(&scene)?;
+    }
+    let _lock = output::lock(&a.output)?;
+    // Another training may have ended since.
+    output::check_run(&a.output, begin, permission)?;
     let device = common.open_device()?;
-    let stop = interrupted()?;
-    let stopped = |step: u32| -> ! {
+    let stop = Stop::on_signals()?;
+    let stopped = |step: u32| {
         let stage = match a.stage {
             Stage::Geometry => "",
             Stage::Intrinsic => " --stage intrinsic",
             Stage::All => " --stage all",
         };
         let (scene, output) = (a.scene.display(), a.output.display());
-        eprintln!("stopped after step {step}; go on with: sgs train {scene} -o {output}{stage} --resume");
-        std::process::exit(1)
+        stop.failure(format!("stopped after step {step}; go on with: sgs train {scene} -o {output}{stage} --resume"))
     };
     // What has got to its second stage is done with its first.
     let second = resuming && RunDirectory::open(&a.output)?.intrinsic_checkpoint().is_file();
@@ -289,11 +410,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     if a.stage == Stage::All && !resuming && settings.memory.budget > 0 {
         // What the second stage would be refused for is said before the first.
-        let points = Splats::from_points(&scene.points, settings.geometry.sh_degree.start() as usize)?;
+        // The first stage thins many points where memory does not suffice for all.
+        let all = scene.points.len();
+        let kept = if all > MANY_POINTS { scene.points.spread(all / MOST_THINNED) } else { scene.points.clone() };
+        let points = Splats::from_points(&kept, settings.geometry.sh_degree.start() as usize)?;
         Intrinsic::planned(&device, &scene, &settings, &points)?;
     }
     let mut summary = serde_json::Value::Null;
-    if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && second) {
+    if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && (second || complete.geometry)) {
         match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training", watch.as_mut())? {
             Ended::Done(done) => {
                 if !common.quiet {
@@ -307,7 +431,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 }
                 summary = serde_json::to_value(&done)?;
             }
-            Ended::Stopped(step) => stopped(step),
+            Ended::Stopped(step) => return Err(stopped(step)),
         }
     }
     if a.stage != Stage::Geometry {
@@ -324,7 +448,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 }
                 summary = RunDirectory::open(&a.output)?.training_summary()?;
             }
-            IntrinsicEnded::Stopped(step) => stopped(step),
+            IntrinsicEnded::Stopped(step) => return Err(stopped(step)),
         }
     }
     common.answer(&summary)?;
@@ -337,7 +461,7 @@ fn untouched(output: &Path) -> anyhow::Result<()> {
     let scene = run.path("scene.ply");
     let painted = || scene.is_file() && Splats::read_ply(&scene).is_ok_and(|s| s.albedo.is_some());
     if run.intrinsic_checkpoint().is_file() || painted() {
-        bail!(
+        refuse_usage!(
             "\"{}\" has got to materials, which its geometry must not change under: resume it with --stage intrinsic, or \
              train geometry into another directory.",
             output.display()

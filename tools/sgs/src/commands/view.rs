@@ -1,6 +1,7 @@
 //! `sgs view`: a window that shows a run or a PLY.
 
 use crate::common::Common;
+use crate::failure::refuse_usage;
 use anyhow::bail;
 use sgs_view::{Channel, KEYS, Options};
 use std::path::PathBuf;
@@ -43,7 +44,7 @@ fn size(text: &str) -> Result<[u32; 2], String> {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if !a.output.is_dir() {
-        bail!("\"{}\" is no directory.", a.output.display());
+        refuse_usage!("\"{}\" is no directory.", a.output.display());
     }
     let outcome = sgs_view::run(Options {
         source: a.source.clone(),

@@ -4,6 +4,7 @@ mod orbit;
 mod path;
 
 use crate::commands::train::open_scene;
+use crate::failure::{Kind, failure, refuse_usage};
 use anyhow::bail;
 use glam::{DMat3, DVec3};
 use sgs_scene::{Camera, Scene, Splats};
@@ -50,7 +51,7 @@ impl ViewpointArgs {
     /// Opens the scene that `--scene` or the run names.
     pub fn open_scene(&self, source: &Path, settings: Option<&Settings>) -> anyhow::Result<Scene> {
         if settings.is_none() && self.scene.is_none() {
-            bail!("\"{}\" is no run and has no views of its own; give --cameras or --scene.", source.display());
+            refuse_usage!("\"{}\" is no run and has no views of its own; give --cameras or --scene.", source.display());
         }
         let mut settings = settings.cloned().unwrap_or_default();
         if let Some(scene) = &self.scene {
@@ -76,7 +77,7 @@ impl ViewpointArgs {
         if let Some(file) = &self.cameras {
             let cameras = Camera::read_transforms(file)?;
             if cameras.is_empty() {
-                bail!("\"{}\" holds no cameras.", file.display());
+                return Err(failure(Kind::Input, format!("\"{}\" holds no cameras.", file.display())));
             }
             return Ok(cameras);
         }
@@ -102,7 +103,7 @@ impl ViewpointArgs {
             Views::All => scene.views.iter().map(|view| view.camera.clone()).collect(),
         };
         if cameras.is_empty() {
-            bail!("The scene \"{}\" has no test views; use --views train.", scene.root.display());
+            refuse_usage!("The scene \"{}\" has no test views; use --views train.", scene.root.display());
         }
         Ok(cameras)
     }

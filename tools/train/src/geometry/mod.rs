@@ -14,6 +14,7 @@ mod grow;
 mod look;
 mod room;
 mod state;
+mod thin;
 
 use crate::asked::Look;
 use crate::convert::{gaussian_data, splats};
@@ -45,6 +46,7 @@ use sgs_passes::pipeline::{
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::Channels;
 use sgs_scene::{Scene, Splats};
+pub use thin::{MANY_POINTS, MOST_THINNED};
 
 /// Replays in flight.
 const IN_FLIGHT: usize = 2;
@@ -112,23 +114,17 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Prepares training from the scene's points, or from given splats.
+    /// Prepares training from the scene's points (from fewer where memory does not suffice for all), or from given splats.
     ///
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
-        let points = || Splats::from_points(&scene.points, settings.geometry.sh_degree.start() as usize);
-        let initial;
-        let start = match start {
-            Some(splats) => splats,
-            None => {
-                initial = points()?;
-                &initial
-            }
-        };
-        Geometry::of(device, &Given::Scene(scene), settings, start)
+        match start {
+            Some(splats) => Geometry::of(device, &Given::Scene(scene), settings, splats),
+            None => Geometry::from_points(device, scene, settings),
+        }
     }
 
     /// Prepares training of given splats on a scene, or on pictures without one.

@@ -1,5 +1,5 @@
-//! The layout of COLMAP and of VGGT's export: `sparse/0` or `sparse` with `cameras`, `images` and `points3D`, in binary
-//! or as text, and the photographs in `images`.
+//! The layout of COLMAP and of VGGT's export: `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`) with `cameras`, `images`
+//! and `points3D`, in binary or as text, and the photographs in `images`.
 //!
 //! The binary form wins where both are present. Poses are world-to-camera with OpenCV axes already.
 
@@ -53,17 +53,30 @@ impl Location {
     }
 }
 
+/// Where a model may lie in a scene directory, in this order.
+const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+
 /// The model of a scene directory, if there is one.
 pub(super) fn find(root: &Path) -> Option<Location> {
-    for folder in ["sparse/0", "sparse"] {
-        for (binary, name) in [(true, "cameras.bin"), (false, "cameras.txt")] {
-            let folder = root.join(folder);
-            if folder.join(name).is_file() {
-                return Some(Location { folder, binary });
-            }
-        }
-    }
-    None
+    FOLDERS.iter().find_map(|folder| in_folder(root.join(folder)))
+}
+
+/// The model in a folder, if there is one.
+fn in_folder(folder: PathBuf) -> Option<Location> {
+    let forms = [(true, "cameras.bin"), (false, "cameras.txt")];
+    let (binary, _) = forms.into_iter().find(|(_, name)| folder.join(name).is_file())?;
+    Some(Location { folder, binary })
+}
+
+/// The scene directory of a folder that holds a model itself, as `sparse/0` does; `None` for any other folder.
+pub(super) fn scene_of_model(folder: &Path) -> Option<PathBuf> {
+    in_folder(folder.to_owned())?;
+    let folder = folder.canonicalize().ok()?;
+    let root =
+        folder.ancestors().skip(1).take(3).find(|root| find(root).is_some_and(|model| model.folder == folder))?;
+    // COLMAP's folder of nerfstudio lies in the scene beside the images.
+    let outer = root.parent().filter(|_| root.ends_with("colmap") && !root.join("images").is_dir());
+    Some(outer.unwrap_or(root).to_owned())
 }
 
 /// Reads a scene directory.

@@ -202,3 +202,23 @@ fn fisheye_is_refused_by_name() {
     let error = read(&root).unwrap_err().to_string();
     assert!(error.contains("camera 3: the camera model is OPENCV_FISHEYE, but only SIMPLE_PINHOLE"), "{error}");
 }
+
+#[test]
+fn a_model_itself_names_its_scene() {
+    use crate::{Layout, Scene, SceneOptions};
+    let (_directory, root) = text_scene();
+    let root = root.canonicalize().unwrap();
+    let open = |path: &Path| Scene::open(path, &SceneOptions::default()).unwrap();
+    let scene = open(&root.join("sparse/0"));
+    assert_eq!((scene.root.as_path(), scene.layout, scene.views.len()), (root.as_path(), Layout::Colmap, 2));
+    // nerfstudio keeps COLMAP's folder beside the images.
+    std::fs::create_dir(root.join("colmap")).unwrap();
+    std::fs::rename(root.join("sparse"), root.join("colmap/sparse")).unwrap();
+    for path in [root.clone(), root.join("colmap/sparse/0")] {
+        let scene = open(&path);
+        assert_eq!((scene.root.as_path(), scene.views.len()), (root.as_path(), 2));
+    }
+    // A model in a folder of another name is none of a scene.
+    std::fs::rename(root.join("colmap/sparse/0"), root.join("colmap/sparse/1")).unwrap();
+    assert!(Scene::open(&root.join("colmap/sparse/1"), &SceneOptions::default()).is_err());
+}

@@ -1,0 +1,136 @@
+//! What a training is told before its first step: inputs that cannot be started from, and what makes a bad start.
+
+use sgs_scene::{Image, write_png};
+use sgs_tests::Place;
+use sgs_tests::cli::{Finished, sgs};
+use sgs_tests::rooms::{Room, write_json};
+use std::path::Path;
+
+/// Changes the places of the cameras and of the points of a room.
+fn move_room(scene: &Path, cameras: impl Fn(f64) -> f64, points: impl Fn(f64) -> f64) {
+    let file = scene.join("transforms.json");
+    let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    for frame in value["frames"].as_array_mut().unwrap() {
+        for row in 0..3 {
+            let at = &mut frame["transform_matrix"][row][3];
+            *at = cameras(at.as_f64().unwrap()).into();
+        }
+    }
+    write_json(&file, &value);
+    let file = scene.join("points.ply");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let (header, body) = text.split_once("end_header\n").unwrap();
+    let lines = body.lines().map(|line| {
+        let numbers: Vec<&str> = line.split(' ').collect();
+        let moved = numbers[..3].iter().map(|v| format!("{:e}", points(v.parse().unwrap())));
+        moved.chain(numbers[3..].iter().map(|v| (*v).to_owned())).collect::<Vec<_>>().join(" ") + "\n"
+    });
+    std::fs::write(&file, format!("{header}end_header\n{}", lines.collect::<String>())).unwrap();
+}
+
+fn train(place: &Place, more: &[&str]) -> Finished {
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    sgs(&[&["train", &scene, "-o", &run, "--geometry-steps", "1", "--no-densify", "--force"], more].concat())
+}
+
+#[test]
+fn scenes_in_the_wrong_units_are_refused() {
+    let place = Place::new(Room::default());
+    let scene = place.path("scene");
+    move_room(&scene, |v| 1e-4 * v, |v| 1e-4 * v);
+    train(&place, &[]).refused_with(42, &["no training view sees any", "0.01 units", "cameras and points by 10000"]);
+    sgs(&["plan", &place.text("scene")]).refused_with(42, &["by 10000"]);
+    assert!(!place.path("run").exists());
+    // As it says.
+    move_room(&scene, |v| 1e4 * v, |v| 1e4 * v);
+    let said = train(&place, &[]).ok().stderr;
+    assert!(!said.contains("WARN"), "{said}");
+    // Points of another reconstruction.
+    move_room(&scene, |v| v, |v| v + 1000.0);
+    train(&place, &[]).refused_with(42, &["no training view sees any", "same reconstruction", "same units"]);
+    move_room(&scene, |v| v, |v| 1000.0 * (v - 1000.0));
+    let said = train(&place, &[]).ok().stderr;
+    assert!(said.contains("too far for parallax"), "{said}");
+}
+
+#[test]
+fn cameras_with_one_pose_are_warned_of() {
+    let place = Place::new(Room::default());
+    let file = place.path("scene/transforms.json");
+    let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let first = value["frames"][0]["transform_matrix"].clone();
+    value["frames"][2]["transform_matrix"] = first.clone();
+    write_json(&file, &value);
+    let said = train(&place, &[]).ok().stderr;
+    assert!(said.contains("1 of 6 training cameras have the pose of another one"), "{said}");
+    value["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| f["transform_matrix"] = first.clone());
+    write_json(&file, &value);
+    let said = train(&place, &[]).ok().stderr;
+    assert!(said.contains("the 6 training cameras stand at one place") && said.contains("depth"), "{said}");
+}
+
+#[test]
+fn images_and_priors_that_do_not_suffice_are_warned_of() {
+    let place = Place::new(Room::default());
+    let image = place.path("scene/images/000.png");
+    let mut cut = Image::new(32, 24, 4);
+    cut.data.chunks_exact_mut(4).enumerate().for_each(|(i, p)| p.fill(if i % 4 == 0 { 0.0 } else { 1.0 }));
+    write_png(&image, &cut).unwrap();
+    let said = train(&place, &[]).ok().stderr;
+    assert!(said.contains("000.png is transparent in 25 % of its pixels"), "{said}");
+    assert!(!said.contains("priors") && !said.contains('\u{1b}') && !said.contains("sgs::"), "{said}");
+    let said = sgs(&["plan", &place.text("scene"), "--stage", "all"]).ok().stderr;
+    assert!(said.contains("no priors of normals or materials") && said.contains("docs/PRIORS.md"), "{said}");
+    // An evaluation starts from nothing.
+    std::fs::remove_file(place.path("scene/points.ply")).unwrap();
+    let said = train(&place, &["--set", "random_points=500"]).ok().stderr;
+    assert!(said.contains("starting from 500 random points"), "{said}");
+    let said = sgs(&["eval", &place.text("run")]).ok().stderr;
+    assert!(!said.contains("random") && !said.contains("transparent"), "{said}");
+}
+
+#[test]
+fn a_scene_that_has_moved_is_named_by_an_option() {
+    let place = Place::new(Room::default());
+    train(&place, &[]).ok();
+    std::fs::rename(place.path("scene"), place.path("moved")).unwrap();
+    let (run, moved, page) = (place.text("run"), place.text("moved"), place.text("a.html"));
+    for command in [vec!["eval", &run], vec!["report", &run, "-o", &page]] {
+        sgs(&command).refused_with(1, &["no longer at", "/scene\"", "--scene DIR"]);
+        sgs(&[&command[..], &["--scene", &moved]].concat()).ok();
+    }
+    // Found out before minutes of work.
+    if std::fs::File::create("/proc/sgs.html").is_err() {
+        sgs(&["report", &run, "-o", "/proc/a.html", "--scene", &moved]).refused(&["/proc/a.html", "cannot be written"]);
+    }
+}
+
+#[test]
+fn folders_of_photographs_get_the_commands_that_find_cameras() {
+    let place = Place::new(Room::default());
+    std::fs::create_dir(place.path("photos")).unwrap();
+    std::fs::rename(place.path("scene/images"), place.path("photos/images")).unwrap();
+    let photos = place.text("photos");
+    let command = format!(
+        "colmap automatic_reconstructor --workspace_path {photos} --image_path {photos}/images --use_gpu 0 --dense 0 \
+         --single_camera 1"
+    );
+    let words = ["holds 8 photographs without cameras", &command, "VGGT", "demo_colmap.py --scene_dir"];
+    sgs(&["train", &photos, "-o", &place.text("run")]).refused_with(42, &words);
+    let inner = place.text("photos/images");
+    sgs(&["train", &inner, "-o", &place.text("run")]).refused_with(42, &[&format!("--image_path {inner} ")]);
+}
+
+#[test]
+fn points_that_do_not_fit_into_memory_are_thinned() {
+    let place = Place::new(Room { size: [64, 48], spacing: 1, ..Room::default() });
+    let plan = sgs(&["plan", &place.text("scene"), "--no-densify", "--json"]).ok().json();
+    let (all, needed) = (plan["gaussians"].as_u64().unwrap(), plan["needs_bytes"].as_u64().unwrap());
+    let budget = (needed / 4 * 3).to_string();
+    let trained = train(&place, &["--json", "--memory-budget", &budget]).ok();
+    let kept = trained.json()["gaussians"].as_u64().unwrap();
+    assert!(kept < all && kept > all / 3, "{kept} of {all}");
+    let said = format!("memory does not suffice for all {all} points; training starts from {kept} of them");
+    assert!(trained.stderr.contains(&said), "{}", trained.stderr);
+    place.resume("run").ok();
+}

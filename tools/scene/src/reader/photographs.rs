@@ -1,0 +1,57 @@
+//! Folders of photographs that nothing is known of: the commands that find their cameras.
+
+use std::path::{Path, PathBuf};
+
+use super::frame::stem_of;
+
+/// What to do with a folder of photographs without cameras; `None` for a folder without photographs.
+pub(super) fn problem(root: &Path) -> Option<String> {
+    let inner = root.join("images");
+    let (folder, count) =
+        [inner.as_path(), root].map(|folder| (folder, count(folder))).into_iter().find(|f| f.1 > 0)?;
+    let [root, folder] = [root, folder].map(quoted);
+    Some(format!(
+        "holds {count} photographs without cameras; find these with COLMAP: colmap automatic_reconstructor \
+         --workspace_path {root} --image_path {folder} --use_gpu 0 --dense 0 --single_camera 1 (for a few views, VGGT: \
+         python demo_colmap.py --scene_dir {root}, with the photographs in its images folder)"
+    ))
+}
+
+/// Photographs in a folder, by their extension.
+fn count(folder: &Path) -> usize {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| PathBuf::from(entry.file_name()));
+    // Only an image loses its extension.
+    files.filter(|file| file.extension().is_some() && stem_of(file) != file.to_string_lossy()).count()
+}
+
+/// A path as a shell takes it.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
+    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_name_the_folders() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("my room");
+        std::fs::create_dir_all(root.join("images")).unwrap();
+        std::fs::write(root.join("notes.txt"), "").unwrap();
+        assert_eq!(problem(&root), None);
+        std::fs::write(root.join("b.jpeg"), "").unwrap();
+        let at = root.display();
+        let said = problem(&root).unwrap();
+        assert!(said.contains(&format!("--workspace_path '{at}' --image_path '{at}' --use_gpu 0")), "{said}");
+        std::fs::write(root.join("images/a.JPG"), "").unwrap();
+        let said = problem(&root).unwrap();
+        assert!(
+            said.starts_with("holds 1 photographs") && said.contains(&format!("--image_path '{at}/images' ")),
+            "{said}"
+        );
+        assert!(said.contains(&format!("demo_colmap.py --scene_dir '{at}'")), "{said}");
+    }
+}

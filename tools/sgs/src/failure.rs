@@ -1,0 +1,218 @@
+//! Why a command fails: the kind of a failure, its exit status, and how it is reported.
+
+use crate::common::Common;
+use sgs_scene::SceneError;
+use sgs_synth::SynthError;
+use sgs_train::TrainError;
+use std::fmt;
+
+/// Kind of a failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Anything that no other kind names.
+    Failed,
+    /// Wrong usage: an option, a setting, a preset, a value, an unknown device.
+    Usage,
+    /// An input that can never work.
+    Input,
+    /// Training diverged.
+    Diverged,
+    /// Another process writes into the directory.
+    Locked,
+    /// The device was lost, or did not answer in time.
+    DeviceLost,
+    /// Memory of the device or the budget did not suffice.
+    OutOfMemory,
+    /// SIGTERM or SIGHUP stopped it.
+    Terminated,
+    /// The user stopped it, as by Ctrl-C.
+    Interrupted,
+}
+
+impl Kind {
+    /// Exit status.
+    pub fn status(self) -> i32 {
+        match self {
+            Kind::Failed | Kind::Diverged | Kind::Locked => 1,
+            Kind::Usage => 2,
+            Kind::Input => 42,
+            Kind::DeviceLost | Kind::OutOfMemory | Kind::Terminated => 75,
+            Kind::Interrupted => 130,
+        }
+    }
+
+    /// Name in the output of `--json`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Failed => "failed",
+            Kind::Usage => "usage",
+            Kind::Input => "input",
+            Kind::Diverged => "diverged",
+            Kind::Locked => "locked",
+            Kind::DeviceLost => "device_lost",
+            Kind::OutOfMemory => "out_of_memory",
+            Kind::Terminated => "terminated",
+            Kind::Interrupted => "interrupted",
+        }
+    }
+
+    /// Kind of an error, from the first cause whose kind is known.
+    pub fn of(error: &anyhow::Error) -> Kind {
+        let known = |cause: &(dyn std::error::Error + 'static)| {
+            if let Some(failure) = cause.downcast_ref::<Failure>() {
+                return Some(failure.kind);
+            }
+            let of_train = cause.downcast_ref::<TrainError>().and_then(of_train);
+            let of_scene = cause.downcast_ref::<SceneError>().and_then(of_scene);
+            let of_engine = cause.downcast_ref::<sgs_engine::Error>().and_then(of_engine);
+            let of_synth = cause.downcast_ref::<SynthError>().and_then(of_synth);
+            of_train.or(of_scene).or(of_engine).or(of_synth)
+        };
+        error.chain().find_map(known).unwrap_or(Kind::Failed)
+    }
+}
+
+fn of_train(error: &TrainError) -> Option<Kind> {
+    match error {
+        TrainError::Engine(error) => of_engine(error),
+        TrainError::Scene(error) => of_scene(error),
+        TrainError::Setting(_) => Some(Kind::Usage),
+        TrainError::Memory(_) => Some(Kind::OutOfMemory),
+        TrainError::Locked { .. } => Some(Kind::Locked),
+        TrainError::Diverged { .. } => Some(Kind::Diverged),
+        _ => None,
+    }
+}
+
+fn of_scene(error: &SceneError) -> Option<Kind> {
+    match error {
+        SceneError::Io { .. } | SceneError::Data { .. } => None,
+        SceneError::Option { .. } => Some(Kind::Usage),
+        _ => Some(Kind::Input),
+    }
+}
+
+fn of_engine(error: &sgs_engine::Error) -> Option<Kind> {
+    use sgs_engine::Error as E;
+    match error {
+        error if error.is_out_of_memory() => Some(Kind::OutOfMemory),
+        E::DeviceLost(_) | E::Timeout { .. } => Some(Kind::DeviceLost),
+        E::NoDevice { wanted, found } if found != "none" && wanted != "any device" => Some(Kind::Usage),
+        _ => None,
+    }
+}
+
+fn of_synth(error: &SynthError) -> Option<Kind> {
+    match error {
+        SynthError::Io { .. } | SynthError::Encode { .. } => None,
+        _ => Some(Kind::Usage),
+    }
+}
+
+/// A failure of a known kind, with one sentence.
+#[derive(Debug)]
+pub struct Failure {
+    /// Its kind.
+    pub kind: Kind,
+    /// What failed, why, and what to do.
+    pub text: String,
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl std::error::Error for Failure {}
+
+/// Makes an error of a kind.
+pub fn failure(kind: Kind, text: impl Into<String>) -> anyhow::Error {
+    Failure { kind, text: text.into() }.into()
+}
+
+/// Makes an error of wrong usage.
+pub fn usage(text: impl Into<String>) -> anyhow::Error {
+    failure(Kind::Usage, text)
+}
+
+/// Returns an error of wrong usage from the surrounding function; takes what `format!` takes.
+macro_rules! refuse_usage {
+    ($($text:tt)*) => {
+        return Err($crate::failure::usage(format!($($text)*)))
+    };
+}
+pub(crate) use refuse_usage;
+
+/// Removes control characters, with which a file's content could move a terminal's cursor.
+fn one_line(sentence: &str) -> String {
+    sentence.trim_end().chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// Prints an error, as JSON too where `--json` asks for it. Returns the exit status.
+pub fn report(common: &Common, error: &anyhow::Error) -> i32 {
+    let kind = Kind::of(error);
+    let sentence = one_line(&format!("{error:#}"));
+    eprintln!("sgs: {sentence}");
+    report_json(common, &sentence, kind);
+    kind.status()
+}
+
+fn report_json(common: &Common, sentence: &str, kind: Kind) {
+    if let Err(error) = common.answer(&serde_json::json!({"error": sentence, "kind": kind.name()})) {
+        eprintln!("sgs: {}", one_line(&format!("{error:#}")));
+    }
+}
+
+/// Prints what clap says about arguments that it does not take, or the help that was asked for. Returns the exit status.
+pub fn report_arguments(mut error: clap::Error, arguments: &[std::ffi::OsString]) -> i32 {
+    suggest_steps(&mut error);
+    // Where nobody reads on, nothing is lost.
+    let _ = error.print();
+    if error.use_stderr()
+        && let Some(common) = Common::json_only(arguments)
+    {
+        let text = error.to_string();
+        let sentence = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
+        report_json(&common, sentence, Kind::Usage);
+    }
+    error.exit_code()
+}
+
+/// Suggests the options of the stages where other programs have one option for steps.
+fn suggest_steps(error: &mut clap::Error) {
+    use clap::error::{ContextKind, ContextValue};
+    let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return };
+    if !["--iterations", "--iters", "--steps", "--max-steps"].contains(&option.as_str()) {
+        return;
+    }
+    let tip = "each stage has its own number of steps: --geometry-steps N, --intrinsic-steps N".into();
+    error.remove(ContextKind::SuggestedArg);
+    error.remove(ContextKind::TrailingArg);
+    error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context;
+
+    #[test]
+    fn kinds_are_found_below_context() {
+        let setting = || TrainError::Setting("steps is -1".into());
+        let kinds = [
+            (anyhow::anyhow!("anything"), 1),
+            (setting().into(), 2),
+            (usage("no"), 2),
+            (SceneError::NotAScene { path: "a".into(), problem: "is empty".into() }.into(), 42),
+            (TrainError::from(sgs_engine::Error::DeviceLost("a call".into())).into(), 75),
+            (TrainError::Memory("too much".into()).into(), 75),
+            (failure(Kind::Interrupted, "stopped"), 130),
+        ];
+        for (error, status) in kinds {
+            assert_eq!(Kind::of(&error).status(), status, "{error}");
+        }
+        let below = Err::<(), _>(setting()).context("while reading").unwrap_err();
+        assert_eq!(Kind::of(&below), Kind::Usage);
+    }
+}

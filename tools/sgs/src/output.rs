@@ -1,0 +1,134 @@
+//! Rules of the directories that commands write into: no result, scene or other program's file is lost to a wrong `-o`.
+
+use crate::failure::refuse_usage;
+use sgs_train::{Contents, DirectoryLock, RunContents, entries};
+use std::path::Path;
+
+/// What a command is about to write into a run directory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begin {
+    /// Geometry, and materials on it where both stages are asked for.
+    Geometry,
+    /// Materials on the geometry that the run holds.
+    Materials,
+    /// Materials on geometry from a file.
+    MaterialsFrom,
+}
+
+/// What `--force` and `--resume` say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Permission {
+    /// What is there may be replaced.
+    pub force: bool,
+    /// What is there is continued.
+    pub resume: bool,
+}
+
+/// Refuses a run directory that training would destroy or does not belong into.
+pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::Result<()> {
+    let name = root.display();
+    let run = match check_kind(root, "a run")? {
+        Contents::Run(run) => run,
+        _ => return Ok(()),
+    };
+    let RunContents { materials, .. } = run;
+    if permission.resume || permission.force || !run.is_trained() || (begin == Begin::Materials && !materials) {
+        return Ok(());
+    }
+    if begin == Begin::Materials {
+        refuse_usage!(
+            "\"{name}\" has materials: continue them with --resume, or train them again on the same geometry with --force."
+        );
+    }
+    let state = if root.join("training.json").is_file() { "a finished run" } else { "an unfinished run" };
+    refuse_usage!(
+        "\"{name}\" holds {state}: continue it with --resume, replace it with --force, or name another directory."
+    )
+}
+
+/// Refuses files, scenes and directories with files of other programs. Returns what the directory holds otherwise.
+///
+/// `what`: what the directory is for.
+fn check_kind(root: &Path, what: &str) -> anyhow::Result<Contents> {
+    let name = root.display();
+    match Contents::of(root) {
+        Contents::File => refuse_usage!("\"{name}\" is a file: name a directory for {what}."),
+        Contents::Scene(_) => {
+            refuse_usage!("\"{name}\" is a scene: name another directory for {what}, so that the scene stays as it is.")
+        }
+        Contents::Other(file) => refuse_usage!(
+            "\"{name}\" holds files that do not belong to {what}, such as \"{file}\": name a new or an empty directory."
+        ),
+        contents => Ok(contents),
+    }
+}
+
+/// Refuses a directory for a table of runs that holds anything else.
+pub fn check_series(root: &Path, tables: &[&str]) -> anyhow::Result<()> {
+    let name = root.display();
+    match Contents::of(root) {
+        Contents::Other(_) => {
+            let belongs = |entry: &String| {
+                let path = root.join(entry);
+                let table = tables.iter().any(|t| *entry == format!("{t}.json") || *entry == format!("{t}.md"));
+                table || path.is_dir() && matches!(Contents::of(&path), Contents::Run(_) | Contents::Nothing)
+                    // A run that lost its settings.
+                    || path.join("checkpoint").is_dir()
+            };
+            match entries(root).into_iter().find(|entry| !belongs(entry)) {
+                None => Ok(()),
+                Some(file) => refuse_usage!(
+                    "\"{name}\" holds files that do not belong to a table of runs, such as \"{file}\": name a new or an \
+                     empty directory."
+                ),
+            }
+        }
+        Contents::Run(_) => refuse_usage!("\"{name}\" is a run: name another directory for a table of runs."),
+        _ => check_kind(root, "a table of runs").map(|_| ()),
+    }
+}
+
+/// Refuses a directory for images that is a scene or a run, or, without `--force`, holds files other than images, videos and JSON.
+pub fn check_images(root: &Path, force: bool) -> anyhow::Result<()> {
+    let name = root.display();
+    match Contents::of(root) {
+        Contents::Run(_) => refuse_usage!("\"{name}\" is a run: name another directory for images."),
+        Contents::Other(_) => {
+            let image = |entry: &String| {
+                let path = Path::new(entry);
+                let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+                extension
+                    .is_some_and(|e| ["png", "exr", "jpg", "jpeg", "gif", "mp4", "webp", "json"].contains(&e.as_str()))
+            };
+            if let Some(file) = entries(root).into_iter().find(|entry| !image(entry)).filter(|_| !force) {
+                refuse_usage!(
+                    "\"{name}\" holds files other than images, such as \"{file}\": name another directory, or write among \
+                     them with --force."
+                );
+            }
+        }
+        _ => {
+            check_kind(root, "images")?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes a directory, and those above it.
+pub fn make(root: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(root).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", root.display()))
+}
+
+/// Locks a directory while a command writes into it. Reports a lock that a process left behind.
+pub fn lock(root: &Path) -> anyhow::Result<DirectoryLock> {
+    let lock = DirectoryLock::acquire(root)?;
+    if let Some(holder) = lock.recovered() {
+        tracing::warn!(
+            "\"{}\" was still locked by process {} on {}, which has ended; its lock is taken over.",
+            root.display(),
+            holder.pid,
+            holder.host
+        );
+    }
+    Ok(lock)
+}

@@ -1,0 +1,164 @@
+//! Whether the training views see the points that training starts from: checked before the first step, on the processor.
+//!
+//! A training whose views see nothing ends in black images. Poses and points in different units, or in units that are far from the
+//! sizes that kernels assume, are the usual cause.
+
+use crate::convert::NEAR;
+use crate::error::Result;
+use glam::DVec3;
+use sgs_scene::{Camera, Scene, SceneError};
+
+/// Cells along the sides of a view, in which points are looked for.
+const CELLS: [usize; 2] = [8, 6];
+
+/// Views and points that are tested at most, spread evenly over all.
+const MOST_VIEWS: usize = 64;
+const MOST_POINTS: usize = 20_000;
+
+/// Share of its cells in which a view must show points, so that there is no warning.
+const ENOUGH_CELLS: f64 = 0.1;
+
+/// Share of the points before the cameras that may lie nearer than the near plane.
+const FEW_NEAR: f64 = 0.2;
+
+/// Points this many times as far as the cameras are apart have no parallax.
+const FAR: f64 = 100.0;
+
+/// What the training views see of a scene's points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Framing {
+    /// Training views.
+    pub views: usize,
+    /// Training views whose pose is that of an earlier one.
+    pub repeated: usize,
+    /// Share of the points that at least one view sees.
+    pub seen: f64,
+    /// Share of the cells of a view that show a point, mean over the views.
+    pub covered: f64,
+    /// Share of the points within the images that lie nearer than the near plane.
+    pub near: f64,
+    /// Largest distance of a camera from the mean of all, in the scene's units.
+    pub baseline: f64,
+    /// Median distance of the points from the mean of the cameras, in the scene's units.
+    pub distance: f64,
+}
+
+impl Framing {
+    /// Measures a scene.
+    pub fn of(scene: &Scene) -> Framing {
+        let cameras: Vec<&Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
+        let center = cameras.iter().map(|c| c.position()).sum::<DVec3>() / cameras.len().max(1) as f64;
+        let baseline = cameras.iter().map(|c| c.position().distance(center)).fold(0.0, f64::max);
+        let every = scene.points.len().div_ceil(MOST_POINTS).max(1);
+        let points: Vec<DVec3> =
+            scene.points.positions.iter().step_by(every).map(|p| DVec3::from(p.map(f64::from))).collect();
+        let mut distances: Vec<f64> = points.iter().map(|p| p.distance(center)).collect();
+        let middle = distances.len() / 2;
+        let distance = match distances.is_empty() {
+            true => 0.0,
+            false => *distances.select_nth_unstable_by(middle, f64::total_cmp).1,
+        };
+        let mut seen = vec![false; points.len()];
+        let (mut covered, mut within, mut near) = (0.0, 0_u64, 0_u64);
+        let step = cameras.len().div_ceil(MOST_VIEWS).max(1);
+        let tested: Vec<&Camera> = cameras.iter().copied().step_by(step).collect();
+        for camera in &tested {
+            let mut cells = [false; CELLS[0] * CELLS[1]];
+            for (point, seen) in points.iter().zip(&mut seen) {
+                let Some((cell, depth)) = place(camera, *point) else { continue };
+                within += 1;
+                if depth < f64::from(NEAR) {
+                    near += 1;
+                } else {
+                    (*seen, cells[cell]) = (true, true);
+                }
+            }
+            covered += cells.iter().filter(|c| **c).count() as f64 / cells.len() as f64;
+        }
+        let share = |count: u64, of: usize| count as f64 / of.max(1) as f64;
+        Framing {
+            views: cameras.len(),
+            repeated: repeated(&cameras),
+            seen: share(seen.iter().filter(|s| **s).count() as u64, points.len()),
+            covered: covered / tested.len().max(1) as f64,
+            near: share(near, within as usize),
+            baseline,
+            distance,
+        }
+    }
+
+    /// Refuses a scene of whose points no training view sees any. Returns what a user should know otherwise, one sentence each.
+    ///
+    /// # Errors
+    /// [`SceneError::Points`] that says by how much, and what to do.
+    pub fn check(&self, scene: &Scene) -> Result<Vec<String>> {
+        let n = scene.points.len();
+        let refuse = |problem: String| {
+            Err(SceneError::Points { path: scene.root.clone(), place: String::new(), problem }.into())
+        };
+        let too_small = || {
+            // Points a few units away, as in a room in meters.
+            let factor = 10_f64.powf((3.0 / self.distance.max(1e-30)).log10().round());
+            let distance = self.distance;
+            format!(
+                "they lie about {distance:.2e} units from the cameras, and what is nearer than {NEAR} units is not drawn; \
+                 multiply the positions of cameras and points by {factor}"
+            )
+        };
+        let apart = || {
+            let (distance, baseline) = (self.distance, self.baseline);
+            format!(
+                "they lie about {distance:.3} units from the cameras, which lie within {baseline:.3} units; check that poses \
+                 and points come from the same reconstruction and have the same units"
+            )
+        };
+        if self.seen == 0.0 {
+            let why = if self.near > 0.0 { too_small() } else { apart() };
+            return refuse(format!("no training view sees any of the {n} points: {why}"));
+        }
+        let mut warnings = Vec::new();
+        if self.near > FEW_NEAR {
+            let percent = 100.0 * self.near;
+            warnings.push(format!("{percent:.0} % of the points are too near to be drawn: {}", too_small()));
+        } else if self.covered < ENOUGH_CELLS {
+            let percent = 100.0 * self.covered;
+            warnings.push(format!("training views show points in only {percent:.1} % of their area: {}", apart()));
+        }
+        let cameras = self.views;
+        if self.baseline == 0.0 && self.repeated > 0 {
+            warnings.push(format!(
+                "the {cameras} training cameras stand at one place, {} of them with the pose of another one: depth cannot be \
+                 learned; check the poses",
+                self.repeated
+            ));
+        } else if self.repeated > 0 {
+            let repeated = self.repeated;
+            warnings.push(format!(
+                "{repeated} of {cameras} training cameras have the pose of another one; check the poses"
+            ));
+        } else if self.baseline > 0.0 && self.distance > FAR * self.baseline && self.covered >= ENOUGH_CELLS {
+            warnings.push(format!("the points are too far for parallax: {}", apart()));
+        }
+        Ok(warnings)
+    }
+}
+
+/// The cell of a view in which it shows a point, and the point's depth; `None` for a point outside the image or behind the camera.
+fn place(camera: &Camera, point: DVec3) -> Option<(usize, f64)> {
+    let pixel = camera.project(point)?;
+    let depth = camera.forward().dot(point - camera.position());
+    let sides = [(pixel.x, camera.width, CELLS[0]), (pixel.y, camera.height, CELLS[1])];
+    let [x, y] = sides.map(|(at, side, cells)| (at >= 0.0).then(|| (at / f64::from(side) * cells as f64) as usize));
+    let (x, y) = (x.filter(|x| *x < CELLS[0])?, y.filter(|y| *y < CELLS[1])?);
+    (depth > 0.0).then_some((y * CELLS[0] + x, depth))
+}
+
+/// How many cameras have the pose of an earlier one, to the bit.
+fn repeated(cameras: &[&Camera]) -> usize {
+    let bits = |c: &Camera| {
+        let numbers = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
+        numbers.map(f64::to_bits).collect::<Vec<u64>>()
+    };
+    let poses: std::collections::HashSet<_> = cameras.iter().map(|c| bits(c)).collect();
+    cameras.len() - poses.len()
+}
