@@ -27,6 +27,7 @@ mod reader;
 mod scene;
 mod splats;
 mod split;
+mod split_rule;
 mod view;
 
 pub use atomic::atomic_write;
@@ -48,4 +49,5 @@ pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
 pub use splats::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
 pub use split::Split;
+pub use split_rule::SplitRule;
 pub use view::{LoadOptions, Photograph, View};

@@ -12,15 +12,18 @@ use crate::error::{Result, SceneError};
 use crate::exposure;
 use crate::image::Image;
 use crate::noise::Noise;
-use crate::points::{PointCloud, RandomBox};
+use crate::points::{PointCloud, RandomBox, Tracks};
 use crate::priors::PriorSettings;
 use crate::reader::{self, Layout};
 use crate::split::Split;
+use crate::split_rule::SplitRule;
 use crate::view::{LoadOptions, View};
 
 /// How to open a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneOptions {
+    /// Which views are training views and which are test views.
+    pub split: SplitRule,
     /// Take this many training views, spread evenly; all by default.
     pub views: Option<usize>,
     /// Image size as a factor, at most 1.
@@ -41,6 +44,7 @@ pub struct SceneOptions {
 impl Default for SceneOptions {
     fn default() -> Self {
         Self {
+            split: SplitRule::Auto,
             views: None,
             scale: 1.0,
             exposure: None,
@@ -105,7 +109,12 @@ impl Scene {
         let root = reader::scene_root(path);
         let path = root.as_path();
         let layout = reader::recognize(path)?;
-        let reader::Found { mut frames, missing, points, mut warnings, own_split } = reader::read(path, layout)?;
+        let split_file = match &options.split {
+            SplitRule::File(file) => Some(file.as_path()),
+            _ => None,
+        };
+        let found = reader::read(path, layout, split_file)?;
+        let reader::Found { mut frames, missing, points, tracks, mut warnings, own_split } = found;
         frames.sort_by_cached_key(|frame| natural_key(&frame.camera.name));
         let mut places = HashMap::new();
         for frame in &frames {
@@ -122,6 +131,10 @@ impl Scene {
         let views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
         let split = split_of(path, &views, (&missing, own_split), options, &mut warnings)?;
         warnings.extend(coverage_warning(&views));
+        let points = match tracks.filter(|tracks| !tracks.is_empty()) {
+            Some(tracks) => points.map(|points| seen_points(points, &tracks, &split, &views, &mut warnings)),
+            None => points,
+        };
 
         let cameras = || split.train.iter().filter_map(|&i| views.get(i)).map(|view| &view.camera);
         let centers: Vec<DVec3> = cameras().map(|camera| camera.position()).collect();
@@ -263,7 +276,9 @@ fn split_of(
 ) -> Result<Split> {
     let names: Vec<&str> = views.iter().map(|view| view.camera.name.as_str()).collect();
     let path = root.join("split.json");
-    let mut split = if path.is_file() {
+    let mut split = if let Some(split) = Split::by_rule(&options.split, root, &names, missing)? {
+        split
+    } else if path.is_file() {
         Split::read(&path, &names, missing)?
     } else if own_split {
         let (test, train) = (0..views.len()).partition(|&i| views[i].beside.test == Some(true));
@@ -290,6 +305,33 @@ fn split_of(
         }
     }
     Ok(split)
+}
+
+/// The points that at least two training views see; all, if none is left. Says how many are left out.
+fn seen_points(
+    points: PointCloud,
+    tracks: &Tracks,
+    split: &Split,
+    views: &[View],
+    warnings: &mut Vec<String>,
+) -> PointCloud {
+    let training = split.train.iter().filter_map(|&i| views.get(i)).map(|view| view.camera.name.as_str());
+    let kept = tracks.seen_twice(&training.collect());
+    let (count, left) = (points.len(), kept.iter().filter(|kept| **kept).count());
+    if left == 0 {
+        warnings.push(format!(
+            "fewer than two training views see any of the {count} points; training starts from all of them; train with more \
+             views"
+        ));
+        return points;
+    }
+    if left < count {
+        let out = count - left;
+        warnings.push(format!(
+            "fewer than two training views see {out} of the {count} points; training starts from the other {left}"
+        ));
+    }
+    points.filtered(&kept)
 }
 
 /// Distortion that shows more than a sliver of unseen pixels is worth a sentence.

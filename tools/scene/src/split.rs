@@ -8,6 +8,7 @@ use serde::Deserialize;
 use crate::error::{Result, SceneError};
 use crate::json::read_json;
 use crate::reader::stem_of;
+use crate::split_rule::SplitRule;
 
 /// Without `split.json`, one view in this many is a test view, beginning with the first.
 const TEST_EVERY: usize = 8;
@@ -31,8 +32,45 @@ struct File {
 impl Split {
     /// Every 8th of `count` views is a test view, beginning with the first.
     pub fn every_eighth(count: usize) -> Self {
-        let (test, train) = (0..count).partition(|i| i % TEST_EVERY == 0);
+        Self::every(TEST_EVERY, count)
+    }
+
+    /// Every `n`th of `count` views is a test view, beginning with the first.
+    pub fn every(n: usize, count: usize) -> Self {
+        let (test, train) = (0..count).partition(|i| i % n.max(1) == 0);
         Self { train, test }
+    }
+
+    /// `n` of `count` views are test views, spread evenly from the second to the last but one, rounded down. `None` if
+    /// there are fewer than `n + 2` views.
+    pub fn linspace(n: usize, count: usize) -> Option<Self> {
+        let steps = n.saturating_sub(1).max(1);
+        let last = count.checked_sub(2).filter(|inner| n > 0 && *inner >= n)?;
+        let test: Vec<usize> = (0..n).map(|i| 1 + i * (last - 1) / steps).collect();
+        let train = (0..count).filter(|i| test.binary_search(i).is_err()).collect();
+        Some(Self { train, test })
+    }
+
+    /// Divides views by a rule; `None` for [`SplitRule::Auto`].
+    pub(crate) fn by_rule(rule: &SplitRule, root: &Path, views: &[&str], missing: &[String]) -> Result<Option<Self>> {
+        let count = views.len();
+        let split = match rule {
+            SplitRule::Auto => return Ok(None),
+            SplitRule::Every(n) => Self::every(*n, count),
+            SplitRule::Linspace(n) => Self::linspace(*n, count).ok_or_else(|| {
+                let least = n.saturating_add(2);
+                let problem =
+                    format!("the split {rule} needs at least {least} views, but there are {count}; hold out fewer");
+                SceneError::split(root, problem)
+            })?,
+            SplitRule::File(path) => Self::read(path, views, missing)?,
+        };
+        if split.train.is_empty() {
+            let problem =
+                format!("the split {rule} leaves no training view of {count} views; add views or another split");
+            return Err(SceneError::split(root, problem));
+        }
+        Ok(Some(split))
     }
 
     /// The stems that `split.json` names.
@@ -106,6 +144,30 @@ mod tests {
         assert_eq!(split.test, [0, 8, 16]);
         assert_eq!(split.train.len(), 15);
         assert!(split.train.iter().all(|i| i % 8 != 0));
+    }
+
+    /// 24 views: numpy's linspace(1, 22, 5) is 1, 6.25, 11.5, 16.75, 22.
+    #[test]
+    fn linspace_holds_out_views_between_the_first_and_the_last() {
+        let split = Split::linspace(5, 24).unwrap();
+        assert_eq!(split.test, [1, 6, 11, 16, 22]);
+        assert_eq!(split.train.len(), 19);
+        assert!(split.train.iter().all(|i| !split.test.contains(i)));
+        assert_eq!(Split::linspace(1, 9).unwrap().test, [1]);
+        assert_eq!(Split::linspace(3, 5).unwrap(), Split { train: vec![0, 4], test: vec![1, 2, 3] });
+        for (n, count) in [(0, 9), (4, 5), (1, 2), (1, 0)] {
+            assert_eq!(Split::linspace(n, count), None, "{n} of {count}");
+        }
+        for n in 1..20 {
+            let mut test = Split::linspace(n, n + 7).unwrap().test;
+            test.dedup();
+            assert!(test.len() == n && test[0] == 1 && *test.last().unwrap() <= n + 5);
+        }
+    }
+
+    #[test]
+    fn every_third_view_may_be_a_test() {
+        assert_eq!(Split::every(3, 7), Split { train: vec![1, 2, 4, 5], test: vec![0, 3, 6] });
     }
 
     #[test]

@@ -56,7 +56,10 @@ fn colmap_in_both_forms_is_the_same_room() {
     for scene in [&binary, &text] {
         assert_eq!((scene.layout, scene.views.len()), (Layout::Colmap, 12));
         assert_eq!(scene.split.test, [0, 8]);
-        assert_eq!(scene.warnings, Vec::<String>::new());
+        // Some points are seen by a test view and one training view only.
+        let [about_points] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
+        assert!(about_points.starts_with("fewer than two training views see "), "{about_points}");
+        assert!((4000..5000).contains(&scene.points.len()), "{}", scene.points.len());
     }
     for i in 0..12 {
         assert_eq!(binary.views[i].camera.name, format!("train_{i:03}"));

@@ -3,9 +3,11 @@
 mod file;
 mod neighbors;
 mod random;
+mod tracks;
 
 pub(crate) use neighbors::mean_square_distances;
 pub use random::{Pcg, RandomBox};
+pub(crate) use tracks::Tracks;
 
 /// Points of a surface, with what is known about them.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,6 +41,16 @@ impl PointCloud {
             positions: of(&self.positions),
             colors: self.colors.as_ref().map(of),
             normals: self.normals.as_ref().map(of),
+        }
+    }
+
+    /// The points whose entry in `kept` is true.
+    pub(crate) fn filtered(&self, kept: &[bool]) -> PointCloud {
+        let of = |values: &[[f32; 3]]| values.iter().zip(kept).filter(|(_, kept)| **kept).map(|(v, _)| *v).collect();
+        PointCloud {
+            positions: of(&self.positions),
+            colors: self.colors.as_deref().map(of),
+            normals: self.normals.as_deref().map(of),
         }
     }
 

@@ -30,10 +30,10 @@ fn number(name: &str) -> Option<&str> {
     (!digits.is_empty() && (rest == ".exr" || rest == ".png")).then_some(digits)
 }
 
-/// Reads a scene directory.
-pub(super) fn read(root: &Path) -> Result<Found> {
+/// Reads a scene directory. `split` is a file that takes the place of the scene's `split.json`.
+pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     let mut found = if root.join("transforms.json").is_file() {
-        transforms::read(root)?
+        transforms::read(root, split)?
     } else if root.join("cam.txt").is_file() && root.join("K_list.txt").is_file() {
         let is_image = |name: &str| name.ends_with(".exr").then(|| number(name)?.parse().ok()).flatten();
         fipt::read_real(root, root, "_im", &is_image)?

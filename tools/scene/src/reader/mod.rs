@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 pub(crate) use frame::{Frame, stem_of};
 
 use crate::error::{Result, SceneError};
-use crate::points::PointCloud;
+use crate::points::{PointCloud, Tracks};
 
 /// How a scene directory is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,6 +53,8 @@ pub(crate) struct Found {
     pub(crate) missing: Vec<String>,
     /// Points, where the layout has some.
     pub(crate) points: Option<PointCloud>,
+    /// Which images see each of the points, where the layout says.
+    pub(crate) tracks: Option<Tracks>,
     /// What the user should know.
     pub(crate) warnings: Vec<String>,
     /// Whether the layout says which views are held out; `split.json` comes before it.
@@ -89,12 +91,12 @@ pub(crate) fn recognize(root: &Path) -> Result<Layout> {
     Err(SceneError::NotAScene { path: root.to_path_buf(), problem: problem.into() })
 }
 
-/// Reads a scene directory of the given layout.
-pub(crate) fn read(root: &Path, layout: Layout) -> Result<Found> {
+/// Reads a scene directory of the given layout. `split` is a file that takes the place of the scene's `split.json`.
+pub(crate) fn read(root: &Path, layout: Layout, split: Option<&Path>) -> Result<Found> {
     match layout {
-        Layout::Transforms => transforms::read(root),
+        Layout::Transforms => transforms::read(root, split),
         Layout::Colmap => colmap::read(root),
-        Layout::InteriorVerse => interiorverse::read(root),
+        Layout::InteriorVerse => interiorverse::read(root, split),
         Layout::Blender => blender::read(root),
         Layout::Fipt => fipt::read(root),
     }

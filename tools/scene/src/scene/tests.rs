@@ -43,6 +43,109 @@ fn views_are_ordered_by_number_and_split() {
 }
 
 #[test]
+fn rules_divide_the_views() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    write_scene(root, 12, "");
+    std::fs::write(root.join("split.json"), r#"{"train": ["v1"], "test": ["v2"]}"#).unwrap();
+    std::fs::write(root.join("other.json"), r#"{"train": ["v5", "v3"], "test": ["v4"]}"#).unwrap();
+    let by = |rule: &str, views: Option<usize>| {
+        let opened = open(root, |o| (o.split, o.views) = (rule.parse().unwrap(), views));
+        opened.map(|scene| (scene.split.train, scene.split.test)).map_err(|e| e.to_string())
+    };
+    assert_eq!(by("auto", None).unwrap(), (vec![1], vec![2]));
+    assert_eq!(by("every:4", None).unwrap(), (vec![1, 2, 3, 5, 6, 7, 9, 10, 11], vec![0, 4, 8]));
+    assert_eq!(by("every:4", Some(3)).unwrap(), (vec![1, 6, 11], vec![0, 4, 8]));
+    // linspace(1, 10, 3) is 1, 5.5, 10.
+    assert_eq!(by("linspace:3", None).unwrap(), (vec![0, 2, 3, 4, 6, 7, 8, 9, 11], vec![1, 5, 10]));
+    let file = root.join("other.json").display().to_string();
+    assert_eq!(by(&file, None).unwrap(), (vec![5, 3], vec![4]));
+    let error = by("linspace:11", None).unwrap_err();
+    assert!(
+        error.ends_with("the split linspace:11 needs at least 13 views, but there are 12; hold out fewer"),
+        "{error}"
+    );
+    assert!(by(&root.join("none.json").display().to_string(), None).unwrap_err().contains("none.json"));
+    write_scene(root, 1, "");
+    let error = by("every:2", None).unwrap_err();
+    assert!(error.contains("the split every:2 leaves no training view of 1 views"), "{error}");
+}
+
+/// A model of COLMAP with six views, and three points: seen by views 1 and 2, by views 0 and 1, and by view 5 twice.
+fn write_model(root: &Path, binary: bool) {
+    std::fs::create_dir_all(root.join("sparse/0")).unwrap();
+    std::fs::create_dir_all(root.join("images")).unwrap();
+    let put = |name: &str, content: &[u8]| std::fs::write(root.join("sparse/0").join(name), content).unwrap();
+    let tracks = [[1_u32, 2], [0, 1], [5, 5]];
+    let names: Vec<String> = (0..6).map(|i| format!("v{i}.png")).collect();
+    for name in &names {
+        write_png(&root.join("images").join(name), &Image::new(8, 6, 3)).unwrap();
+    }
+    if !binary {
+        put("cameras.txt", b"1 PINHOLE 8 6 4 4 4 3\n");
+        let image = |(i, name): (usize, &String)| format!("{} 1 0 0 0 -{i} 0 0 1 {name}\n\n", 20 + i);
+        put("images.txt", names.iter().enumerate().map(image).collect::<String>().as_bytes());
+        let point = |(i, [a, b]): (usize, &[u32; 2])| format!("{i} {i} 0 3 9 9 9 0.5 {} 0 {} 7\n", 20 + a, 20 + b);
+        put("points3D.txt", tracks.iter().enumerate().map(point).collect::<String>().as_bytes());
+        return;
+    }
+    let mut cameras = [&1_u64.to_le_bytes()[..], &1_u32.to_le_bytes(), &1_i32.to_le_bytes()].concat();
+    [8_u64, 6].iter().for_each(|v| cameras.extend(v.to_le_bytes()));
+    [4.0_f64, 4.0, 4.0, 3.0].iter().for_each(|v| cameras.extend(v.to_le_bytes()));
+    put("cameras.bin", &cameras);
+    let mut images = 6_u64.to_le_bytes().to_vec();
+    for (i, name) in names.iter().enumerate() {
+        images.extend((20 + i as u32).to_le_bytes());
+        [1.0, 0.0, 0.0, 0.0, -(i as f64), 0.0, 0.0].iter().for_each(|v: &f64| images.extend(v.to_le_bytes()));
+        images.extend(1_u32.to_le_bytes());
+        images.extend(name.as_bytes());
+        images.extend([0; 9]);
+    }
+    put("images.bin", &images);
+    let mut points = 3_u64.to_le_bytes().to_vec();
+    for (i, track) in tracks.iter().enumerate() {
+        points.extend((i as u64).to_le_bytes());
+        [i as f64, 0.0, 3.0].iter().for_each(|v| points.extend(v.to_le_bytes()));
+        points.extend([9; 3]);
+        points.extend(0.5_f64.to_le_bytes());
+        points.extend(2_u64.to_le_bytes());
+        for image in track {
+            points.extend((20 + image).to_le_bytes());
+            points.extend(7_u32.to_le_bytes());
+        }
+    }
+    put("points3D.bin", &points);
+}
+
+#[test]
+fn points_that_fewer_than_two_training_views_see_are_left_out() {
+    for binary in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        write_model(root, binary);
+        let seen = |rule: &str, views: Option<usize>| {
+            let scene = open(root, |o| (o.split, o.views) = (rule.parse().unwrap(), views)).unwrap();
+            assert_eq!(scene.layout, Layout::Colmap);
+            let colors = scene.points.colors.as_ref().map(Vec::len);
+            assert!(colors == Some(scene.points.len()) && !scene.points_are_random);
+            let x: Vec<f32> = scene.points.positions.iter().map(|p| p[0]).collect();
+            (x, scene.warnings)
+        };
+        // View 0 is a test view, and so it sees no point that training starts from.
+        let (points, warnings) = seen("every:6", None);
+        assert_eq!(points, [0.0]);
+        assert_eq!(warnings, ["fewer than two training views see 2 of the 3 points; training starts from the other 1"]);
+        std::fs::write(root.join("all.json"), r#"{"train": ["v0", "v1", "v2", "v3", "v4", "v5"]}"#).unwrap();
+        let file = root.join("all.json").display().to_string();
+        assert_eq!(seen(&file, None).0, [0.0, 1.0]);
+        // Views 0 and 5 share no point: all are kept.
+        let (points, warnings) = seen(&file, Some(2));
+        assert_eq!(points, [0.0, 1.0, 2.0]);
+        assert!(warnings[0].starts_with("fewer than two training views see any of the 3 points"), "{warnings:?}");
+    }
+}
+
+#[test]
 fn names_sort_as_people_count() {
     let mut names = ["v10", "v9", "v9a", "a", "v009", "v100000000000000000000000000000000000000001", ""];
     names.sort_by_key(|name| natural_key(name));

@@ -4,7 +4,7 @@ use crate::common::Common;
 use crate::failure::refuse_usage;
 use crate::ui::{Bar, Stop};
 use sgs_provider::{FillOptions, Prior, Provider, ProviderOptions, fill};
-use sgs_scene::{Scene, SceneOptions};
+use sgs_scene::{Scene, SceneOptions, SplitRule};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
@@ -18,6 +18,9 @@ pub struct Args {
     /// Only these kinds: normal, semantic, masks, albedo, roughness, metallic; by default all that it offers.
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     only: Vec<Prior>,
+    /// Which views are held out for tests, as for training: "every:N", "linspace:N", a file like split.json, or "auto".
+    #[arg(long, value_name = "every:N|linspace:N|FILE", default_value = "auto")]
+    split: SplitRule,
     /// Which views.
     #[arg(long, value_enum, default_value = "train")]
     views: Views,
@@ -53,7 +56,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             refuse_usage!("{name} is {seconds}, but must be a number of seconds above 0.");
         }
     }
-    let scene = Scene::open(&a.scene, &SceneOptions { exposure: a.exposure, ..SceneOptions::default() })?;
+    let options = SceneOptions { split: a.split.clone(), exposure: a.exposure, ..SceneOptions::default() };
+    let scene = Scene::open(&a.scene, &options)?;
     let options = FillOptions {
         only: a.only.clone(),
         views: match a.views {

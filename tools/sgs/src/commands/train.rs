@@ -11,7 +11,7 @@ use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
 use sgs_engine::Device;
-use sgs_scene::{Scene, Splats};
+use sgs_scene::{Scene, Splats, SplitRule};
 use sgs_train::{
     Backward, Framing, Intrinsic, MANY_POINTS, MOST_THINNED, PRESETS, Preset, RunDirectory, Settings, accuracy_named,
     overlay,
@@ -44,7 +44,11 @@ pub struct Options {
     /// Steps of the intrinsic stage.
     #[arg(long, value_name = "N")]
     pub intrinsic_steps: Option<u32>,
-    /// Training views, spread evenly; all by default.
+    /// Which views are held out for tests: "every:N" (views 0, N, 2N and so on), "linspace:N" (N views, spread evenly between the
+    /// first and the last), a file like split.json, or "auto" (split.json of the scene, else its layout's own split, else every:8).
+    #[arg(long, value_name = "every:N|linspace:N|FILE")]
+    pub split: Option<SplitRule>,
+    /// Training views, spread evenly over those that are not held out; all by default.
     #[arg(long, value_name = "N")]
     pub views: Option<usize>,
     /// Factor on the size of the images, at most 1.
@@ -174,6 +178,12 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
     }
     if let Some(n) = o.intrinsic_steps {
         s.intrinsic.steps = n;
+    }
+    if let Some(rule) = &o.split {
+        s.split = rule.clone();
+    }
+    if let SplitRule::File(path) = &mut s.split {
+        *path = std::path::absolute(&path).unwrap_or_else(|_| path.clone());
     }
     if let Some(n) = o.views {
         s.views = n;

@@ -31,6 +31,7 @@ use crate::error::TrainError;
 use crate::pseudo::PseudoOptions;
 use serde::{Deserialize, Serialize};
 use sgs_passes::Accuracy;
+use sgs_scene::SplitRule;
 use std::path::PathBuf;
 
 /// All settings of a run.
@@ -41,6 +42,8 @@ pub struct Settings {
     pub scene: PathBuf,
     /// Seed of everything random.
     pub seed: u64,
+    /// Which views are training views and which are test views: "auto", "every:N", "linspace:N" or a file like split.json.
+    pub split: SplitRule,
     /// How many training views, spread evenly; 0 for all.
     pub views: usize,
     /// Factor on the images' size.
@@ -72,6 +75,7 @@ impl Default for Settings {
         Settings {
             scene: PathBuf::new(),
             seed: 0,
+            split: SplitRule::Auto,
             views: 0,
             scale: 1.0,
             exposure: 0.0,
@@ -300,6 +304,7 @@ impl Settings {
     /// How these settings open the scene.
     pub fn scene_options(&self) -> sgs_scene::SceneOptions {
         sgs_scene::SceneOptions {
+            split: self.split.clone(),
             views: (self.views > 0).then_some(self.views),
             scale: self.scale,
             exposure: (self.exposure != 0.0).then_some(self.exposure),

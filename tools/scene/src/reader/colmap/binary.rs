@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::{CameraRow, ImageRow, model};
 use crate::error::{Result, SceneError, io_error};
-use crate::points::PointCloud;
+use crate::points::{PointCloud, Tracks};
 
 /// The rest of a file.
 struct Bytes<'a> {
@@ -103,7 +103,8 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
         let count = bytes.count(73)?;
         let mut images = Vec::with_capacity(count);
         for _ in 0..count {
-            let place = format!("image {}", bytes.u32()?);
+            let id = bytes.u32()?;
+            let place = format!("image {id}");
             let (rotation, translation) = (bytes.f64()?, bytes.f64()?);
             let camera = bytes.u32()?;
             let rest = &bytes.all[bytes.at..];
@@ -113,18 +114,19 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
             let name = String::from_utf8_lossy(bytes.take(length + 1)?).trim_end_matches('\0').to_string();
             let observed = bytes.count(24)?;
             bytes.take(observed * 24)?;
-            images.push(ImageRow { rotation, translation, camera, name, place });
+            images.push(ImageRow { id, rotation, translation, camera, name, place });
         }
         Ok(images)
     })
 }
 
-/// Reads `points3D.bin`; the tracks are skipped.
-pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
+/// Reads `points3D.bin`: points and the images that see them.
+pub(super) fn read_points(path: &Path) -> Result<(PointCloud, Tracks)> {
     with_file(path, |bytes| {
         let count = bytes.count(51)?;
         let mut positions = Vec::with_capacity(count);
         let mut colors = Vec::with_capacity(count);
+        let mut tracks = Tracks::default();
         for _ in 0..count {
             let id = bytes.u64()?;
             let position = bytes.f64::<3>()?.map(|v| v as f32);
@@ -135,9 +137,12 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
             positions.push(position);
             colors.push(bytes.word::<3>()?.map(|v| f32::from(v) / 255.0));
             bytes.take(8)?;
-            let track = bytes.count(8)?;
-            bytes.take(track * 8)?;
+            for _ in 0..bytes.count(8)? {
+                tracks.add(bytes.u32()?);
+                bytes.take(4)?;
+            }
+            tracks.end_point();
         }
-        Ok(PointCloud { positions, colors: Some(colors), normals: None })
+        Ok((PointCloud { positions, colors: Some(colors), normals: None }, tracks))
     })
 }

@@ -15,7 +15,7 @@ use super::frame::{find_image, missing_warning};
 use super::{Found, Frame, pose, stem_of};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
-use crate::points::PointCloud;
+use crate::points::{PointCloud, Tracks};
 
 pub(super) use model::Model;
 
@@ -31,6 +31,8 @@ struct CameraRow {
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageRow {
+    /// Its number, by which tracks name it.
+    id: u32,
     /// World-to-camera quaternion, `(w, x, y, z)`.
     rotation: [f64; 4],
     translation: [f64; 3],
@@ -97,6 +99,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
 
     let folder = root.join("images");
     let mut found = Found::default();
+    let mut names = HashMap::new();
     for row in &images {
         let place = format!("{} ({})", row.place, row.name);
         let fail = |problem: String| SceneError::cameras(&images_path, place.clone(), problem);
@@ -127,6 +130,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
             return Err(SceneError::cameras(&cameras_path, format!("camera {}", shared.id), problem));
         }
         let camera = downscaled::fitted(camera, &image)?;
+        names.insert(row.id, camera.name.clone());
         found.frames.push(Frame::new(camera, lens, image, cameras_path.clone()));
     }
     if found.frames.is_empty() {
@@ -139,7 +143,10 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         return Err(SceneError::cameras(&images_path, "", problem));
     }
     found.warnings.extend(missing_warning(&images_path, &found.missing, images.len()));
-    found.points = points_of(&location)?;
+    if let Some((points, mut tracks)) = points_of(&location)? {
+        tracks.name(names);
+        (found.points, found.tracks) = (Some(points), Some(tracks));
+    }
     Ok(found)
 }
 
@@ -153,8 +160,8 @@ fn image_of(root: &Path, name: &str) -> Option<PathBuf> {
     exact.or_else(other_kind).or_else(|| find_image(root, name))
 }
 
-/// The model's points: `points3D` in the model's form, else in any other. An empty file counts only if all are.
-fn points_of(location: &Location) -> Result<Option<PointCloud>> {
+/// The model's points and their tracks: `points3D` in the model's form, else in any other. An empty file counts only if all are.
+fn points_of(location: &Location) -> Result<Option<(PointCloud, Tracks)>> {
     let path = |name: &str| location.folder.join(name);
     let own = if location.binary { ["points3D.bin", "points3D.txt"] } else { ["points3D.txt", "points3D.bin"] };
     let mut empty = None;
@@ -166,9 +173,9 @@ fn points_of(location: &Location) -> Result<Option<PointCloud>> {
         let points = match path.extension().and_then(|e| e.to_str()) {
             Some("bin") => binary::read_points(&path)?,
             Some("txt") => text::read_points(&path)?,
-            _ => PointCloud::read_ply(&path)?,
+            _ => (PointCloud::read_ply(&path)?, Tracks::default()),
         };
-        if !points.is_empty() {
+        if !points.0.is_empty() {
             return Ok(Some(points));
         }
         empty.get_or_insert(path);

@@ -65,7 +65,10 @@ fn binary_files() -> [(&'static str, Vec<u8>); 3] {
         points.extend(rgb);
         points.extend(floats(&[0.9]));
         points.extend(track.to_le_bytes());
-        (0..track).for_each(|_| points.extend([9; 8]));
+        for image in 0..track as u32 {
+            points.extend((10 + image).to_le_bytes());
+            points.extend(image.to_le_bytes());
+        }
     }
     [("cameras.bin", cameras), ("images.bin", images), ("points3D.bin", points)]
 }
@@ -95,6 +98,10 @@ fn check(found: &Found) {
     let points = found.points.as_ref().unwrap();
     assert_eq!(points.positions, [[0.5, -1.0, 2.0], [1.0, 2.0, 3.0]]);
     assert_eq!(points.colors.as_ref().unwrap()[0], [1.0, 0.0, 0.2]);
+    // Images 10 ("b c") and 11 ("a") see the first point, none sees the second.
+    let tracks = found.tracks.as_ref().unwrap();
+    assert_eq!(tracks.seen_twice(&["a", "b c"].into()), [true, false]);
+    assert_eq!(tracks.seen_twice(&["a"].into()), [false, false]);
 }
 
 #[test]
@@ -157,6 +164,8 @@ fn each_fault_of_the_text_has_its_sentence() {
     assert!(points("#\n").contains("points3D.txt: the file holds no points"));
     assert!(points("1 0 0 nan 1 2 3 0\n").contains("line 1: the position is not finite"));
     assert!(points("1 0 0 0 1 2 300 0\n").contains("\"300\" is no color from 0 to 255"));
+    assert!(points("1 0 0 0 1 2 3 0.5 x 1\n").contains("line 1: \"x\" is no image of a track"));
+    assert!(points("1 0 0 0 1 2 3 0.5 10 0 11\n").contains("the line ends before the second half of a track"));
 }
 
 #[test]

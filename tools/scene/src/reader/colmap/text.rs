@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{CameraRow, ImageRow, model};
 use crate::error::{Result, SceneError, io_error};
-use crate::points::PointCloud;
+use crate::points::{PointCloud, Tracks};
 
 fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
@@ -88,14 +88,14 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
             continue;
         }
         let mut words = Words::new(path, i + 1, content);
-        let _id: u32 = words.number("image number")?;
+        let id = words.number("image number")?;
         let rotation = words.numbers("part of a quaternion")?;
         let translation = words.numbers("part of a translation")?;
         let camera = words.number("camera number")?;
         words.word("the name of the image")?;
         // The name is the rest of the line, because it may hold spaces.
         let name = rest_after(content, 9).to_string();
-        images.push(ImageRow { rotation, translation, camera, name, place: format!("line {}", i + 1) });
+        images.push(ImageRow { id, rotation, translation, camera, name, place: format!("line {}", i + 1) });
         // The observed points have a line of their own, which is empty where there are none.
         all.next();
     }
@@ -111,9 +111,10 @@ fn rest_after(line: &str, n: usize) -> &str {
     rest
 }
 
-/// Reads `points3D.txt`; the tracks are skipped.
-pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
+/// Reads `points3D.txt`: points and the images that see them.
+pub(super) fn read_points(path: &Path) -> Result<(PointCloud, Tracks)> {
     let text = read_text(path)?;
+    let mut tracks = Tracks::default();
     let (mut positions, mut colors) = (Vec::new(), Vec::new());
     for (line, content) in lines(&text) {
         let mut words = Words::new(path, line, content);
@@ -128,6 +129,16 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
             *value = f32::from(words.number::<u8>("color from 0 to 255")?) / 255.0;
         }
         colors.push(color);
+        // The error comes before the track, which is pairs of an image and the place among its observations.
+        words.words.next();
+        while let Some(word) = words.words.next() {
+            let image = word
+                .parse()
+                .map_err(|_| words.fail(format!("\"{word}\" is no image of a track; export the file again")))?;
+            words.word("the second half of a track's last pair")?;
+            tracks.add(image);
+        }
+        tracks.end_point();
     }
-    Ok(PointCloud { positions, colors: Some(colors), normals: None })
+    Ok((PointCloud { positions, colors: Some(colors), normals: None }, tracks))
 }

@@ -71,8 +71,8 @@ pub(super) fn first_image(path: &Path) -> Result<Option<PathBuf>> {
     Ok(file.first().and_then(|name| find_image(root, name)))
 }
 
-/// Reads a scene directory.
-pub(super) fn read(root: &Path) -> Result<Found> {
+/// Reads a scene directory. `split` is a file that takes the place of the scene's `split.json`.
+pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     let path = find(root).unwrap_or_else(|| root.join("transforms.json"));
     let root = path.parent().unwrap_or(root);
     let file = open(&path)?;
@@ -87,15 +87,15 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         );
         return Err(SceneError::cameras(&path, "", problem));
     }
-    held_out(root, &mut found)?;
+    held_out(root, split, &mut found)?;
     found.points = points_of(root, &path, file.ply_file_path.as_deref())?;
     Ok(found)
 }
 
 /// Some scenes list only their training frames in `transforms.json`. Views that `split.json` names and that file lacks
 /// are looked for in its companions.
-fn held_out(root: &Path, found: &mut Found) -> Result<()> {
-    let split = root.join("split.json");
+fn held_out(root: &Path, split: Option<&Path>, found: &mut Found) -> Result<()> {
+    let split = split.map_or_else(|| root.join("split.json"), Path::to_path_buf);
     if !split.is_file() {
         return Ok(());
     }

@@ -9,6 +9,10 @@ use crate::reader::Frame;
 
 const POSE: &str = "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
 
+fn read(root: &Path) -> Result<Found> {
+    super::read(root, None)
+}
+
 /// A scene directory with gray images of 8×6 pixels.
 fn scene(json: &str, images: &[&str]) -> (TempDir, PathBuf) {
     let directory = tempfile::tempdir().unwrap();

@@ -1,0 +1,44 @@
+//! `--split`: which views are held out, what the run records of it, and what is refused.
+
+use sgs_scene::SplitRule;
+use sgs_tests::Place;
+use sgs_tests::cli::{sgs, sgs_after};
+use sgs_tests::rooms::Room;
+use sgs_train::RunDirectory;
+
+/// The names of the views that `sgs eval` measures.
+fn measured(place: &Place, run: &str, split: &str) -> Vec<String> {
+    let found = sgs(&["eval", &place.text(run), "--split", split, "--json"]).ok().json();
+    found["views"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_split_is_recorded_and_kept() {
+    let place = Place::new(Room::default());
+    sgs(&place.arguments("run", 2, &["--split", "every:3"])).ok();
+    assert_eq!(RunDirectory::open(&place.path("run")).unwrap().settings().unwrap().split, SplitRule::Every(3));
+    assert_eq!(measured(&place, "run", "test"), ["000", "003", "006"]);
+    assert_eq!(measured(&place, "run", "train"), ["001", "002", "004", "005", "007"]);
+    // Resuming keeps the split, and another split is another run.
+    place.resume("run").ok();
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let other = ["train", &scene, "-o", &run, "--resume", "--split", "linspace:2"];
+    sgs(&other).refused(&["begun with split", "every:3", "linspace:2"]);
+    sgs(&["train", &scene, "-o", &place.text("no"), "--split", "every:1"]).refused(&["every:1", "at least 2"]);
+    sgs(&["plan", &scene, "--split", "linspace:7"]).refused(&["needs at least 9 views, but there are 8"]);
+    sgs(&["plan", &scene, "--split", "linspace:2"]).ok();
+}
+
+/// The path of a split is that of the training, not of whoever measures.
+#[test]
+fn a_split_file_is_found_from_anywhere() {
+    let place = Place::new(Room::default());
+    std::fs::write(place.path("folds.json"), r#"{"train": ["001", "002", "004"], "test": ["007"]}"#).unwrap();
+    let preparation = format!("cd '{}'", place.path(".").display());
+    let train = ["train", "scene", "-o", "run", "--geometry-steps", "1", "--split", "folds.json", "--views", "2"];
+    sgs_after(&preparation, &train).ok();
+    assert_eq!(measured(&place, "run", "test"), ["007"]);
+    assert_eq!(measured(&place, "run", "train"), ["001", "004"]);
+    std::fs::remove_file(place.path("folds.json")).unwrap();
+    sgs(&["eval", &place.text("run")]).refused(&["folds.json"]);
+}
