@@ -24,8 +24,13 @@ fn a_split_is_recorded_and_kept() {
     let (scene, run) = (place.text("scene"), place.text("run"));
     let other = ["train", &scene, "-o", &run, "--resume", "--split", "linspace:2"];
     sgs(&other).refused(&["begun with split", "every:3", "linspace:2"]);
-    sgs(&["train", &scene, "-o", &place.text("no"), "--split", "every:1"]).refused(&["every:1", "at least 2"]);
-    sgs(&["plan", &scene, "--split", "linspace:7"]).refused(&["needs at least 9 views, but there are 8"]);
+    for (rule, words) in
+        [("every:1", "every:N with N of at least 2"), ("linspace:7", "needs at least 9 views, but there are 8")]
+    {
+        let plan = sgs(&["plan", &scene, "--split", rule]);
+        assert!(plan.status != Some(0) && plan.stderr.contains(words), "{}", plan.stderr);
+        plan.assert_no_panic();
+    }
     sgs(&["plan", &scene, "--split", "linspace:2"]).ok();
 }
 
