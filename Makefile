@@ -1,9 +1,9 @@
 # What people and CI run. Each target sees to the system packages first (tools/setup, quick when nothing is missing).
 
 CARGO ?= cargo
-# Where the demo leaves its pictures, and how long it trains.
+# Where the demo leaves its page, and more options of its training.
 OUT ?= out/demo
-DEMO_STEPS ?= 1200
+DEMO_OPTIONS ?=
 # Where the program and the library for C go.
 PREFIX ?= /usr/local
 
@@ -14,7 +14,7 @@ PYTHON ?= python3
 .NOTPARALLEL:
 
 help:
-	@echo "make demo    synthesize a room, train on it, leave pictures in $(OUT)"
+	@echo "make demo    synthesize a room, train both stages, write a page with renders and a relit image to $(OUT)"
 	@echo "make test    everything that CI checks"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
@@ -32,7 +32,7 @@ setup-tests:
 
 demo: setup
 	$(CARGO) build --release --locked -p sgs
-	DEMO_STEPS=$(DEMO_STEPS) tools/demo "$${CARGO_TARGET_DIR:-target}/release/sgs" "$(OUT)"
+	DEMO_OPTIONS="$(DEMO_OPTIONS)" tools/demo "$${CARGO_TARGET_DIR:-target}/release/sgs" "$(OUT)"
 
 # The tests include the layers, so this is lint and more.
 test: setup-tests check

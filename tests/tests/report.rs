@@ -74,12 +74,21 @@ fn a_run_becomes_a_page() {
     assert_eq!((said["bytes"].as_u64(), outside(&html)), (Some(html.len() as u64), vec![]));
     let metrics: Value = serde_json::from_slice(&place.read("run/metrics.json")).unwrap();
     assert_eq!(said["metrics"], metrics["test"]["mean"]);
-    for section in ["summary", "metrics", "views", "lights", "curves", "profile", "settings"] {
+    for section in ["images", "summary", "metrics", "views", "lights", "curves", "profile", "settings"] {
         assert!(html.contains(&format!("<section id=\"{section}\">")), "{section} is missing");
     }
     let count = |text: &str| html.matches(text).count();
     // Of two views: color, normal, depth, shaded and albedo have truth; of lights the two brightest and the rest.
     assert_eq!((count("class=\"slider\""), count("<figcaption>light "), count("<figcaption>6 others ")), (10, 4, 2));
+    // Images come first: photograph, render, albedo and relit side by side.
+    let strip = html.split("<div class=\"grid strip\">").nth(1).and_then(|s| s.split("</div>").next()).unwrap();
+    let names: Vec<&str> =
+        strip.split("<figcaption>").skip(1).map(|f| f.split(['<', ' ']).next().unwrap_or_default()).collect();
+    assert_eq!(names, ["photograph", "render", "albedo", "relit"]);
+    assert!(html.find("grid strip") < html.find("id=\"metrics\"") && count("grid strip") == 2 + 1);
+    assert!(
+        html.contains("<dt>PSNR (dB)</dt>") && html.contains("<th>Normal error (°)</th>") && count("scene units") == 2
+    );
     for name in ["roughness", "visibility", "environment", "direct", "diffuse", "specular"] {
         assert_eq!(count(&format!("<figcaption>{name}<")), 2, "{name}");
     }
@@ -121,6 +130,24 @@ fn a_run_becomes_a_page() {
     assert!(!place.path("new.html").exists());
 }
 
+/// Fails unless an image and a slider enlarge and close again, and the navigation stays in sight.
+fn enlarges(browser: &mut Browser) {
+    let open = "document.querySelector('dialog').open";
+    for (what, inside) in [("figure > img", "dialog figure > img"), (".slider ~ .enlarge", "dialog .slider input")] {
+        assert_eq!(browser.eval(open), false);
+        let before = browser.eval(&format!("document.querySelector('{what}').closest('figure').clientWidth"));
+        browser.eval(&format!("document.querySelector('{what}').click()"));
+        assert_eq!(browser.eval(&format!("{open} && document.querySelectorAll('{inside}').length === 1")), true);
+        let after = browser.eval("document.querySelector('dialog figure').clientWidth");
+        assert!(after.as_f64() > before.as_f64(), "{what}: {before} {after}");
+        browser.eval("document.querySelector('dialog figcaption').click()");
+    }
+    assert_eq!(browser.eval(open), false);
+    browser.eval("document.querySelector('#settings').scrollIntoView()");
+    assert_eq!(browser.eval("Math.round(document.querySelector('nav').getBoundingClientRect().top)"), 0);
+    browser.eval("scrollTo(0, 0)");
+}
+
 /// Fails unless the page loads whole, asks for nothing, fits narrow and wide windows, and its sliders move.
 fn in_a_browser(page: &Path) {
     let Some(mut browser) = Browser::start() else {
@@ -139,6 +166,7 @@ fn in_a_browser(page: &Path) {
         let slider = "const s = document.querySelector('.slider');";
         let cut = "getComputedStyle(document.querySelector('.slider .over')).clipPath";
         let before = browser.eval(cut);
+        enlarges(&mut browser);
         let place = browser.eval(&format!(
             "(() => {{ {slider} s.scrollIntoView({{block: 'center'}}); const q = s.getBoundingClientRect(); \
              return [q.left, q.top, q.width, q.height]; }})()"

@@ -29,25 +29,38 @@ pub fn data_uri(image: &Image, width: u32) -> Result<String> {
     Ok(format!("data:image/png;base64,{}", base64(&encode_png(shown)?)))
 }
 
-/// A picture under its name; `uri` is from [`data_uri`].
-pub fn picture(name: &str, uri: &str, [width, height]: [u32; 2]) -> String {
+/// An image above its name, which enlarges on a click; `uri` is from [`data_uri`], and `note` is HTML.
+pub fn picture(name: &str, uri: &str, [width, height]: [u32; 2], note: &str) -> String {
     let name = escape(name);
     format!(
-        "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}\"><figcaption>{name}</figcaption></figure>\n"
+        "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}\">{}{}</figure>\n",
+        enlarge(&name),
+        caption(&name, note)
     )
 }
 
-/// Truth at the left of a slider and render at its right. Without its script the page shows half of each.
+/// Truth at the left of a slider and render at its right; `note` is HTML. Without its script the page shows half of each.
 pub fn slider(name: &str, truth: &str, render: &str, [width, height]: [u32; 2], note: &str) -> String {
-    let (name, note) = (escape(name), escape(note));
-    let note = if note.is_empty() { note } else { format!(" <small>{note}</small>") };
+    let name = escape(name);
     format!(
         "<figure><div class=\"slider\"><img src=\"{render}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: render\">\
          <img class=\"over\" src=\"{truth}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: truth\">\
          <span class=\"left\">truth</span><span class=\"right\">render</span>\
          <input type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" aria-label=\"{name}: truth to the left, render to the right\">\
-         </div><figcaption>{name}{note}</figcaption></figure>\n"
+         </div>{}{}</figure>\n",
+        enlarge(&name),
+        caption(&name, note)
     )
+}
+
+fn caption(name: &str, note: &str) -> String {
+    let note = if note.is_empty() { String::new() } else { format!(" <small>{note}</small>") };
+    format!("<figcaption>{name}{note}</figcaption>")
+}
+
+/// The button that the page's script answers; hidden without the script.
+fn enlarge(name: &str) -> String {
+    format!("<button type=\"button\" class=\"enlarge\" aria-label=\"Enlarge {name}\">&#x2922;</button>")
 }
 
 #[cfg(test)]
@@ -66,8 +79,11 @@ mod tests {
 
     #[test]
     fn names_are_escaped() {
-        for html in [picture("<b>", "data:,", [1, 1]), slider("<b>", "data:,", "data:,", [1, 1], "\"<i>")] {
-            assert!(!html.contains("<b>") && !html.contains("<i>") && html.contains("&lt;b&gt;"), "{html}");
+        for html in [picture("<b>", "data:,", [1, 1], ""), slider("<b>", "data:,", "data:,", [1, 1], "1 dB")] {
+            assert!(
+                !html.contains("<b>") && html.contains("&lt;b&gt;") && html.contains("class=\"enlarge\""),
+                "{html}"
+            );
         }
     }
 }

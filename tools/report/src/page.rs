@@ -45,13 +45,13 @@ impl Page {
              <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src \
              'unsafe-inline'; script-src 'unsafe-inline'{policy}\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n<link rel=\"icon\" href=\"data:,\">\n\
-             <style>\n{}</style>\n</head>\n<body>\n<header><h1>{title}</h1>\n<nav>",
+             <style>\n{}</style>\n</head>\n<body>\n<header><h1>{title}</h1></header>\n<nav aria-label=\"Sections\">",
             include_str!("page.css")
         );
         for (id, heading, _) in &self.sections {
             out.push_str(&format!("<a href=\"#{}\">{}</a>\n", escape(id), escape(heading)));
         }
-        out.push_str("</nav></header>\n<main>\n");
+        out.push_str("</nav>\n<main>\n");
         for (id, heading, html) in &self.sections {
             out.push_str(&format!("<section id=\"{}\"><h2>{}</h2>\n{html}</section>\n", escape(id), escape(heading)));
         }

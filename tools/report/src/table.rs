@@ -9,6 +9,78 @@ use std::collections::BTreeSet;
 /// Columns that come first, in this order.
 const FIRST: [&str; 4] = ["nvs psnr", "nvs ssim", "nvs flip", "nvs lpips"];
 
+/// Measures by the last word of their path: name with unit, factor, decimals.
+const MEASURES: [(&str, &str, f64, usize); 15] = [
+    ("psnr", "PSNR (dB)", 1.0, 2),
+    ("psnr_scaled", "PSNR, scaled (dB)", 1.0, 2),
+    ("psnr_scaled_per_view", "PSNR, scaled per view (dB)", 1.0, 2),
+    ("psnr_gain", "PSNR, one gain (dB)", 1.0, 2),
+    ("psnr_gain_per_view", "PSNR, gain per view (dB)", 1.0, 2),
+    ("ssim", "SSIM", 1.0, 3),
+    ("flip", "FLIP", 1.0, 3),
+    ("lpips", "LPIPS", 1.0, 3),
+    ("normal_mae_deg", "Normal error (°)", 1.0, 2),
+    ("normal_coverage", "Normal coverage (%)", 100.0, 1),
+    ("fps", "Frames/s", 1.0, 1),
+    ("depth_rel", "Depth error (%)", 100.0, 2),
+    ("roughness_mse", "Roughness MSE", 1.0, 4),
+    ("metallic_mse", "Metallic MSE", 1.0, 4),
+    ("accuracy", "Correct labels (%)", 100.0, 1),
+];
+
+/// Groups of measures by the first word of their path, as names that stand before the measure.
+const GROUPS: [(&str, &str); 4] = [("nvs", ""), ("pbr", "Shaded "), ("albedo", "Albedo "), ("semantic", "")];
+
+/// Measures that stand for the whole, if there are such.
+const HEADLINE: [&str; 6] = ["nvs psnr", "nvs ssim", "pbr psnr", "albedo psnr", "normal_mae_deg", "semantic accuracy"];
+
+/// How a measure is written.
+struct Measure {
+    name: String,
+    factor: f64,
+    decimals: usize,
+}
+
+impl Measure {
+    /// Of a path; `largest` decides about the decimals of measures without an entry.
+    fn of(path: &str, largest: f64) -> Measure {
+        let (group, last) = path.split_once(' ').unwrap_or(("", path));
+        let group = GROUPS.iter().find(|(g, _)| *g == group).map(|(_, name)| *name).filter(|_| !group.is_empty());
+        let known = MEASURES.iter().find(|(word, ..)| *word == last);
+        match (known, group) {
+            (Some((_, name, factor, decimals)), group) if group.is_some() || last == path => {
+                let name = format!("{}{name}", group.unwrap_or_default());
+                Measure { name, factor: *factor, decimals: *decimals }
+            }
+            _ => {
+                let digits = if largest > 0.0 { 3 - largest.log10().floor() as i32 } else { 0 };
+                Measure { name: path.replace('_', " "), factor: 1.0, decimals: digits.clamp(0, 6) as usize }
+            }
+        }
+    }
+
+    fn write(&self, value: f64) -> String {
+        if value.is_finite() { format!("{:.*}", self.decimals, value * self.factor) } else { number(value) }
+    }
+}
+
+/// The means that stand for the whole, and other facts, as cards.
+pub fn cards(split: &Value, more: &[(String, String)]) -> String {
+    let means = numbers(&split["mean"]);
+    let known = HEADLINE.iter().filter_map(|path| means.iter().find(|(p, _)| p == path));
+    let of = |(path, v): &(String, f64)| {
+        let measure = Measure::of(path, v.abs());
+        let value = measure.write(*v);
+        (measure.name, value)
+    };
+    let all: Vec<(String, String)> = known.map(of).chain(more.iter().cloned()).collect();
+    let card = |(name, v): &(String, String)| format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escape(name), escape(v));
+    if all.is_empty() {
+        return String::new();
+    }
+    format!("<dl class=\"cards\">\n{}</dl>\n", all.iter().map(card).collect::<String>())
+}
+
 /// A table of the views of a split, and their means below; without numbers it is empty. `relit` has tables of its own
 /// ([`relit`]).
 pub fn views(split: &Value) -> String {
@@ -70,15 +142,20 @@ fn table(first: &str, rows: &[(String, Vec<(String, f64)>)]) -> String {
         return String::new();
     }
     let mut out = format!("<div class=\"wide\"><table>\n<thead><tr><th>{}</th>", escape(first));
-    for c in &columns {
-        out.push_str(&format!("<th>{}</th>", escape(&c.replace('_', " "))));
+    let largest = |c: &str| {
+        let values = rows.iter().flat_map(|(_, v)| v).filter(|(k, _)| k == c);
+        values.fold(0.0, |m: f64, (_, v)| m.max(v.abs()))
+    };
+    let measures: Vec<Measure> = columns.iter().map(|c| Measure::of(c, largest(c))).collect();
+    for m in &measures {
+        out.push_str(&format!("<th>{}</th>", escape(&m.name)));
     }
     out.push_str("</tr></thead>\n<tbody>\n");
     for (name, values) in rows {
         let class = if name == "mean" { " class=\"mean\"" } else { "" };
         out.push_str(&format!("<tr{class}><th>{}</th>", escape(name)));
-        for c in &columns {
-            let value = values.iter().find(|(k, _)| k == c).map_or("–".to_owned(), |(_, v)| number(*v));
+        for (c, m) in columns.iter().zip(&measures) {
+            let value = values.iter().find(|(k, _)| k == c).map_or("–".to_owned(), |(_, v)| m.write(*v));
             out.push_str(&format!("<td>{value}</td>"));
         }
         out.push_str("</tr>\n");
@@ -101,12 +178,10 @@ mod tests {
         let html = views(&split);
         let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
         assert!(
-            at("<th>nvs psnr</th>") < at("<th>nvs ssim</th>") && at("<th>nvs ssim</th>") < at("<th>albedo psnr</th>")
+            at("<th>PSNR (dB)</th>") < at("<th>SSIM</th>") && at("<th>SSIM</th>") < at("<th>Albedo PSNR (dB)</th>")
         );
-        assert!(
-            at("&lt;a&gt;") < at("class=\"mean\"") && html.contains("<td>30.12</td>") && html.contains("<td>–</td>")
-        );
-        assert!(!html.contains("night") && relit(&split).contains("<th>night</th><td>11.5</td>"));
+        assert!(at("&lt;a&gt;") < at("class=\"mean\"") && html.contains("<td>–</td>"));
+        assert!(!html.contains("night") && relit(&split).contains("<th>night</th><td>11.50</td>"));
         assert_eq!((views(&json!({})), relit(&json!(3))), (String::new(), String::new()));
     }
 
@@ -120,5 +195,27 @@ mod tests {
         assert!(at("class=\"mean\"") < at("<li>&lt;city&gt;: No light &amp; no edit.</li>"));
         let alone = relit(&json!({"mean": {"relit": {"city": {"reason": "No light."}}}}));
         assert!(!alone.contains("<table>") && alone.contains("<li>city: No light.</li>"), "{alone}");
+    }
+
+    #[test]
+    fn figures_have_fixed_decimals_and_units() {
+        let split = json!({
+            "mean": {"nvs": {"psnr": 30.1, "ssim": 0.9}, "depth_rel": 0.0344, "other_thing": 0.5},
+            "views": [
+                {"name": "a", "nvs": {"psnr": 30.0, "ssim": 0.90049}, "depth_rel": 0.1, "other_thing": 12.0},
+                {"name": "b", "nvs": {"psnr": 30.2, "ssim": 0.9}, "depth_rel": 0.01, "other_thing": null},
+            ],
+        });
+        let html = views(&split);
+        for text in
+            ["<td>30.00</td>", "<td>30.20</td>", "<td>0.900</td>", "<td>3.44</td>", "<td>10.00</td>", "<td>12.00</td>"]
+        {
+            assert!(html.contains(text), "{text}: {html}");
+        }
+        assert!(html.contains("<th>Depth error (%)</th>") && html.contains("<th>other thing</th>"), "{html}");
+        let html = cards(&split, &[("Gaussians".into(), "5000".into())]);
+        assert!(html.contains("<dt>PSNR (dB)</dt><dd>30.10</dd>") && html.contains("<dd>5000</dd>"), "{html}");
+        assert!(!html.contains("Depth error"));
+        assert_eq!(cards(&json!({}), &[]), "");
     }
 }

@@ -1,4 +1,4 @@
-//! `sgs report`: a run as one page: pictures, tables, curves, lights, times, settings. Nothing else is needed to look at it.
+//! `sgs report`: a run as one self-contained page: images, figures, tables, curves, lights, times, settings.
 
 use super::eval::{Split, measure};
 use super::train::{open_scene_of_run, validated};
@@ -9,7 +9,7 @@ use crate::report::views;
 use anyhow::{Context, bail};
 use serde_json::Value;
 use sgs_engine::Device;
-use sgs_report::{Page, chart, escape, figure, number, room, table};
+use sgs_report::{Page, chart, escape, figure, room, table};
 use sgs_scene::{Scene, Splats, read_environment};
 use sgs_train::{RunDirectory, Settings, displayed, light_of};
 use std::path::{Path, PathBuf};
@@ -62,7 +62,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 
     let name = run.root().canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     let mut page = Page::new(&format!("SGS: {}", name.unwrap_or_else(|| a.run.display().to_string())));
-    page.section("summary", "Summary", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));
+    let cards = table::cards(&metrics, &facts(&files, &splats));
+    page.section("images", "Images", format!("{}{cards}", pictures.first));
     let what = if a.split == Split::Test { "views that training never saw" } else { "views of training" };
     let table = table::views(&metrics);
     let relit = table::relit(&metrics);
@@ -73,11 +74,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     page.section(
         "views",
         "Views",
-        format!("<p>Move the sliders: truth is left, the render right.{note}</p>\n{pictures}"),
+        format!(
+            "<p>Move the sliders: truth is left, the render right. Images enlarge on a click.{note}</p>\n{}",
+            pictures.views
+        ),
     );
     page.section("lights", "Lights", lights(&run, &splats, &scene, &lamps, a.width)?);
     page.section("curves", "Curves", chart::log(&files.log));
     page.section("profile", "Profile", profile(&files));
+    page.section("summary", "Run", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));
     let config = format!("<details><summary>config.toml</summary><pre>{}</pre></details>\n", escape(&files.config));
     page.section("settings", "Settings", config);
     let html = page.html();
@@ -176,15 +181,35 @@ fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, d
     for (stage, said) in [("geometry", &files.training), ("intrinsic", &files.training["intrinsic"])] {
         let value = |key: &str| said[key].as_f64();
         if let (Some(steps), Some(seconds)) = (value("steps"), value("seconds")) {
-            let rate = value("steps_per_second").map_or(String::new(), |r| format!(", {} a second", number(r)));
-            let peak =
-                value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {} MB", number(b / 1e6)));
+            let rate = value("steps_per_second").map_or(String::new(), |r| format!(", {r:.2} steps/s"));
+            let peak = value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {:.0} MB", b / 1e6));
             let on = said["device"].as_str().map_or(String::new(), |d| format!(", on {d}"));
-            add(stage, format!("{} steps in {} s{rate}{peak}{on}", number(steps), number(seconds)));
+            add(stage, format!("{steps:.0} steps in {}{rate}{peak}{on}", duration(seconds)));
         }
     }
     add("this page", format!("made on {device}, by sgs {}", env!("CARGO_PKG_VERSION")));
     table::facts(&rows)
+}
+
+/// Facts that stand beside the means: number of Gaussians, time of training.
+fn facts(files: &Files, splats: &Splats) -> Vec<(String, String)> {
+    let seconds: f64 =
+        [&files.training, &files.training["intrinsic"]].iter().filter_map(|t| t["seconds"].as_f64()).sum();
+    let mut all = vec![("Gaussians".to_owned(), splats.len().to_string())];
+    if seconds > 0.0 {
+        all.push(("Training time".to_owned(), duration(seconds)));
+    }
+    all
+}
+
+/// A time as people write it.
+fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    match (whole / 3600, whole / 60 % 60, whole % 60) {
+        (0, 0, _) => format!("{seconds:.1} s"),
+        (0, m, s) => format!("{m} min {s} s"),
+        (h, m, _) => format!("{h} h {m} min"),
+    }
 }
 
 fn profile(files: &Files) -> String {
@@ -193,7 +218,7 @@ fn profile(files: &Files) -> String {
         let (times, total) = chart::times(trace);
         if !times.is_empty() {
             let count = times.len();
-            out.push_str(&format!("<h3>{stage}: a step, {} ms in {count} passes</h3>\n", number(total)));
+            out.push_str(&format!("<h3>{stage}: a step, {total:.1} ms in {count} passes</h3>\n"));
             out.push_str(&chart::bars(&times, 20, "ms"));
         }
     }
@@ -213,11 +238,12 @@ fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, wid
     let environment = run.path("environment.exr");
     if environment.is_file() {
         let image = displayed(&read_environment(&environment)?);
-        out.push_str("<h3>Surroundings</h3>\n<div class=\"grid large\">\n");
+        out.push_str("<h3>Environment map</h3>\n<div class=\"grid large\">\n");
         out.push_str(&figure::picture(
             "environment.exr",
             &figure::data_uri(&image, width)?,
             [image.width, image.height],
+            "",
         ));
         out.push_str("</div>\n");
     }
@@ -227,6 +253,13 @@ fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, wid
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn durations_are_readable() {
+        let all =
+            [(0.0, "0.0 s"), (9.54, "9.5 s"), (140.1, "2 min 20 s"), (3600.0, "1 h 0 min"), (7384.0, "2 h 3 min")];
+        all.into_iter().for_each(|(seconds, text)| assert_eq!(duration(seconds), text));
+    }
 
     #[test]
     fn views_are_spread() {

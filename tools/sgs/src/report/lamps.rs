@@ -77,11 +77,6 @@ impl Lamps {
         out
     }
 
-    /// All gains as they are.
-    pub fn gains(&self) -> Vec<f32> {
-        self.file.lights.iter().map(|l| l.gain).collect()
-    }
-
     /// As the drawing of the room takes them.
     pub fn rows(&self) -> Vec<Lamp> {
         let row = |(i, sum): &(usize, [f64; 3])| Lamp {

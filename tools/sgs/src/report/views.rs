@@ -1,5 +1,7 @@
-//! The pictures of a report, view by view: truth under a slider where there is truth, else the picture alone.
+//! The images of a report: first photograph, render, albedo and relit side by side, then every channel view by view. Channels
+//! with truth have a slider.
 
+use super::evening;
 use super::lamps::Lamps;
 use crate::cameras::upload;
 use crate::classes::head_of;
@@ -8,8 +10,9 @@ use crate::palette::colors;
 use crate::ui::Bar;
 use serde_json::Value;
 use sgs_engine::Device;
+use sgs_report::depth;
+use sgs_report::escape;
 use sgs_report::figure::{data_uri, picture, slider};
-use sgs_report::{escape, number};
 use sgs_scene::{GroundTruth, GroundTruthKind as Kind, Image, Scene, Splats};
 use sgs_train::{
     Rendered, RunDirectory, RunLight, Settings, ShadedView, Shading, TrainError, displayed, evaluate_classes,
@@ -27,14 +30,30 @@ pub struct Shown<'a> {
     pub most: usize,
 }
 
-/// Figures of a view: those of what is seen, and those of single lights.
-#[derive(Default)]
-struct Figures {
-    main: String,
-    lamps: String,
+/// Views that stand side by side at the head of a report.
+const FIRST: usize = 3;
+
+/// The images as HTML.
+pub struct Html {
+    /// Those at the head.
+    pub first: String,
+    /// All channels of all views.
+    pub views: String,
 }
 
-/// All views, one below the other.
+/// Figures of a view: side by side, of what is trained, of materials, of light, of single lights.
+#[derive(Default)]
+struct Figures {
+    strip: String,
+    main: String,
+    materials: String,
+    light: String,
+    lamps: String,
+    /// Mean radiance of the shaded image.
+    mean: f32,
+}
+
+/// Renders the views.
 pub fn html(
     common: &Common,
     device: &Device,
@@ -46,7 +65,7 @@ pub fn html(
     views: &[usize],
     metrics: &Value,
     shown: &Shown,
-) -> anyhow::Result<String> {
+) -> anyhow::Result<Html> {
     let truth = GroundTruth::of(scene);
     let classified = splats.semantic.is_some() && run.semantics().exists();
     let head = if classified { Some(head_of(run.root(), splats)?) } else { None };
@@ -64,6 +83,7 @@ pub fn html(
         let photo = scene.load_image(view)?;
         let figures = all.entry(name.to_owned()).or_default();
         figures.main = geometry(&truth, view, &photo, r, &palette, &psnr, shown)?;
+        figures.strip = strip(&photo, r, materials, shown)?;
         done += 1;
         bar.set(done, || name.to_owned());
         Ok(())
@@ -79,13 +99,17 @@ pub fn html(
             let figures = all.entry(name.to_owned()).or_default();
             let has =
                 Has { metallic: splats.metallic.is_some(), lit, lamps: lights.is_some(), sky: environment.is_some() };
+            let albedo = displayed(&s.albedo());
+            figures.strip.push_str(&one("albedo", &albedo, "", shown)?);
             if lit {
                 let photo = scene.load_image(view)?;
+                let radiance = s.radiance(background);
+                figures.mean = evening::mean(&radiance);
                 let note = noted(metrics, name, "pbr");
-                let ours = displayed(&s.radiance(background));
-                figures.main.push_str(&pair("shaded", &photo, &ours, &note, shown)?);
+                figures.main.push_str(&pair("shaded", &photo, &displayed(&radiance), &note, shown)?);
             }
-            figures.main.push_str(&shaded_parts(&truth, view, s, &has, &noted(metrics, name, "albedo"), shown)?);
+            figures.materials = material_parts(&truth, view, s, &has, &noted(metrics, name, "albedo"), shown)?;
+            figures.light = light_parts(s, &has, shown)?;
             done += 1;
             bar.set(done, || name.to_owned());
             Ok(())
@@ -95,27 +119,48 @@ pub fn html(
             for &view in views {
                 let camera = &scene.views[view].camera;
                 let image = displayed(&shading.shade(camera)?.direct());
-                all.entry(camera.name.clone()).or_default().lamps.push_str(&one(&name, &image, shown)?);
+                all.entry(camera.name.clone()).or_default().lamps.push_str(&one(&name, &image, "", shown)?);
             }
         }
-        if lights.is_some() {
-            shading.set_gains(device, &shown.lamps.gains())?;
+        // There may be no memory for both.
+        drop(shading);
+        if let Some(evening) = evening::light(light) {
+            let (lights, environment) = (evening.lights.as_ref(), evening.environment.as_ref());
+            let mut shading =
+                Shading::new(device, shaded_scene(device, splats, lights, environment, &evening.visibility)?)?;
+            for &view in views.iter().take(FIRST) {
+                let camera = &scene.views[view].camera;
+                let figures = all.entry(camera.name.clone()).or_default();
+                let mut image = shading.shade(camera)?.radiance(background);
+                let exposure = evening::exposure(&image, figures.mean);
+                image.data.iter_mut().for_each(|v| *v *= exposure);
+                let note = format!("warm lights at dusk, exposure ×{exposure:.1}");
+                figures.strip.push_str(&one("relit", &displayed(&image), &note, shown)?);
+            }
         }
     }
     bar.finish();
-    let mut out = String::new();
-    for &view in views {
+    let mut html = Html { first: String::new(), views: String::new() };
+    for (i, &view) in views.iter().enumerate() {
         let name = &scene.views[view].camera.name;
         let Some(f) = all.get(name) else { continue };
-        out.push_str(&format!("<h3>{}</h3>\n<div class=\"grid\">\n{}</div>\n", escape(name), f.main));
+        if i < FIRST {
+            html.first.push_str(&format!("<div class=\"grid strip\">\n{}</div>\n", f.strip));
+        }
+        html.views.push_str(&format!("<h3>{}</h3>\n", escape(name)));
+        for (class, figures) in [("grid", &f.main), ("grid", &f.materials), ("grid small", &f.light)] {
+            if !figures.is_empty() {
+                html.views.push_str(&format!("<div class=\"{class}\">\n{figures}</div>\n"));
+            }
+        }
         if !f.lamps.is_empty() {
-            out.push_str(&format!(
+            html.views.push_str(&format!(
                 "<details><summary>Light by light</summary><div class=\"grid small\">\n{}</div></details>\n",
                 f.lamps
             ));
         }
     }
-    Ok(out)
+    Ok(html)
 }
 
 /// What a run has beside albedo and roughness.
@@ -128,8 +173,22 @@ struct Has {
 
 type Figured = Result<String, TrainError>;
 
-fn one(name: &str, image: &Image, shown: &Shown) -> Figured {
-    Ok(picture(name, &data_uri(image, shown.width)?, [image.width, image.height]))
+fn one(name: &str, image: &Image, note: &str, shown: &Shown) -> Figured {
+    Ok(picture(name, &data_uri(image, shown.width)?, [image.width, image.height], note))
+}
+
+/// Photograph and render; without materials also normal and depth.
+fn strip(photo: &Image, r: &Rendered, materials: bool, shown: &Shown) -> Figured {
+    let mut out = one("photograph", photo, "", shown)?;
+    out.push_str(&one("render", &r.rgb, "", shown)?);
+    if !materials {
+        if let Some(normal) = &r.normal {
+            out.push_str(&one("normal", &colored(normal), "", shown)?);
+        }
+        let range = depth::range(&r.depth);
+        out.push_str(&one("depth", &depth::colored(&r.depth, range), &depth::scale(range), shown)?);
+    }
+    Ok(out)
 }
 
 fn pair(name: &str, truth: &Image, ours: &Image, note: &str, shown: &Shown) -> Figured {
@@ -141,7 +200,7 @@ fn pair(name: &str, truth: &Image, ours: &Image, note: &str, shown: &Shown) -> F
 fn maybe(name: &str, truth: Option<Image>, ours: &Image, note: &str, shown: &Shown) -> Figured {
     match truth {
         Some(truth) => pair(name, &truth, ours, note, shown),
-        None => one(name, ours, shown),
+        None => one(name, ours, note, shown),
     }
 }
 
@@ -161,43 +220,46 @@ fn geometry(
         out.push_str(&maybe("normal", theirs, &colored(normal), "", shown)?);
     }
     let theirs = truth.load(Kind::Depth, view)?;
-    let far = theirs.as_ref().unwrap_or(&r.depth).data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-    let scaled = |d: &Image| Image { data: d.data.iter().map(|v| v / far).collect(), ..d.clone() };
-    out.push_str(&maybe("depth", theirs.as_ref().map(scaled), &scaled(&r.depth), "", shown)?);
+    let range = depth::range(theirs.as_ref().unwrap_or(&r.depth));
+    let shown_truth = theirs.as_ref().map(|d| depth::colored(d, range));
+    out.push_str(&maybe("depth", shown_truth, &depth::colored(&r.depth, range), &depth::scale(range), shown)?);
     if let Some(labels) = &r.labels {
         let color = |l: &Option<u32>| {
             l.and_then(|l| palette.get(l as usize)).map_or([0.0; 3], |c| c.map(|v| f32::from(v) / 255.0))
         };
         let data = labels.iter().flat_map(color).collect();
-        out.push_str(&one("classes", &Image { channels: 3, data, ..r.rgb.clone() }, shown)?);
+        out.push_str(&one("classes", &Image { channels: 3, data, ..r.rgb.clone() }, "", shown)?);
     }
     Ok(out)
 }
 
-/// Materials and parts of light.
-fn shaded_parts(truth: &GroundTruth, view: usize, s: &ShadedView, has: &Has, note: &str, shown: &Shown) -> Figured {
-    let mut out = String::new();
-    let mut add = |html: String| out.push_str(&html);
+/// Materials.
+fn material_parts(truth: &GroundTruth, view: usize, s: &ShadedView, has: &Has, note: &str, shown: &Shown) -> Figured {
     let albedo = truth.load(Kind::Albedo, view)?.map(|t| displayed(&t));
-    add(maybe("albedo", albedo, &displayed(&s.albedo()), note, shown)?);
-    add(maybe("roughness", truth.load(Kind::Roughness, view)?, &s.roughness(), "", shown)?);
+    let mut out = maybe("albedo", albedo, &displayed(&s.albedo()), note, shown)?;
+    out.push_str(&maybe("roughness", truth.load(Kind::Roughness, view)?, &s.roughness(), "", shown)?);
     if has.metallic {
-        add(maybe("metallic", truth.load(Kind::Metallic, view)?, &s.metallic(), "", shown)?);
-    }
-    if let Some(visibility) = s.visibility().filter(|_| has.lamps) {
-        add(one("visibility", &visibility, shown)?);
-    }
-    if has.sky {
-        add(one("environment", &displayed(&s.surroundings()), shown)?);
-    }
-    if has.lamps {
-        add(one("direct", &displayed(&s.direct()), shown)?);
-    }
-    if has.lit {
-        add(one("diffuse", &displayed(&s.diffuse()), shown)?);
-        add(one("specular", &displayed(&s.specular()), shown)?);
+        out.push_str(&maybe("metallic", truth.load(Kind::Metallic, view)?, &s.metallic(), "", shown)?);
     }
     Ok(out)
+}
+
+/// Parts of light.
+fn light_parts(s: &ShadedView, has: &Has, shown: &Shown) -> Figured {
+    let mut parts = Vec::new();
+    if has.lamps {
+        parts.push(("direct", displayed(&s.direct())));
+    }
+    if has.sky {
+        parts.push(("environment", displayed(&s.surroundings())));
+    }
+    if has.lit {
+        parts.extend([("diffuse", displayed(&s.diffuse())), ("specular", displayed(&s.specular()))]);
+    }
+    if let Some(visibility) = s.visibility().filter(|_| has.lamps) {
+        parts.push(("visibility", visibility));
+    }
+    parts.iter().map(|(name, image)| one(name, image, "", shown)).collect()
 }
 
 /// Unit vectors as colors.
@@ -209,5 +271,5 @@ fn colored(normal: &Image) -> Image {
 fn noted(metrics: &Value, view: &str, what: &str) -> String {
     let views = metrics["views"].as_array();
     let found = views.and_then(|all| all.iter().find(|v| v["name"] == view));
-    found.and_then(|v| v[what]["psnr"].as_f64()).map_or(String::new(), |v| format!("{} dB", number(v)))
+    found.and_then(|v| v[what]["psnr"].as_f64()).map_or(String::new(), |v| format!("{v:.2} dB"))
 }
