@@ -46,7 +46,7 @@ fn inputs_that_can_never_work_have_a_status_of_their_own() {
 fn memory_and_time_that_do_not_suffice_may_suffice_another_time() {
     let place = Place::new(Room::default());
     let arguments = |more: &[&str]| place.arguments("run", 4, more);
-    sgs(&arguments(&["--memory-budget", "1M"])).refused_with(75, &["MiB of device memory"]);
+    sgs(&arguments(&["--memory-budget", "64K"])).refused_with(75, &["MiB of device memory"]);
     sgs(&arguments(&["--timeout", "0.000000001"])).refused_with(75, &["did not finish within"]);
     assert!(!place.path("run/scene.ply").exists());
 }
@@ -62,8 +62,8 @@ fn errors_are_json_where_json_is_asked_for() {
         (vec!["train", &scene, "-o", &run, "--preset", "drafts"], 2, "usage", "not a preset"),
         (vec!["train", &scene, "-o", &run, "--steps", "3"], 2, "usage", "--steps"),
         (vec!["frobnicate"], 2, "usage", "frobnicate"),
-        (vec!["eval", &none], 1, "failed", "not exist"),
-        (vec!["train", &scene, "-o", &run, "--memory-budget", "1M"], 75, "out_of_memory", "memory"),
+        (vec!["eval", &none], 1, "failed", "not a run directory"),
+        (vec!["train", &scene, "-o", &run, "--memory-budget", "64K"], 75, "out_of_memory", "memory"),
     ] {
         let finished = sgs(&[&arguments[..], &["--json"]].concat());
         assert_eq!(finished.status, Some(status), "{finished:?}");

@@ -21,6 +21,9 @@ const ENOUGH_CELLS: f64 = 0.1;
 /// Share of the points before the cameras that may lie nearer than the near plane.
 const FEW_NEAR: f64 = 0.2;
 
+/// Cameras nearer together than this share of the points' distance stand at one place.
+const ONE_PLACE: f64 = 1e-6;
+
 /// Points this many times as far as the cameras are apart have no parallax.
 const FAR: f64 = 100.0;
 
@@ -125,7 +128,9 @@ impl Framing {
             warnings.push(format!("training views show points in only {percent:.1} % of their area: {}", apart()));
         }
         let cameras = self.views;
-        if self.baseline == 0.0 && self.repeated > 0 {
+        // The mean of equal positions is rounded.
+        let one_place = self.baseline <= ONE_PLACE * self.distance;
+        if one_place && self.repeated > 0 {
             warnings.push(format!(
                 "the {cameras} training cameras stand at one place, {} of them with the pose of another one: depth cannot be \
                  learned; check the poses",
@@ -136,7 +141,7 @@ impl Framing {
             warnings.push(format!(
                 "{repeated} of {cameras} training cameras have the pose of another one; check the poses"
             ));
-        } else if self.baseline > 0.0 && self.distance > FAR * self.baseline && self.covered >= ENOUGH_CELLS {
+        } else if !one_place && self.distance > FAR * self.baseline && self.covered >= ENOUGH_CELLS {
             warnings.push(format!("the points are too far for parallax: {}", apart()));
         }
         Ok(warnings)
