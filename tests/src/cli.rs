@@ -28,18 +28,22 @@ impl Finished {
         self
     }
 
-    /// Fails unless the program refused with the exit status of a refusal, nothing on standard output, and one sentence on
-    /// standard error that holds all of the words. Warnings may come before it.
+    /// Fails unless the program refused with the exit status of a refusal and one sentence on standard error that holds all of
+    /// the words. Warnings may come before it. Standard output is empty, or with `--json` holds the same sentence as JSON.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) -> &Finished {
         let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
         assert!(self.status.is_some_and(|s| [1, 2, 42, 75].contains(&s)), "{context}");
-        assert_eq!(self.stdout, "", "{context}");
         self.assert_no_panic();
         let said: Vec<&str> =
             self.stderr.lines().filter(|l| !l.trim_start().starts_with("WARN") && !l.trim().is_empty()).collect();
         let [sentence] = said[..] else { panic!("one line was expected: {context}") };
         assert!(sentence.starts_with("sgs: ") && sentence.len() < 700, "{context}");
+        if self.arguments.split(' ').any(|a| a == "--json") {
+            assert_eq!(self.json()["error"], sentence["sgs: ".len()..], "{context}");
+        } else {
+            assert_eq!(self.stdout, "", "{context}");
+        }
         for word in words {
             assert!(sentence.contains(word), "\"{word}\" is missing: {context}");
         }

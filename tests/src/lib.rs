@@ -34,4 +34,4 @@ pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};
-pub use place::Place;
+pub use place::{Place, files};

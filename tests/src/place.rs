@@ -2,8 +2,21 @@
 
 use crate::cli::{Finished, sgs};
 use crate::rooms::Room;
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
+
+/// Reads every file below a folder; none where the folder is absent.
+pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        match entry.path() {
+            path if path.is_dir() => found.extend(files(&path)),
+            path => drop(found.insert(path.clone(), std::fs::read(&path).unwrap())),
+        }
+    }
+    found
+}
 
 /// A folder with a room in `scene`, and runs beside it.
 pub struct Place(TempDir);

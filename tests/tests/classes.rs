@@ -319,6 +319,6 @@ fn what_has_no_classes_is_refused() {
 #[test]
 fn training_again_forgets_the_classes() {
     let known = Known::new();
-    sgs(&["train", &known.0.text("scene"), "-o", &known.0.text("run"), "--geometry-steps", "1"]).ok();
+    sgs(&["train", &known.0.text("scene"), "-o", &known.0.text("run"), "--force", "--geometry-steps", "1"]).ok();
     assert!(known.0.path("run/scene.ply").exists() && !known.0.path("run/semantics.safetensors").exists());
 }

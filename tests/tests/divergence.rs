@@ -158,8 +158,8 @@ fn what_trains_is_left_alone() {
         (&all, &["--set", "noise.normals=90", "--set", "noise.semantics=1"]),
         (&plain, &["--set", "geometry.densify.reset_interval=110", "--set", "geometry.densify.from=50"]),
     ];
-    for (place, case) in cases {
-        let ended = train(place, "run", 250, &[case]);
+    for (i, (place, case)) in cases.into_iter().enumerate() {
+        let ended = train(place, &format!("run{i}"), 250, &[case]);
         assert!(ended.status == Some(0), "{case:?}: {}", ended.stderr);
     }
 }

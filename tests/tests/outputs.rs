@@ -1,11 +1,9 @@
 //! Directories that commands write into: no result, scene or other program's file is lost to a wrong `-o`, and one training at a
 //! time writes into a run.
 
-use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use sgs_tests::{Place, files};
 
 /// A place with a room, and how this file trains in it.
 fn place() -> Place {
@@ -27,23 +25,6 @@ fn arguments(place: &Place, run: &str, more: &[&str]) -> Vec<String> {
 
 fn train(place: &Place, run: &str, more: &[&str]) -> Finished {
     sgs(&arguments(place, run, more))
-}
-
-/// Every file below a directory, with its bytes.
-fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut all = BTreeMap::new();
-    let mut open = vec![root.to_owned()];
-    while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                open.push(path);
-            } else {
-                all.insert(path.clone(), std::fs::read(path).unwrap());
-            }
-        }
-    }
-    all
 }
 
 #[test]

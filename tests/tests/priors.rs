@@ -3,12 +3,11 @@
 use sgs_provider::{Picture, Provider, ProviderOptions};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
 use sgs_synth::{SceneName, SynthOptions};
-use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use sgs_tests::{Place, files};
+use std::path::Path;
 
 /// A room with ground truth of normals and depth, and without priors.
 fn room() -> Place {
@@ -36,18 +35,6 @@ fn stand_in(place: &Place, options: &str) -> String {
 
 fn open(place: &Place) -> Scene {
     Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
-}
-
-/// All files below a folder, with their content.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        match entry.path() {
-            path if path.is_dir() => found.extend(files(&path)),
-            path => drop(found.insert(path.clone(), std::fs::read(&path).unwrap())),
-        }
-    }
-    found
 }
 
 /// How many files were written and kept.

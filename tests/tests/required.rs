@@ -117,7 +117,7 @@ fn nothing_is_judged_before_it_is_learned() {
     let place = room();
     let all = ["intrinsic.automatic.gain=100", "intrinsic.automatic.ready=0"];
     // Colors that have been trained are better than materials after a few steps.
-    let more = ["--geometry-steps", "60", "--no-densify", "-q"];
+    let more = ["--force", "--geometry-steps", "60", "--no-densify", "-q"];
     sgs(&[&["train", &place.text("scene"), "-o", &place.text("geometry")], &more[..]].concat()).ok();
     let said = sgs(&arguments(&place, "run", &all)).ok().stderr;
     let decided = decisions(&place, "run");

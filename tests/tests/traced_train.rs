@@ -119,11 +119,11 @@ fn a_run_with_traced_shadows_is_measured_rendered_and_relit() {
         (json!({"lights": {"off": true, "add": [bulb]}}), "new", "traced"),
         (json!({"lights": {"add": [bulb]}}), "more", "learned"),
     ] {
-        for (more, into) in [("traced", "traced"), ("learned", "learned")] {
-            relit("learned", edit.clone(), into, &["--visibility", more]).ok();
+        for visibility in ["traced", "learned"] {
+            relit("learned", edit.clone(), &format!("by_{visibility}"), &["--visibility", visibility]).ok();
         }
         relit("learned", edit, name, &[]).ok();
-        assert_eq!(of(name), of(same), "{name}");
-        assert_ne!(of("traced"), of("learned"), "{name}");
+        assert_eq!(of(name), of(&format!("by_{same}")), "{name}");
+        assert_ne!(of("by_traced"), of("by_learned"), "{name}");
     }
 }

@@ -343,7 +343,7 @@ fn a_run_remembers_where_its_scene_is() {
     sgs(&["eval", &run]).ok();
     let moved = place.text("elsewhere");
     std::fs::rename(&scene, &moved).unwrap();
-    sgs(&["eval", &run]).refused(&["does not exist"]);
+    sgs(&["eval", &run]).refused(&["is no longer at", &scene, "--scene"]);
     sgs(&["eval", &run, "--scene", &moved]).ok();
 }
 

@@ -89,11 +89,10 @@ fn orbits_and_paths_are_rendered_and_written_as_videos() {
 fn mp4_needs_ffmpeg_and_says_so() {
     let place = place();
     let mp4 = place.text("orbit.mp4");
-    let with_path = |path: &str| {
-        let a = arguments(&place, "render", &["--orbit", "3", "--video", &mp4]);
-        wait(start_with(&a, &[("PATH", path)]))
-    };
-    with_path("/nowhere").refused(&["orbit.mp4", "ffmpeg", ".gif"]);
+    let answered = arguments(&place, "render", &["--orbit", "3", "--video", &mp4]);
+    let plain: Vec<String> = answered.iter().filter(|a| *a != "--json").cloned().collect();
+    let with_path = |a: &[String], path: &str| wait(start_with(a, &[("PATH", path)]));
+    with_path(&plain, "/nowhere").refused(&["orbit.mp4", "ffmpeg", ".gif"]);
     assert!(!place.path("orbit.mp4").exists());
     // A stand-in that keeps what it is sent.
     std::fs::create_dir(place.path("bin")).unwrap();
@@ -102,9 +101,9 @@ fn mp4_needs_ffmpeg_and_says_so() {
     std::fs::write(&program, script).unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:/usr/bin:/bin", place.text("bin"));
-    assert_eq!(written(with_path(&path)), ["orbit.mp4"]);
+    assert_eq!(written(with_path(&answered, &path)), ["orbit.mp4"]);
     assert_eq!(place.read("orbit.mp4").len(), 3 * 32 * 24 * 3);
     // One that fails says why.
     std::fs::write(&program, script.replace("cat", "echo no codec >&2; exit 1; cat")).unwrap();
-    with_path(&path).refused(&["orbit.mp4", "ffmpeg failed", "no codec"]);
+    with_path(&plain, &path).refused(&["orbit.mp4", "ffmpeg failed", "no codec"]);
 }

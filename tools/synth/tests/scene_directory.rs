@@ -262,7 +262,7 @@ fn mistakes_are_named_in_one_sentence() {
     fs::create_dir(&out).unwrap();
     fs::write(out.join("thesis.txt"), "mine").unwrap();
     let occupied = fail(base.clone());
-    assert!(occupied.ends_with("already holds something; choose another directory or allow it to be replaced"));
+    assert!(occupied.ends_with("already holds something; name another directory, or replace a scene with --force"));
     let kept = fail(SynthOptions { replace: true, ..base.clone() });
     assert!(kept.ends_with("is not replaced because it is no scene directory: it holds no transforms.json"));
     assert_eq!(fs::read(out.join("thesis.txt")).unwrap(), b"mine");
