@@ -93,7 +93,7 @@ pub struct Means {
     /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
     #[serde(flatten)]
     pub shaded: Option<ShadedMetrics>,
-    /// Rendering speed, where it was measured ([`crate::speed`]).
+    /// Rendering speed, where it was measured ([`crate::render_fps`], [`crate::shade_fps`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fps: Option<Fps>,
 }
