@@ -3,8 +3,9 @@
     engine-bench passes --filter lights --dump CASE
     python3 shading_torch.py CASE [--repeats 3] [--threads N]
 
-Uses every core that the process may use, as the kernels do, unless `--threads` says otherwise. Reads the case that engine-bench wrote, shades forward and back with tensors of pixels x lights x lobes and automatic
-differentiation, compares radiance and every gradient with those of the kernels, and prints its times beside theirs. Exit status 1 if they disagree.
+Reads the case that engine-bench wrote, shades forward and back with tensors of pixels x lights x lobes and automatic
+differentiation, compares radiance and every gradient with those of the kernels, and prints its times beside theirs. Uses
+every core that the process may use, as the kernels do, unless `--threads` says otherwise. Exit status 1 if they disagree.
 Needs torch and numpy.
 """
 

@@ -1,4 +1,4 @@
-//! What a training is told before its first step: inputs that cannot be started from, and what makes a bad start.
+//! Checks before the first step of a training: inputs that are refused, and warnings about a bad start.
 
 use sgs_scene::{Image, write_png};
 use sgs_tests::Place;

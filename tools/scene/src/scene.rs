@@ -175,7 +175,7 @@ impl Scene {
         })
     }
 
-    /// Reports what a user should know who starts from the scene's points, and who evaluates a run need not: one sentence each.
+    /// Warnings for a training that starts from the scene's points, one sentence each. Evaluating a run needs none of them.
     pub fn start_warnings(&self) -> Result<Vec<String>> {
         let mut warnings = Vec::new();
         if self.points_are_random {

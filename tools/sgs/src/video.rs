@@ -1,5 +1,6 @@
 //! Videos of rendered frames: MP4 and WebP by the ffmpeg program, GIF without it.
 
+use crate::failure::refuse_usage;
 use anyhow::{Context, bail};
 use sgs_scene::Image;
 use std::fs::File;
@@ -52,14 +53,14 @@ impl Video {
         let gif = match extension.as_deref() {
             Some("gif") => true,
             Some("mp4" | "webp") => false,
-            _ => bail!("--video \"{shown}\" does not end in .mp4, .webp or .gif."),
+            _ => refuse_usage!("--video \"{shown}\" does not end in .mp4, .webp or .gif."),
         };
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !folder.is_dir() {
-            bail!("--video \"{shown}\" cannot be written: its directory does not exist; create it first.");
+            refuse_usage!("--video \"{shown}\" cannot be written: its directory does not exist; create it first.");
         }
         if path.is_dir() {
-            bail!("--video \"{shown}\" is a directory; name a file.");
+            refuse_usage!("--video \"{shown}\" is a directory; name a file.");
         }
         if !gif && Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err()
         {

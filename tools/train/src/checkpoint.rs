@@ -166,11 +166,7 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
             return Err(error(path, format!("damaged: \"{}_moments\" holds {wrong}", group.name())));
         }
     }
-    let mut statistics = floats("statistics")?;
-    if statistics.len() == 3 * count {
-        // Checkpoints of earlier versions have no gradients by raw normals.
-        statistics = statistics.as_chunks::<3>().0.iter().flat_map(|&[a, b, c]| [a, b, c, 0.0]).collect();
-    }
+    let statistics = floats("statistics")?;
     // Without densification there are none.
     if !statistics.is_empty() && statistics.len() != count * STATISTICS as usize {
         return Err(error(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));

@@ -1,6 +1,5 @@
 //! What a directory holds that a command is about to write into.
 
-use crate::lock::LOCK_FILE;
 use crate::run::RunDirectory;
 use sgs_scene::Layout;
 use std::path::Path;
@@ -64,15 +63,14 @@ impl RunContents {
     }
 }
 
-/// Names of the files and folders of a directory, in order: without hidden ones, and without what a run that ended before its first
-/// file leaves.
+/// Names of the files and folders of a directory, in order. Hidden ones, the lock among them, and an empty `checkpoint` folder do
+/// not count.
 pub fn entries(root: &Path) -> Vec<String> {
     let is_empty = |path: &Path| path.is_dir() && std::fs::read_dir(path).is_ok_and(|mut d| d.next().is_none());
     let all = std::fs::read_dir(root).into_iter().flatten().flatten();
     let counted = all.filter(|entry| entry.file_name() != "checkpoint" || !is_empty(&entry.path()));
     let names = counted.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let mut names: Vec<String> =
-        names.filter(|name| !name.starts_with('.') && name != "lost+found" && name != LOCK_FILE).collect();
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.') && name != "lost+found").collect();
     names.sort();
     names
 }

@@ -90,10 +90,10 @@ impl Framing {
         }
     }
 
-    /// Refuses a scene of whose points no training view sees any. Returns what a user should know otherwise, one sentence each.
+    /// Refuses a scene if no training view sees any of its points. Returns warnings otherwise, one sentence each.
     ///
     /// # Errors
-    /// [`SceneError::Points`] that says by how much, and what to do.
+    /// [`SceneError::Points`] with the distances and what to do.
     pub fn check(&self, scene: &Scene) -> Result<Vec<String>> {
         let n = scene.points.len();
         let refuse = |problem: String| {

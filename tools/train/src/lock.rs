@@ -11,7 +11,7 @@ use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Name of the lock's file in the directory.
-pub(crate) const LOCK_FILE: &str = ".lock";
+const LOCK_FILE: &str = ".lock";
 
 /// The process that holds a lock.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

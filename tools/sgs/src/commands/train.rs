@@ -247,7 +247,7 @@ pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
     open_scene(s)
 }
 
-/// Refuses a scene whose points no training view sees, and warns of what makes a bad start.
+/// Refuses a scene if no training view sees any of its points, and logs warnings about a bad start.
 pub fn check_start(scene: &Scene) -> anyhow::Result<()> {
     let mut warnings = scene.start_warnings()?;
     warnings.extend(Framing::of(scene).check(scene)?);

@@ -282,8 +282,8 @@ mod tests {
         };
         let found = of("chair", &known);
         let names: Vec<_> = found.iter().map(|(name, r)| (name.as_str(), r.as_ref().unwrap())).collect();
-        let told: Vec<_> = names.iter().map(|(name, (edit, own))| (*name, edit.lights.off, *own)).collect();
-        assert_eq!(told, [("chair_learned_light", false, true), ("chair", true, false)]);
+        let found: Vec<_> = names.iter().map(|(name, (edit, own))| (*name, edit.lights.off, *own)).collect();
+        assert_eq!(found, [("chair_learned_light", false, true), ("chair", true, false)]);
         assert!(names.iter().all(|(_, (edit, _))| edit.check().is_ok() && edit.materials == [change.clone()]));
         // Without the true lights, the set itself has a reason.
         let alone = of("chair", &TrueLights::default());
