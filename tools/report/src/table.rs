@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 const FIRST: [&str; 4] = ["nvs psnr", "nvs ssim", "nvs flip", "nvs lpips"];
 
 /// Measures by the last word of their path: name with unit, factor, decimals.
-const MEASURES: [(&str, &str, f64, usize); 15] = [
+const MEASURES: [(&str, &str, f64, usize); 16] = [
     ("psnr", "PSNR (dB)", 1.0, 2),
     ("psnr_scaled", "PSNR, scaled (dB)", 1.0, 2),
     ("psnr_scaled_per_view", "PSNR, scaled per view (dB)", 1.0, 2),
@@ -21,7 +21,8 @@ const MEASURES: [(&str, &str, f64, usize); 15] = [
     ("lpips", "LPIPS", 1.0, 3),
     ("normal_mae_deg", "Normal error (°)", 1.0, 2),
     ("normal_coverage", "Normal coverage (%)", 100.0, 1),
-    ("fps", "Frames/s", 1.0, 1),
+    ("nvs", "Rendering (frames/s)", 1.0, 1),
+    ("pbr", "Shading (frames/s)", 1.0, 1),
     ("depth_rel", "Depth error (%)", 100.0, 2),
     ("roughness_mse", "Roughness MSE", 1.0, 4),
     ("metallic_mse", "Metallic MSE", 1.0, 4),
@@ -29,7 +30,8 @@ const MEASURES: [(&str, &str, f64, usize); 15] = [
 ];
 
 /// Groups of measures by the first word of their path, as names that stand before the measure.
-const GROUPS: [(&str, &str); 4] = [("nvs", ""), ("pbr", "Shaded "), ("albedo", "Albedo "), ("semantic", "")];
+const GROUPS: [(&str, &str); 5] =
+    [("nvs", ""), ("pbr", "Shaded "), ("albedo", "Albedo "), ("semantic", ""), ("fps", "")];
 
 /// Measures that stand for the whole, if there are such.
 const HEADLINE: [&str; 6] = ["nvs psnr", "nvs ssim", "pbr psnr", "albedo psnr", "normal_mae_deg", "semantic accuracy"];
@@ -200,7 +202,7 @@ mod tests {
     #[test]
     fn figures_have_fixed_decimals_and_units() {
         let split = json!({
-            "mean": {"nvs": {"psnr": 30.1, "ssim": 0.9}, "depth_rel": 0.0344, "other_thing": 0.5},
+            "mean": {"nvs": {"psnr": 30.1, "ssim": 0.9}, "fps": {"nvs": 47.58}, "depth_rel": 0.0344, "other_thing": 0.5},
             "views": [
                 {"name": "a", "nvs": {"psnr": 30.0, "ssim": 0.90049}, "depth_rel": 0.1, "other_thing": 12.0},
                 {"name": "b", "nvs": {"psnr": 30.2, "ssim": 0.9}, "depth_rel": 0.01, "other_thing": null},
@@ -212,6 +214,7 @@ mod tests {
         {
             assert!(html.contains(text), "{text}: {html}");
         }
+        assert!(html.contains("<th>Rendering (frames/s)</th>") && html.contains("<td>47.6</td>"), "{html}");
         assert!(html.contains("<th>Depth error (%)</th>") && html.contains("<th>other thing</th>"), "{html}");
         let html = cards(&split, &[("Gaussians".into(), "5000".into())]);
         assert!(html.contains("<dt>PSNR (dB)</dt><dd>30.10</dd>") && html.contains("<dd>5000</dd>"), "{html}");
