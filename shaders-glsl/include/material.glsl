@@ -1,7 +1,8 @@
 // Materials of a Gaussian are kept before their activation: albedo lies in (0.01, 0.99), roughness in (0.09, 0.99), metallic
 // in (0, 1). The published range of albedo begins at 0.09, too, which is a third of white on a screen: black things are darker.
-const float ALBEDO_LOW = 0.01;
-const float ALBEDO_RANGE = 0.98;
+// Training may have another range of albedo; files have this one.
+layout(constant_id = 26) const float ALBEDO_LOW = 0.01;
+layout(constant_id = 27) const float ALBEDO_RANGE = 0.98;
 const float ROUGHNESS_LOW = 0.09;
 const float ROUGHNESS_RANGE = 0.9;
 

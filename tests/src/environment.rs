@@ -129,7 +129,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
         by_metallic,
     )
     .unwrap();
-    let smooth = environment_smoothness(&mut g, t, e, &tables, texels, &filtered, WEIGHT).filter(|_| given.smooth);
+    let smooth = environment_smoothness(&mut g, t, e, &tables, texels, WEIGHT).filter(|_| given.smooth);
     environment_filter_bwd(&mut g, t, e, &tables, &filtered, &sums, smooth.as_ref(), gradient).unwrap();
     g.copy("radiance", filtered.radiance, radiance).unwrap();
     g.copy("sums", sums.texel_sums, sums_out).unwrap();

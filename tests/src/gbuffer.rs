@@ -131,7 +131,9 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
     weights(&mut g, &t, &screen, &visible, &entries, surfaces.coverage, &space, &matrix).unwrap();
     let metals = !raw.metallic.is_empty();
     let floats = |g: &mut Graph, name: &str, width: u64| g.external(name, 4 * width * u64::from(n));
+    let albedo_range = raw.albedo_range.map(|v| v as f32);
     let given = RawMaterials {
+        albedo_range,
         albedo: floats(&mut g, "albedo", 3),
         roughness: floats(&mut g, "roughness", 1),
         metallic: metals.then(|| floats(&mut g, "metallic", 1)),
@@ -147,6 +149,7 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
         metallic: metals.then(|| g.external("metallic_gradient", 4 * pixels)),
     };
     let grads = RawMaterials {
+        albedo_range,
         albedo: floats(&mut g, "grad_albedo", 3),
         roughness: floats(&mut g, "grad_roughness", 1),
         metallic: metals.then(|| floats(&mut g, "grad_metallic", 1)),
@@ -200,7 +203,10 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
 fn random_materials(n: usize, metals: bool, reach: f64, seed: u64) -> Materials {
     let mut r = scenes::Rng::new(seed);
     let mut many = |count: usize| (0..count).map(|_| f64::from(r.between(-reach, reach) as f32)).collect::<Vec<_>>();
-    Materials { albedo: many(3 * n), roughness: many(n), metallic: if metals { many(n) } else { Vec::new() } }
+    // The range of files, and the published one.
+    let albedo_range = if metals { [0.09, 0.9] } else { [0.01, 0.98] };
+    let (albedo, roughness) = (many(3 * n), many(n));
+    Materials { albedo, roughness, metallic: if metals { many(n) } else { Vec::new() }, albedo_range }
 }
 
 fn random_gradient(pixels: usize, seed: u64) -> Vec<[f64; 5]> {

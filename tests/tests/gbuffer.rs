@@ -86,19 +86,16 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
         assert_eq!(&transposed, column, "column {i}");
     }
     // Gradients: exact sums over the columns that the device itself found, and slopes by differences of the activation.
-    let slope = |raw: f64, of: fn(&Materials) -> f64, set: fn(f64) -> Materials| {
+    let albedo_range = raw.albedo_range;
+    let slope = |raw: f64, which: usize| {
         let h = 1e-5 * raw.abs().max(1.0);
-        (of(&set(raw + h)) - of(&set(raw - h))) / (2.0 * h)
+        let of = |raw: f64| {
+            let (albedo, roughness, metallic) = (vec![raw; 3], vec![raw], vec![raw]);
+            Materials { albedo, roughness, metallic, albedo_range }.values(0)[which]
+        };
+        (of(raw + h) - of(raw - h)) / (2.0 * h)
     };
-    let ranged = |raw: f64| {
-        slope(raw, |m| m.values(0)[3], |r| Materials { albedo: vec![0.0; 3], roughness: vec![r], metallic: vec![] })
-    };
-    let colored = |raw: f64| {
-        slope(raw, |m| m.values(0)[0], |r| Materials { albedo: vec![r; 3], roughness: vec![0.0], metallic: vec![] })
-    };
-    let free = |raw: f64| {
-        slope(raw, |m| m.values(0)[4], |r| Materials { albedo: vec![0.0; 3], roughness: vec![0.0], metallic: vec![r] })
-    };
+    let (colored, ranged, free) = (|raw| slope(raw, 0), |raw| slope(raw, 3), |raw| slope(raw, 4));
     for (i, column) in by_column.iter().enumerate() {
         let sums: Vec<(f64, f64)> = (0..5)
             .map(|c| {

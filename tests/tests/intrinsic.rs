@@ -186,6 +186,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         normals: 0.0,
     };
     let options = IntrinsicOptions {
+        albedo_range: sgs_passes::shade::ALBEDO_RANGE,
         shape,
         metallic: false,
         lights: Some((LightModel::default(), 1.0 / 64.0)),
@@ -311,4 +312,37 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     s.intrinsic.environment.every = 0;
     let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap().to_string();
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
+}
+
+/// Albedo stays in the range of the settings, the published one among others; what it begins with keeps its values.
+#[test]
+fn albedo_stays_in_its_range() {
+    let (place, _) = place();
+    let gpu = Gpu::new();
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut splats = geometry(&gpu, &scene);
+    // From almost black to almost white.
+    splats.albedo = Some((0..splats.len()).map(|i| [-6.0, 0.0, -4.0 + 0.01 * (i % 800) as f32]).collect());
+    let train = |range: [f32; 2], start: &Splats, steps: u32| {
+        let mut s = settings(8);
+        s.intrinsic.albedo_range = range;
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, start).unwrap();
+        training.train(steps, |_| {}, || true).unwrap();
+        training.splats().unwrap()
+    };
+    let values = |s: &Splats| -> Vec<f32> {
+        let raw = s.albedo.as_ref().unwrap().as_flattened();
+        raw.iter().map(|raw| 0.01 + 0.98 / (1.0 + (-raw).exp())).collect()
+    };
+    let ours = train([0.01, 0.99], &splats, 8);
+    let least = values(&ours).into_iter().fold(1.0, f32::min);
+    assert!(least < 0.09, "{least}");
+    let published = train([0.09, 0.99], &splats, 8);
+    assert!(values(&published).iter().all(|v| *v > 0.0899), "an albedo is darker than 0.09");
+    let narrow = train([0.3, 0.6], &ours, 8);
+    assert!(values(&narrow).iter().all(|v| (0.2999..0.6001).contains(v)), "an albedo is out of its range");
+    // Nothing trained: within the range values are those of the start.
+    for (before, after) in values(&ours).iter().zip(values(&train([0.05, 0.99], &ours, 0))) {
+        assert!((before.clamp(0.0502, 0.9898) - after).abs() < 2e-4, "{before} {after}");
+    }
 }

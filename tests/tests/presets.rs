@@ -74,6 +74,36 @@ fn levels_of_accuracy_lie_between_preset_and_file() {
     assert_eq!((s.accuracy.color_bits, s.intrinsic.visibility.sample), (32, 7));
 }
 
+/// Gaussians that a densification has made are optimized for an interval before the run ends, in every preset.
+#[test]
+fn no_gaussian_is_younger_than_an_interval_at_the_end() {
+    let place = Place::new(Room { priors: true, views: 6, ..Room::default() });
+    let scene = place.text("scene");
+    let (steps, interval) = (23, 5);
+    let name = |key: &str, value: &str| format!("geometry.{key}={value}");
+    let sets = [
+        name("densify.from", "5"),
+        name("densify.interval", "5"),
+        name("densify.grad_threshold", "0"),
+        name("densify.max_gaussians", "600"),
+        name("sh_degree", "0"),
+    ];
+    for preset in PRESETS {
+        let run = place.text(preset.name);
+        let mut a = vec!["train", &scene, "-o", &run, "-q", "--geometry-steps", "23", "--preset", preset.name];
+        sets.iter().for_each(|set| a.extend(["--set", set]));
+        sgs(&a).ok();
+        let log = String::from_utf8(place.read(&format!("{}/log.jsonl", preset.name))).unwrap();
+        let lines: Vec<serde_json::Value> = log.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let grown: Vec<u64> =
+            lines.iter().filter(|l| l.get("densified").is_some()).map(|l| l["step"].as_u64().unwrap()).collect();
+        let last = *grown.last().unwrap_or_else(|| panic!("{} never densifies: {log}", preset.name));
+        assert!(last + interval <= steps, "{} densifies after step {last} of {steps}", preset.name);
+        let ends = settings(&place, preset.name).geometry.densify.until * 23.0;
+        assert!(last + 2 * interval > (steps - interval).min(ends as u64), "{} stops early: {grown:?}", preset.name);
+    }
+}
+
 #[test]
 fn help_and_documents_name_every_preset() {
     let help = sgs(&["train", "--help"]).ok().stdout;

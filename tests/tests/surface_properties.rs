@@ -43,7 +43,7 @@ prop_compose! {
         // Beyond 80 either way a sigmoid is not told from its end.
         let raw = [-3.0, 1.9];
         let metallic = if metals { many(n, raw) } else { vec![] };
-        let raw = Materials { albedo: many(3 * n, raw), roughness: many(n, raw), metallic };
+        let raw = Materials { albedo: many(3 * n, raw), roughness: many(n, raw), metallic, albedo_range: [0.01, 0.98] };
         let gradient = many(5 * pixels, [-8.0, 8.0]).chunks(5).map(|g| [g[0], g[1], g[2], g[3], g[4]]).collect();
         Case { scene: Gaussians { normals, ..scene }, camera, raw, gradient, room: ROOM, bits }
     }

@@ -73,7 +73,7 @@ fn one(c: &Context<'_>, report: &mut Report, size: u32) -> anyhow::Result<()> {
     environment(&mut g, t, &e, &tables, &view, &filtered, ambient)?;
     let sums = environment_bwd(&mut g, t, &e, &tables, &view, &filtered, radiance_gradient, by_material, None)?;
     // Timed, but without weight, so that the gradient is that of light alone.
-    let smooth = environment_smoothness(&mut g, t, &e, &tables, texel_buffer, &filtered, 0.0);
+    let smooth = environment_smoothness(&mut g, t, &e, &tables, texel_buffer, 0.0);
     environment_filter_bwd(&mut g, t, &e, &tables, &filtered, &sums, smooth.as_ref(), by_texel)?;
     g.copy("out.radiance", filtered.radiance, radiance)?;
     let mut values = Step::default();

@@ -32,6 +32,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "environment_mips_bwd" => (24.0 * texels, 18.0 * texels),
         // About ten entries a row.
         "environment_smoothness" => (108.0 * size, 150.0 * size),
+        // Four texels and weights; five pixels; a texel of a cube finer than the map is in one lookup or two.
+        "environment_map" => (92.0 * size, 32.0 * size),
+        "environment_map_smoothness" => (72.0 * size * (s.push)(1), 40.0 * size * (s.push)(1)),
+        "environment_map_bwd" => (46.0 * size, 14.0 * size),
         "environment_background" => (12.0 * p, (LOOKUP + 20.0) * p),
         // A ray finds its way through eight nodes a level, with eight boxes of 24 operations each, and as many Gaussians.
         "visibility_traced" => {

@@ -10,7 +10,7 @@ use crate::shade::environment::{
 use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
 use crate::shade::traced::{Traced, TracedMemory, TracedShape, lights_split_traced};
 use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
-use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, values};
+use crate::shade::{ALBEDO_RANGE, PixelMaterials, Pixels, RawMaterials, materials, values};
 use crate::splat::Screen;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -298,7 +298,12 @@ impl State {
             bound.push((m, handles));
             handles.parameters
         });
-        let raw = RawMaterials { albedo: albedo.parameters, roughness: roughness.parameters, metallic };
+        let raw = RawMaterials {
+            albedo_range: ALBEDO_RANGE,
+            albedo: albedo.parameters,
+            roughness: roughness.parameters,
+            metallic,
+        };
         let of_gaussians = values(&mut g, t, &raw, shape.gaussians)?;
         let of_pixels = PixelMaterials { materials: out[0], metallic: metallic.map(|_| out[1]) };
         materials(&mut g, t, &screen, &of_gaussians, &surface.weights, &of_pixels)?;

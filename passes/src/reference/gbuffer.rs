@@ -93,6 +93,8 @@ pub struct Materials {
     pub roughness: Vec<f64>,
     /// 1 a Gaussian, or empty.
     pub metallic: Vec<f64>,
+    /// The lowest albedo, and how far above it the highest lies.
+    pub albedo_range: [f64; 2],
 }
 
 fn sigmoid(x: f64) -> f64 {
@@ -103,7 +105,8 @@ impl Materials {
     /// Albedo, roughness, metallic of one Gaussian.
     pub fn values(&self, i: usize) -> [f64; 5] {
         let metallic = self.metallic.get(i).map_or(0.0, |m| sigmoid(*m));
-        let [r, g, b] = [0, 1, 2].map(|c| 0.01 + 0.98 * sigmoid(self.albedo[3 * i + c]));
+        let [low, range] = self.albedo_range;
+        let [r, g, b] = [0, 1, 2].map(|c| low + range * sigmoid(self.albedo[3 * i + c]));
         [r, g, b, 0.09 + 0.9 * sigmoid(self.roughness[i]), metallic]
     }
 

@@ -1,7 +1,7 @@
 //! `material_values`, `materials`, `materials_bwd`: materials of Gaussians at the pixels of a view, and the way back.
 //!
-//! Roughness is 0.09 + 0.9 sigmoid(raw) as in SGS-Intrinsic, albedo 0.01 + 0.98 sigmoid(raw) (there 0.09 + 0.9, which cannot be
-//! darker than a third of white on a screen), metallic, where it is asked for, sigmoid(raw). The
+//! Roughness is 0.09 + 0.9 sigmoid(raw) as in SGS-Intrinsic, albedo 0.01 + 0.98 sigmoid(raw) ([`ALBEDO_RANGE`]; there 0.09 + 0.9,
+//! which cannot be darker than a third of white on a screen), metallic, where it is asked for, sigmoid(raw). The
 //! weights of the view are constants ([`super::weights`]), so that the picture is linear in the values and exact gradients
 //! are sums over the columns of the matrix, in the order of pixels.
 //!
@@ -15,9 +15,14 @@ use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{material_values, materials as kernel, materials_bwd as backward};
 
+/// The lowest albedo, and how far above it the highest lies: the range that files have.
+pub const ALBEDO_RANGE: [f32; 2] = [0.01, 0.98];
+
 /// Raw materials of the Gaussians, or their gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct RawMaterials {
+    /// The lowest albedo, and how far above it the highest lies.
+    pub albedo_range: [f32; 2],
     /// `[Gaussians * 3]` floats.
     pub albedo: Buffer,
     /// `[Gaussians]` floats.
@@ -81,7 +86,9 @@ pub fn values(g: &mut Graph, t: &Tuning, raw: &RawMaterials, gaussians: u32) -> 
         values: into.materials.into(),
         metallic_values: or_nothing(g, into.metallic).into(),
     };
-    let specs = material_values::Specs { workgroup: t.workgroup, metallic: raw.metallic.is_some() };
+    let [albedo_low, albedo_range] = raw.albedo_range;
+    let metallic = raw.metallic.is_some();
+    let specs = material_values::Specs { workgroup: t.workgroup, metallic, albedo_low, albedo_range };
     stage(g, "material_values", &material_values::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(n, t.workgroup))?;
     Ok(into)
@@ -116,7 +123,9 @@ pub fn materials_bwd(
         grad_metallic: or_nothing(g, into.metallic).into(),
     };
     let metallic = raw.metallic.is_some();
-    let specs = backward::Specs { workgroup: t.workgroup, metallic, add, weight_bits: weights.bits };
+    let [albedo_low, albedo_range] = raw.albedo_range;
+    let weight_bits = weights.bits;
+    let specs = backward::Specs { workgroup: t.workgroup, metallic, add, weight_bits, albedo_low, albedo_range };
     let mut pass = stage(g, "materials_bwd", &backward::KERNEL, [], specs.entries(), &[]);
     for (name, slice) in bindings.entries() {
         let nothing = name == "grad_metallic" && !metallic;

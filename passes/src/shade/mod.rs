@@ -17,6 +17,6 @@ pub use gbuffer::{
     GBUFFER_CHANNELS, LEAST_COVERAGE, Room, Rows, SURFACE_DEPTH, Surfaces, Weights, gbuffer, surface_depth,
     unpacked_weights, weight_rows, weight_words, weights,
 };
-pub use materials::{PixelMaterials, RawMaterials, materials, materials_bwd, values};
+pub use materials::{ALBEDO_RANGE, PixelMaterials, RawMaterials, materials, materials_bwd, values};
 pub use normals::{LearnedNormals, normals, normals_bwd};
 pub use pixels::Pixels;

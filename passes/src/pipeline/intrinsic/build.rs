@@ -78,6 +78,7 @@ pub(super) fn build(
 
     // What the pixels are made of.
     let raw = RawMaterials {
+        albedo_range: o.albedo_range,
         albedo: inputs.albedo.parameters,
         roughness: inputs.roughness.parameters,
         metallic: inputs.metallic.map(|m| m.parameters),
@@ -217,13 +218,14 @@ pub(super) fn build(
             kept.gather(g, t, e, &sums, 1.0 / o.environment_every as f32)?;
         } else {
             let weight = o.environment_smooth;
-            let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, filtered, weight);
+            let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, weight);
             let grad_texels = texels.gradient(g);
             environment_filter_bwd(g, t, e, tables, filtered, &sums, smoothness.as_ref(), grad_texels)?;
             moves.push((**texels, grad_texels, Rate::Constant(o.rates.environment), TEXEL_EPSILON));
         }
     }
     let grads = RawMaterials {
+        albedo_range: o.albedo_range,
         albedo: inputs.albedo.gradient(g),
         roughness: inputs.roughness.gradient(g),
         metallic: inputs.metallic.map(|m| m.gradient(g)),

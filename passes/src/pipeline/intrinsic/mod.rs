@@ -34,6 +34,8 @@ use std::sync::Arc;
 pub struct IntrinsicOptions {
     /// Columns and rows that no view exceeds, Gaussians, and room for weights.
     pub shape: SurfaceShape,
+    /// The lowest albedo, and how far above it the highest lies.
+    pub albedo_range: [f32; 2],
     /// Whether there is a metallic value for each Gaussian.
     pub metallic: bool,
     /// Point lights, and the factor of all their light: one over their number at the start.

@@ -25,7 +25,6 @@ pub struct KeptEnvironment {
     radiance: DeviceBuffer,
     inverse_sums: DeviceBuffer,
     gathered: DeviceBuffer,
-    smoothed: Option<DeviceBuffer>,
 }
 
 impl KeptEnvironment {
@@ -34,13 +33,12 @@ impl KeptEnvironment {
     /// # Errors
     /// If memory runs out.
     pub fn new(device: &Device, environment: &Environment) -> Result<KeptEnvironment> {
-        let [radiance, inverse_sums, gathered, smoothed] = Kept::bytes(environment);
+        let [radiance, inverse_sums, gathered] = Kept::bytes(environment);
         let make = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
         let made = KeptEnvironment {
             radiance: make("environment_radiance", radiance)?,
             inverse_sums: make("environment_inverse_sums", inverse_sums)?,
             gathered: make("environment_gathered", gathered)?,
-            smoothed: (smoothed > 0).then(|| make("environment_smoothed", smoothed)).transpose()?,
         };
         device.fill(&made.gathered, 0)?;
         Ok(made)
@@ -81,11 +79,7 @@ impl KeptEnvironment {
     pub(super) fn bind(&self, exec: &mut Executor, handles: &Kept) -> Result<()> {
         exec.bind(handles.radiance, &self.radiance)?;
         exec.bind(handles.inverse_sums, &self.inverse_sums)?;
-        exec.bind(handles.gathered, &self.gathered)?;
-        match (handles.smoothed, &self.smoothed) {
-            (Some(handle), Some(buffer)) => exec.bind(handle, buffer),
-            _ => Ok(()),
-        }
+        exec.bind(handles.gathered, &self.gathered)
     }
 }
 
@@ -180,8 +174,7 @@ fn declare(t: &Tuning, e: &Environment, o: &IntrinsicOptions) -> Result<Declared
     let tables = e.declare(&mut g);
     let texels = Trainable::handles(&mut g, "environment", e.floats(), true);
     let kept = Kept::declare(&mut g, e, true);
-    let smoothness =
-        environment_smoothness(&mut g, t, e, &tables, texels.parameters, &kept.filtered(), o.environment_smooth);
+    let smoothness = environment_smoothness(&mut g, t, e, &tables, texels.parameters, o.environment_smooth);
     let gradient = texels.gradient(&mut g);
     environment_filter_kept_bwd(&mut g, t, e, &tables, &kept, smoothness.as_ref(), gradient)?;
     // As far in as many steps: moves are rarer, so they are longer.

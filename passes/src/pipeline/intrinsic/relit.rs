@@ -150,6 +150,7 @@ fn declare(
     let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
     let pixels = screen.pixels();
     let raw = RawMaterials {
+        albedo_range: o.albedo_range,
         albedo: inputs.albedo.parameters,
         roughness: inputs.roughness.parameters,
         metallic: inputs.metallic.map(|m| m.parameters),

@@ -13,8 +13,8 @@ use crate::shade::lights::{LightParameters, Lights, Shape, lights, lights_prepar
 use crate::shade::traced::{Traced, lights_split_traced};
 use crate::shade::visibility::{FieldHandles, View as VisibilityView, lights_field, lights_split_field, visibility};
 use crate::shade::{
-    GBUFFER_CHANNELS, PixelMaterials, Pixels, RawMaterials, Room, Rows, Surfaces, gbuffer, materials, values,
-    weight_rows,
+    ALBEDO_RANGE, GBUFFER_CHANNELS, PixelMaterials, Pixels, RawMaterials, Room, Rows, Surfaces, gbuffer, materials,
+    values, weight_rows,
 };
 use crate::splat::{Blended, Channels, Present, Screen, blend, intersect, present_light, project};
 use sgs_engine::Result;
@@ -111,7 +111,8 @@ pub(super) fn build(
     let mut of = vec![take(&mut g, "albedo", &s.albedo), take(&mut g, "roughness", &s.roughness)];
     of.extend(s.metallic.as_ref().map(|m| take(&mut g, "metallic", m)));
     let metallic = of.get(2).map(|m| m.parameters);
-    let raw = RawMaterials { albedo: of[0].parameters, roughness: of[1].parameters, metallic };
+    let raw =
+        RawMaterials { albedo_range: ALBEDO_RANGE, albedo: of[0].parameters, roughness: of[1].parameters, metallic };
     let of_gaussians = values(&mut g, t, &raw, s.gaussians.capacity)?;
     let shown = PixelMaterials {
         materials: floats(&mut g, "materials", 4),

@@ -21,14 +21,12 @@ pub struct Filtered {
     pub radiance: Buffer,
     /// `[texels of all levels]`: one over the sum of each filter's weights.
     pub inverse_sums: Buffer,
-    /// The mip that smoothness is measured on, where it is not the cube itself.
-    pub(super) smoothed: Option<Buffer>,
 }
 
 impl Filtered {
     /// Levels that another graph has left in memory: for looking them up, not for gradients.
     pub fn kept(radiance: Buffer) -> Filtered {
-        Filtered { radiance, inverse_sums: radiance, smoothed: None }
+        Filtered { radiance, inverse_sums: radiance }
     }
 }
 
@@ -41,33 +39,29 @@ pub struct Kept {
     pub inverse_sums: Buffer,
     /// `[texels of all levels * 3]`: gradients, over the sums of weights.
     pub gathered: Buffer,
-    /// The mip that smoothness is measured on, where it is not the cube itself.
-    pub smoothed: Option<Buffer>,
 }
 
 impl Kept {
     /// Bytes of its buffers, in their order.
-    pub fn bytes(e: &Environment) -> [u64; 4] {
+    pub fn bytes(e: &Environment) -> [u64; 3] {
         let all = u64::from(e.filtered_texels());
-        let side = u64::from(Environment::SMOOTHED);
-        [12 * all, 4 * all, 12 * all, if e.size > Environment::SMOOTHED { 72 * side * side } else { 0 }]
+        [12 * all, 4 * all, 12 * all]
     }
 
     /// Declares them in a graph: `moving` where it filters and moves texels, else where steps look up and gather.
     pub fn declare(g: &mut Graph, e: &Environment, moving: bool) -> Kept {
-        let [radiance, inverse_sums, gathered, smoothed] = Kept::bytes(e);
+        let [radiance, inverse_sums, gathered] = Kept::bytes(e);
         let mut fixed = |name: &str, bytes: u64| match moving {
             true => g.external(format!("environment.kept_{name}"), bytes),
             false => g.input(format!("environment.kept_{name}"), bytes),
         };
         let (radiance, inverse_sums) = (fixed("radiance", radiance), fixed("inverse_sums", inverse_sums));
-        let smoothed = (smoothed > 0 && moving).then(|| fixed("smoothed", smoothed));
-        Kept { radiance, inverse_sums, gathered: g.external("environment.gathered", gathered), smoothed }
+        Kept { radiance, inverse_sums, gathered: g.external("environment.gathered", gathered) }
     }
 
     /// As lookups take it.
     pub fn filtered(&self) -> Filtered {
-        Filtered { radiance: self.radiance, inverse_sums: self.inverse_sums, smoothed: self.smoothed }
+        Filtered { radiance: self.radiance, inverse_sums: self.inverse_sums }
     }
 
     /// Adds the pass that adds a step's gradients, `share` of them.
@@ -145,7 +139,7 @@ pub fn environment_filter(
 ) -> Result<Filtered, GraphError> {
     let radiance = g.transient("environment.radiance", floats(e.filtered_texels()));
     let inverse_sums = g.transient("environment.inverse_sums", 4 * u64::from(e.filtered_texels()));
-    filter_into(g, t, e, tables, texels, Filtered { radiance, inverse_sums, smoothed: None })
+    filter_into(g, t, e, tables, texels, Filtered { radiance, inverse_sums })
 }
 
 /// The same into levels that stay.
@@ -177,10 +171,7 @@ fn filter_into(
         && size > 16
     {
         let half = size / 2;
-        let coarser = match into.smoothed.filter(|_| half == Environment::SMOOTHED) {
-            Some(kept) => kept,
-            None => g.transient(format!("environment.mip{half}"), floats(6 * half * half)),
-        };
+        let coarser = g.transient(format!("environment.mip{half}"), floats(6 * half * half));
         let bindings = environment_mips::Bindings { finer: finer.into(), coarser: coarser.into() };
         let specs = environment_mips::Specs { workgroup: t.workgroup };
         let push = environment_mips::Push { size: half };
@@ -190,7 +181,7 @@ fn filter_into(
         mips.push((half, coarser));
     }
     let mip = |size: u32| mips.iter().find(|(s, _)| *s == size).map_or(texels, |(_, b)| *b);
-    let Filtered { radiance, inverse_sums, .. } = into;
+    let Filtered { radiance, inverse_sums } = into;
     for (i, level) in e.levels.iter().enumerate() {
         let part = |buffer: Buffer, floats: u64| Slice {
             buffer,
@@ -211,8 +202,7 @@ fn filter_into(
             .subgroup_size(Some(t.subgroup_size))
             .dispatch(blocks(t, level))?;
     }
-    let smoothed = (e.size > Environment::SMOOTHED).then(|| mip(Environment::SMOOTHED));
-    Ok(Filtered { radiance, inverse_sums, smoothed })
+    Ok(into)
 }
 
 /// Adds the passes that write `gradient`, of the texels, from the sums that [`super::environment_bwd`] left and from

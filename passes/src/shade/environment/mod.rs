@@ -18,6 +18,7 @@ pub mod form;
 pub mod latlong;
 pub mod levels;
 mod lookup;
+pub mod map;
 mod smoothness;
 pub mod split_sum;
 
@@ -32,6 +33,7 @@ pub use smoothness::{Smoothness, environment_clamp, environment_smoothness};
 use crate::reference::rng::Pcg;
 use form::Form;
 use levels::Level;
+use map::MapLookup;
 use sgs_engine::graph::{Buffer, Graph, Slice};
 
 /// Why an environment cannot be made.
@@ -69,7 +71,25 @@ pub struct Environment {
     /// Size and first element in `areas`.
     area_of: Vec<(u32, u32)>,
     split_sum: Vec<[f32; 2]>,
-    form: Option<Form>,
+    measured: Option<Measured>,
+}
+
+/// How smoothness is measured.
+#[derive(Clone, Debug)]
+enum Measured {
+    /// By a quadratic form of the texels.
+    Form(Form),
+    /// On the map, looked up in each step.
+    Map(MapLookup),
+}
+
+/// Its tables as inputs of a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum SmoothnessTables {
+    /// Starts and entries of the form's rows.
+    Form([Buffer; 2]),
+    /// Footprints of pixels, starts and entries of texels; columns and rows of the map.
+    Map([Buffer; 3], [u32; 2]),
 }
 
 /// The tables as inputs of a graph.
@@ -78,7 +98,7 @@ pub struct EnvironmentTables {
     areas: Buffer,
     levels: Buffer,
     split_sum: Buffer,
-    form: Option<[Buffer; 2]>,
+    smoothness: Option<SmoothnessTables>,
 }
 
 impl Environment {
@@ -105,13 +125,16 @@ impl Environment {
                 areas.extend((0..n * n).map(|i| cube::solid_angle(n, i % n, i / n) as f32));
             }
         }
-        let form = options.smoothness.map(|map| form::form(size.min(Self::SMOOTHED), map));
-        Ok(Environment { size, levels, areas, area_of, split_sum: split_sum::table(), form })
+        let measured = options.smoothness.map(|map| match size > Self::FORM {
+            true => Measured::Map(map::map_lookup(size, map)),
+            false => Measured::Form(form::form(size, map)),
+        });
+        Ok(Environment { size, levels, areas, area_of, split_sum: split_sum::table(), measured })
     }
 
-    /// The finest cube whose smoothness is measured: a map of 1024 columns has no more texels along its equator. Finer cubes
-    /// are measured on their mip of this size.
-    pub const SMOOTHED: u32 = 256;
+    /// The finest cube whose smoothness is a quadratic form of its texels. A map of 1024 columns has no more texels along its equator;
+    /// finer cubes are looked up at the map's pixels in each step.
+    pub const FORM: u32 = 256;
 
     /// Texels along a side.
     pub fn size(&self) -> u32 {
@@ -138,11 +161,6 @@ impl Environment {
         &self.split_sum
     }
 
-    /// The smoothness as a quadratic form, if it is measured.
-    pub fn form(&self) -> Option<&Form> {
-        self.form.as_ref()
-    }
-
     /// Texels to begin with: each number between 0.25 and 1.75.
     pub fn start(&self, seed: u32) -> Vec<f32> {
         let mut rng = Pcg::new(seed);
@@ -156,11 +174,19 @@ impl Environment {
             areas: g.input("environment.areas", bytes(self.areas.len())),
             levels: g.input("environment.levels", bytes(2 * self.levels.len())),
             split_sum: g.input("environment.split_sum", bytes(2 * self.split_sum.len())),
-            form: self.form.as_ref().map(|f| {
-                [
+            smoothness: self.measured.as_ref().map(|measured| match measured {
+                Measured::Form(f) => SmoothnessTables::Form([
                     g.input("environment.form_starts", bytes(f.starts.len())),
                     g.input("environment.form_entries", bytes(2 * f.entries.len())),
-                ]
+                ]),
+                Measured::Map(m) => {
+                    let tables = [
+                        g.input("environment.map_footprints", bytes(8 * m.footprints.len())),
+                        g.input("environment.map_starts", bytes(m.starts.len())),
+                        g.input("environment.map_entries", bytes(2 * m.entries.len())),
+                    ];
+                    SmoothnessTables::Map(tables, m.size)
+                }
             }),
         }
     }
@@ -173,9 +199,17 @@ impl Environment {
             (tables.levels, bytemuck::cast_slice(&levels).to_vec()),
             (tables.split_sum, bytemuck::cast_slice(&self.split_sum).to_vec()),
         ];
-        if let (Some(form), Some([starts, entries])) = (&self.form, tables.form) {
-            all.push((starts, bytemuck::cast_slice(&form.starts).to_vec()));
-            all.push((entries, bytemuck::cast_slice(&form.entries).to_vec()));
+        match (&self.measured, tables.smoothness) {
+            (Some(Measured::Form(form)), Some(SmoothnessTables::Form([starts, entries]))) => {
+                all.push((starts, bytemuck::cast_slice(&form.starts).to_vec()));
+                all.push((entries, bytemuck::cast_slice(&form.entries).to_vec()));
+            }
+            (Some(Measured::Map(map)), Some(SmoothnessTables::Map([footprints, starts, entries], _))) => {
+                all.push((footprints, bytemuck::cast_slice(&map.footprints).to_vec()));
+                all.push((starts, bytemuck::cast_slice(&map.starts).to_vec()));
+                all.push((entries, bytemuck::cast_slice(&map.entries).to_vec()));
+            }
+            _ => {}
         }
         all
     }
@@ -189,8 +223,8 @@ impl Environment {
     /// The parts that gradients of the texels are made of: first texel and size of each level's mip, then of smoothness.
     fn parts(&self, smoothness: bool) -> Vec<(u32, u32)> {
         let mut parts: Vec<(u32, u32)> = self.levels.iter().map(|l| (l.first, l.size)).collect();
-        if smoothness && self.form.is_some() {
-            parts.push((self.filtered_texels(), self.size.min(Self::SMOOTHED)));
+        if smoothness && self.measured.is_some() {
+            parts.push((self.filtered_texels(), self.size));
         }
         parts
     }

@@ -1,20 +1,23 @@
 //! `environment_smoothness` and `environment_clamp`: what the texels are asked for besides light.
 //!
 //! Smoothness is weight times the mean, over a map of 512 by 1024 pixels, of squared differences of neighbors, down and to
-//! the right: a fixed quadratic form ([`super::form`]). Cost a texel: about ten entries of 8 bytes and their texels.
+//! the right. For cubes of up to [`Environment::FORM`] texels a side that is a fixed quadratic form ([`super::form`]); cost a texel:
+//! about ten entries of 8 bytes and their texels. Finer cubes are looked up at the map's pixels ([`super::map`]) and derivatives
+//! go back the same way; cost a pixel: about 160 bytes, a texel: 16 and 20 for each of its pixels.
 
-use super::{Environment, EnvironmentTables, Filtered};
+use super::{Environment, EnvironmentTables, SmoothnessTables};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::environment_clamp as clamp;
 use sgs_shaders::environment_smoothness as kernel;
+use sgs_shaders::{environment_map, environment_map_bwd, environment_map_smoothness};
 
 /// The smoothness of an environment, to be added to its gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct Smoothness {
     texels: Buffer,
-    form: [Buffer; 2],
+    tables: SmoothnessTables,
     count: u32,
     weight: f32,
     /// `[groups]` floats: the term without its weight, by workgroup.
@@ -30,24 +33,72 @@ pub fn environment_smoothness(
     e: &Environment,
     tables: &EnvironmentTables,
     texels: Buffer,
-    filtered: &Filtered,
     weight: f32,
 ) -> Option<Smoothness> {
-    let form = tables.form?;
-    let size = e.size.min(Environment::SMOOTHED);
-    let count = 6 * size * size;
-    let groups = count.div_ceil(t.workgroup);
+    let tables = tables.smoothness?;
+    let count = 6 * e.size * e.size;
+    let summed = match tables {
+        SmoothnessTables::Form(_) => count,
+        SmoothnessTables::Map(_, [w, h]) => w * h,
+    };
+    let groups = summed.div_ceil(t.workgroup);
     let sums = g.transient("environment_smoothness.sums", 4 * u64::from(groups));
-    Some(Smoothness { texels: filtered.smoothed.unwrap_or(texels), form, count, weight, sums, groups })
+    Some(Smoothness { texels, tables, count, weight, sums, groups })
 }
 
 impl Smoothness {
-    /// Adds the pass, which writes `gradient`.
+    /// Adds the passes, which write `gradient`.
     pub(super) fn add(&self, g: &mut Graph, t: &Tuning, gradient: Slice) -> Result<(), GraphError> {
+        match self.tables {
+            SmoothnessTables::Form(form) => self.by_form(g, t, form, gradient),
+            SmoothnessTables::Map(tables, size) => self.by_map(g, t, (tables, size), gradient),
+        }
+    }
+
+    fn by_map(
+        &self,
+        g: &mut Graph,
+        t: &Tuning,
+        ([footprints, starts, entries], size): ([Buffer; 3], [u32; 2]),
+        gradient: Slice,
+    ) -> Result<(), GraphError> {
+        let [w, h] = size;
+        let pixels = u64::from(w) * u64::from(h);
+        let map = g.transient("environment.map", 12 * pixels);
+        let slopes = g.transient("environment.map_slopes", 12 * pixels);
+        let bindings =
+            environment_map::Bindings { texels: self.texels.into(), footprints: footprints.into(), map: map.into() };
+        let specs = environment_map::Specs { workgroup: t.workgroup };
+        let push = environment_map::Push { pixels: w * h };
+        let (of, bytes) = (&environment_map::KERNEL, bytemuck::bytes_of(&push));
+        stage(g, "environment_map", of, bindings.entries(), specs.entries(), bytes)
+            .dispatch(groups(pixels, t.workgroup))?;
+        let bindings =
+            environment_map_smoothness::Bindings { map: map.into(), slopes: slopes.into(), sums: self.sums.into() };
+        let specs = environment_map_smoothness::Specs { workgroup: t.workgroup };
+        let mean = |rows: u32| (1.0 / (3.0 * f64::from(w) * f64::from(rows))) as f32;
+        let push = environment_map_smoothness::Push { size, across: mean(h), down: mean(h - 1) };
+        let (of, bytes) = (&environment_map_smoothness::KERNEL, bytemuck::bytes_of(&push));
+        stage(g, "environment_map_smoothness", of, bindings.entries(), specs.entries(), bytes)
+            .dispatch(groups(pixels, t.workgroup))?;
+        let bindings = environment_map_bwd::Bindings {
+            slopes: slopes.into(),
+            row_starts: starts.into(),
+            row_entries: entries.into(),
+            gradient,
+        };
+        let specs = environment_map_bwd::Specs { workgroup: t.workgroup };
+        let push = environment_map_bwd::Push { texels: self.count, weight: self.weight };
+        let (of, bytes) = (&environment_map_bwd::KERNEL, bytemuck::bytes_of(&push));
+        stage(g, "environment_map_bwd", of, bindings.entries(), specs.entries(), bytes)
+            .dispatch(groups(u64::from(self.count), t.workgroup))
+    }
+
+    fn by_form(&self, g: &mut Graph, t: &Tuning, form: [Buffer; 2], gradient: Slice) -> Result<(), GraphError> {
         let bindings = kernel::Bindings {
             texels: self.texels.into(),
-            row_starts: self.form[0].into(),
-            row_entries: self.form[1].into(),
+            row_starts: form[0].into(),
+            row_entries: form[1].into(),
             gradient,
             sums: self.sums.into(),
         };

@@ -36,6 +36,7 @@ use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::geometry::Decision;
 use crate::memory::{allowed, uniform_bytes};
+use crate::relight::materials::{in_range, span};
 use crate::schedule::Schedule;
 use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use crate::shadows::{Rays, traced};
@@ -52,6 +53,7 @@ use sgs_passes::pipeline::{
     IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
+use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::Environment;
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
@@ -221,6 +223,7 @@ impl Intrinsic {
         let r = &s.rates;
         let options = IntrinsicOptions {
             shape: builder.shape(),
+            albedo_range: span(s.albedo_range),
             metallic,
             lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
             visibility: s.visibility.config().filter(|_| s.lights.enabled),
@@ -337,8 +340,9 @@ impl Intrinsic {
             given.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
         };
         let flat = splats.albedo.as_ref().map(|a| a.as_flattened().to_vec());
+        let trained = |raw: Vec<f32>| in_range(raw, ALBEDO_RANGE, options.albedo_range);
         let parameters = IntrinsicParameters {
-            albedo: Trainable::new(device, "albedo", &start(flat.or(begin.albedo), 3, 0.0), true)?,
+            albedo: Trainable::new(device, "albedo", &start(flat.or(begin.albedo).map(trained), 3, 0.0), true)?,
             roughness: {
                 let rough = start(splats.roughness.clone().or(begin.roughness), 1, 0.0);
                 Trainable::new(device, "roughness", &rough, true)?

@@ -9,6 +9,7 @@ use crate::checkpoint::Course;
 use crate::divergence::HALF;
 use crate::error::Result;
 use crate::floats::{Floats, Numbers};
+use crate::relight::materials::in_range;
 use crate::run::{RunDirectory, error, remove};
 use crate::settings::VisibilityKind;
 use crate::shaded::{RunLight, Texels, Visibility};
@@ -16,6 +17,7 @@ use crate::shadows::Rays;
 use crate::visibility::VisibilityFile;
 use sgs_engine::DeviceBuffer;
 use sgs_passes::pipeline::IntrinsicStatus;
+use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::latlong;
 use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
@@ -237,6 +239,7 @@ impl Intrinsic {
     pub fn splats(&self) -> Result<Splats> {
         let mut splats = self.splats.clone();
         let albedo = self.parameters.albedo.download(&self.device)?;
+        let albedo = in_range(albedo, self.options.albedo_range, ALBEDO_RANGE);
         splats.albedo = Some(albedo.as_chunks::<3>().0.to_vec());
         splats.roughness = Some(self.parameters.roughness.download(&self.device)?);
         splats.metallic = match &self.parameters.metallic {

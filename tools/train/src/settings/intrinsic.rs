@@ -15,6 +15,8 @@ pub struct IntrinsicSettings {
     pub scale: f64,
     /// Whether there is a metallic value for each Gaussian.
     pub metallic: Metallic,
+    /// Lowest and highest albedo that training may reach. Files hold 0.01 to 0.99. Published: 0.09 to 0.99.
+    pub albedo_range: [f32; 2],
     /// Where materials begin.
     pub start: MaterialStart,
     /// Point lights.
@@ -54,6 +56,7 @@ impl Default for IntrinsicSettings {
             steps: 3000,
             scale: 1.0,
             metallic: Metallic::Auto,
+            albedo_range: [0.01, 0.99],
             start: MaterialStart::Priors,
             lights: LightSettings::default(),
             environment: EnvironmentSettings::default(),
@@ -341,6 +344,12 @@ impl IntrinsicSettings {
         if let Some((name, value)) = wrong_number("intrinsic", table) {
             let what = format!("{name} is {value}, but must be a finite number of at least 0.");
             return Err(TrainError::Setting(what));
+        }
+        let [low, high] = self.albedo_range;
+        if !(low >= 0.01 && high <= 0.99 && low < high) {
+            return Err(TrainError::Setting(format!(
+                "intrinsic.albedo_range is [{low}, {high}], but must be two growing numbers from 0.01 to 0.99."
+            )));
         }
         let (e, v, l) = (&self.environment, &self.visibility, &self.lights);
         let fail = |what: String| Err(TrainError::Setting(what));

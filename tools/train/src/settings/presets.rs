@@ -61,7 +61,7 @@ pub fn overlay(table: &mut toml::Table, over: toml::Table) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{LobeLayout, Settings};
+    use crate::settings::{DensifyStatistic, LobeLayout, Settings};
 
     fn of(name: &str) -> Settings {
         let settings = Settings::from_table(Preset::find(name).unwrap().table().unwrap()).unwrap();
@@ -80,6 +80,10 @@ mod tests {
         assert!(draft.geometry.steps < 7000 && draft.intrinsic.lights.grid == 3);
         assert_eq!((paper.intrinsic.environment.resolution, paper.intrinsic.visibility.log2_table), (512, 19));
         assert_eq!((paper.intrinsic.losses.albedo, parity.intrinsic.losses.albedo), (0.3, 0.3));
+        // Nothing makes the environment smaller, and its smoothness counts.
+        assert!(!paper.intrinsic.automatic.enabled && paper.intrinsic.losses.environment_smooth == 0.01);
+        assert_eq!([paper.intrinsic.albedo_range, parity.intrinsic.albedo_range], [[0.09, 0.99]; 2]);
+        assert_eq!(parity.geometry.densify.statistic, DensifyStatistic::Geometric);
         assert_eq!((parity.intrinsic.lights.layout, parity.intrinsic.visibility.coarsest), (LobeLayout::Grid, 16));
     }
 
