@@ -12,6 +12,7 @@ use sgs_passes::reference::lights::{Light, Lobe, Pixel, shine};
 use sgs_passes::reference::visibility::Field;
 use sgs_passes::reference::{blend, compose, project};
 use sgs_passes::scene::Model;
+use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
 use sgs_scene::Splats;
 use sgs_train::{RunLight, Visibility, gaussian_data};
@@ -31,6 +32,7 @@ pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [
         albedo: wide(splats.albedo.as_ref().context("There is no albedo.")?.as_flattened()),
         roughness: wide(splats.roughness.as_ref().context("There is no roughness.")?),
         metallic: splats.metallic.as_ref().map_or_else(Vec::new, |m| wide(m)),
+        albedo_range: ALBEDO_RANGE.map(f64::from),
     };
     let of_pixels = materials.blend(&weights(&projected, view.size));
 
