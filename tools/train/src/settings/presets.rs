@@ -80,6 +80,12 @@ mod tests {
         assert!(draft.geometry.steps < 7000 && draft.intrinsic.lights.grid == 3);
         assert_eq!((paper.intrinsic.environment.resolution, paper.intrinsic.visibility.log2_table), (512, 19));
         assert_eq!((paper.intrinsic.losses.albedo, parity.intrinsic.losses.albedo), (0.3, 0.3));
+        let semantic = |s: &Settings| {
+            let l = &s.geometry.losses;
+            [l.semantic, l.semantic_class, l.correspondence]
+        };
+        assert_eq!([semantic(&paper), semantic(&parity)], [[1.0, 1.0, 0.3]; 2]);
+        assert_eq!(semantic(&draft), [0.02, 0.02, 0.006]);
         // Nothing makes the environment smaller, and its smoothness counts.
         assert!(!paper.intrinsic.automatic.enabled && paper.intrinsic.losses.environment_smooth == 0.01);
         assert_eq!([paper.intrinsic.albedo_range, parity.intrinsic.albedo_range], [[0.09, 0.99]; 2]);
