@@ -10,12 +10,13 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-priors bench lint docs check fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-priors bench lint docs check fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
 	@echo "make demo    synthesize a room, train both stages, write a page with renders and a relit image to $(OUT)"
 	@echo "make test    everything that CI checks"
+	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
@@ -38,6 +39,10 @@ demo: setup
 test: setup-tests check
 	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
 	$(CARGO) test --workspace --locked
+
+test-lanes: setup-tests
+	$(CARGO) test --locked -p sgs-tests --tests --no-run
+	SGS_TEST_LANES=all $(CARGO) test --locked -p sgs-tests --test lanes -- --nocapture
 
 test-priors:
 	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"

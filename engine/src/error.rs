@@ -81,6 +81,30 @@ pub enum Error {
         /// The device's limit.
         limit: u64,
     },
+    /// A buffer exceeds what the device allows for one.
+    #[error("Buffer \"{what}\" needs {bytes} bytes, but {device} allows {limit} in one buffer.")]
+    BufferTooLarge {
+        /// The buffer.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// The device's limit.
+        limit: u64,
+        /// The device.
+        device: String,
+    },
+    /// A kernel binds more storage buffers than the device allows.
+    #[error("Pass \"{pass}\" binds {count} storage buffers, but {device} allows {limit} in one kernel.")]
+    TooManyBuffers {
+        /// The pass.
+        pass: String,
+        /// How many it binds.
+        count: u32,
+        /// The device's limit.
+        limit: u32,
+        /// The device.
+        device: String,
+    },
     /// An image of a size that the device does not have.
     #[error("Image \"{what}\" would be {} x {} texels, but a side has 1 to {limit} on this device.", size[0], size[1])]
     ImageSize {

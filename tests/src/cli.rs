@@ -79,6 +79,12 @@ pub fn sgs<S: AsRef<str>>(arguments: &[S]) -> Finished {
     finished(arguments, output)
 }
 
+/// As [`sgs`], with more in its environment.
+pub fn sgs_with<S: AsRef<str>>(arguments: &[S], environment: &[(&str, &str)]) -> Finished {
+    let output = command(arguments).envs(environment.iter().copied()).output();
+    finished(arguments, output.unwrap_or_else(|e| panic!("sgs cannot be run: {e}")))
+}
+
 /// Starts the program, with its output kept for [`wait`].
 pub fn start<S: AsRef<str>>(arguments: &[S]) -> Child {
     start_with(arguments, &[])

@@ -7,6 +7,7 @@ mod cache;
 pub mod external;
 pub mod fault;
 mod instance;
+mod limits;
 mod local_size;
 mod objects;
 mod parking;
@@ -21,6 +22,7 @@ pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements}
 pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
+pub use limits::Limits;
 pub(crate) use local_size::instructions;
 pub use objects::{ObjectKind, Objects};
 pub(crate) use parking::{Busy, Parked};
@@ -58,6 +60,8 @@ pub struct DeviceOptions {
     pub closing: Duration,
     /// Bytes that buffers and images may take, all in; as many as the device or its driver has if absent.
     pub memory_budget: Option<u64>,
+    /// Limits below the device's own, to test or to plan for a smaller device.
+    pub limits: Limits,
     /// Failures on purpose, from the first call of opening on; nothing is planned by default.
     pub faults: Faults,
     /// Where live objects are counted.
@@ -73,6 +77,7 @@ impl Default for DeviceOptions {
             timeout: Duration::from_secs(300),
             closing: Duration::from_secs(30),
             memory_budget: None,
+            limits: Limits::default(),
             faults: Faults::default(),
             objects: Objects::default(),
         }
@@ -189,7 +194,8 @@ impl Device {
 
     /// Gives a device its timeline, memory and pipelines; a device of our own is destroyed if that fails.
     fn assemble(bare: Bare, options: &DeviceOptions) -> Result<Device> {
-        let Bare { instance, physical, raw, owned, info, queue_family, queue, lock, second, gate } = bare;
+        let Bare { instance, physical, raw, owned, mut info, queue_family, queue, lock, second, gate } = bare;
+        options.limits.lower(&mut info);
         let parts = parts(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match parts {
             Ok(parts) => parts,

@@ -26,6 +26,10 @@ pub struct DeviceInfo {
     pub subgroup_sizes: (u32, u32),
     /// Largest range of one storage binding.
     pub max_storage_range: u64,
+    /// Bytes of the largest buffer (`maxBufferSize`).
+    pub max_buffer: u64,
+    /// Bytes of the largest allocation (`maxMemoryAllocationSize`).
+    pub max_allocation: u64,
     /// Shared memory of a workgroup.
     pub max_shared_bytes: u32,
     /// Storage buffers a kernel may bind.
@@ -106,6 +110,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
     let mut sizes = vk::PhysicalDeviceSubgroupSizeControlProperties::default();
     let mut driver = vk::PhysicalDeviceDriverProperties::default();
+    let mut allocation = vk::PhysicalDeviceMaintenance3Properties::default();
+    let mut buffer = vk::PhysicalDeviceMaintenance4Properties::default();
     // SAFETY: the physical device comes from this instance; a first query of the version decides which structs may be
     // chained, since older devices do not know the newer ones.
     let basic = unsafe { api.get_physical_device_properties(physical) };
@@ -122,6 +128,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let mut properties = vk::PhysicalDeviceProperties2::default();
     if modern {
         properties = properties.push_next(&mut subgroup).push_next(&mut sizes).push_next(&mut driver);
+        properties = properties.push_next(&mut allocation).push_next(&mut buffer);
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
         if has_atomics {
             features = features.push_next(&mut atomics);
@@ -142,6 +149,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     };
     let queue_family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE));
     let timestamps = queue_family.is_some_and(|f| families[f].timestamp_valid_bits > 0);
+    let storage_buffers =
+        basic.limits.max_per_stage_descriptor_storage_buffers.min(basic.limits.max_descriptor_set_storage_buffers);
     let mut missing = Vec::new();
     let mut need = |present: bool, name: &str| {
         if !present {
@@ -170,7 +179,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         let lanes = sizes.max_compute_workgroup_subgroups.saturating_mul(subgroup.subgroup_size);
         need(basic.limits.max_compute_work_group_invocations >= 256 && lanes >= 256, "workgroups of 256 invocations");
         need(basic.limits.max_compute_shared_memory_size >= 32768, "32 KiB of shared memory");
-        need(basic.limits.max_per_stage_descriptor_storage_buffers >= 32, "32 storage buffers per kernel");
+        need(storage_buffers >= 32, &format!("32 storage buffers per kernel (it allows {storage_buffers})"));
     }
     let subgroup_sizes = (sizes.min_subgroup_size, sizes.max_subgroup_size);
     let subgroup_size_control =
@@ -238,8 +247,10 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         subgroup_size: subgroup.subgroup_size,
         subgroup_sizes,
         max_storage_range: u64::from(limits.max_storage_buffer_range),
+        max_buffer: buffer.max_buffer_size,
+        max_allocation: allocation.max_memory_allocation_size,
         max_shared_bytes: limits.max_compute_shared_memory_size,
-        max_storage_buffers: limits.max_per_stage_descriptor_storage_buffers,
+        max_storage_buffers: storage_buffers,
         max_workgroup: limits.max_compute_work_group_invocations,
         storage_alignment: limits.min_storage_buffer_offset_alignment,
         uniform_alignment: limits.min_uniform_buffer_offset_alignment,
@@ -350,6 +361,8 @@ mod tests {
             subgroup_size: 8,
             subgroup_sizes: (8, 8),
             max_storage_range: 1 << 27,
+            max_buffer: 1 << 30,
+            max_allocation: 1 << 30,
             max_shared_bytes: 32768,
             max_storage_buffers: 32,
             max_workgroup: 256,

@@ -198,11 +198,12 @@ impl Device {
     /// Makes a buffer of at least `bytes` (never of size zero).
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], or [`Error::OverBudget`], with the name and size.
+    /// [`Error::OutOfMemory`], [`Error::OverBudget`], or [`Error::BufferTooLarge`], with the name and size.
     pub fn buffer(&self, name: &str, bytes: u64, location: Location) -> Result<DeviceBuffer> {
         let shared: &Shared = &self.0;
         shared.collect();
         let bytes = bytes.max(4).next_multiple_of(4);
+        shared.info.check_buffer(name, bytes)?;
         let families = shared.families();
         let info = buffer_info(bytes, &families);
         // SAFETY: the device is alive.

@@ -23,6 +23,9 @@ pub enum TrainError {
     /// The device's memory does not suffice.
     #[error("{0}")]
     Memory(String),
+    /// The device does not allow buffers of the size that training needs.
+    #[error("{0}")]
+    Limit(String),
     /// A file of a run cannot be used.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {

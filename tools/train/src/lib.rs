@@ -24,6 +24,7 @@ mod head;
 mod intrinsic;
 mod kept;
 mod lock;
+mod limits;
 mod memory;
 pub mod metrics;
 mod normals;

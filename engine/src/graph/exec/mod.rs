@@ -114,18 +114,9 @@ impl Executor {
     /// Prepares a plan: its arena and the slots.
     ///
     /// # Errors
-    /// If memory runs out, or a slice exceeds what one binding may cover.
+    /// If memory runs out, or the plan exceeds the device's limits ([`DeviceInfo::check_plan`](crate::DeviceInfo::check_plan)).
     pub fn new(device: &Device, plan: Arc<Plan>, options: ExecOptions) -> Result<Executor> {
-        let limit = device.info().max_storage_range;
-        for pass in &plan.passes {
-            for (slice, _, _) in &pass.accesses {
-                let info = &plan.buffers[slice.buffer.index()];
-                if slice.bytes > limit && info.image.is_none() {
-                    let what = info.name.clone();
-                    return Err(Error::BindingTooLarge { what, bytes: slice.bytes, limit });
-                }
-            }
-        }
+        device.info().check_plan(&plan)?;
         let arena = match (&options.arena, plan.arena_bytes) {
             (_, 0) => None,
             (Some(shared), bytes) if shared.bytes() >= bytes => Some(shared.clone()),

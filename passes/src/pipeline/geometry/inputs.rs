@@ -68,6 +68,11 @@ pub struct SemanticSizes {
 const ROW: u64 = 2 * EMBEDDING as u64;
 
 impl SemanticSizes {
+    /// Bytes of the samples' features, which are one buffer.
+    pub fn feature_bytes(&self) -> u64 {
+        self.samples * ROW
+    }
+
     /// Bytes of everything but the decoder.
     pub fn bytes(&self) -> u64 {
         self.samples * (ROW + size_of::<SemanticTarget>() as u64) + self.text_bytes()

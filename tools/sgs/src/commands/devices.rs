@@ -1,12 +1,35 @@
 //! `sgs devices`: what can run here, and what each device lacks.
 
 use crate::common::Common;
+use serde::Serialize;
 use sgs_engine::{DeviceInfo, MatrixShape};
 use sgs_passes::{Matrices, NoMatrices};
 
+/// Lanes of a subgroup at which the project's tests have run, all of them on Mesa's lavapipe.
+const TESTED_LANES: [u32; 2] = [8, 16];
+
+/// A device as `--json` shows it.
+#[derive(Serialize)]
+struct Listed<'a> {
+    #[serde(flatten)]
+    info: &'a DeviceInfo,
+    /// `tested` or `not tested`.
+    tests: &'static str,
+    /// Lanes of a subgroup at which this kind of device is tested.
+    tested_lanes: &'static [u32],
+}
+
 pub fn run(common: &Common) -> anyhow::Result<()> {
     let devices = sgs_engine::devices()?;
-    if common.answer(&devices)? {
+    let listed: Vec<Listed<'_>> = devices
+        .iter()
+        .map(|info| Listed {
+            info,
+            tests: if tested(&info.driver, info.subgroup_size) { "tested" } else { "not tested" },
+            tested_lanes: if is_lavapipe(&info.driver) { &TESTED_LANES } else { &[] },
+        })
+        .collect();
+    if common.answer(&listed)? {
         return Ok(());
     }
     if devices.is_empty() {
@@ -21,11 +44,13 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
             d.memory_bytes >> 20,
             d.max_storage_range >> 20
         );
+        println!("   {} MiB a buffer, {} storage buffers a kernel", d.largest_buffer() >> 20, d.max_storage_buffers);
         if d.missing.is_empty() {
             println!("   can run");
         } else {
             println!("   cannot run: lacks {}", d.missing.join(", "));
         }
+        println!("   {}", tests(&d));
         if let Some(line) = units(&d) {
             println!("   {line}");
         }
@@ -34,6 +59,25 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+fn is_lavapipe(driver: &str) -> bool {
+    driver.starts_with("llvmpipe")
+}
+
+/// Whether the project's tests have run on such a device.
+fn tested(driver: &str, lanes: u32) -> bool {
+    is_lavapipe(driver) && TESTED_LANES.contains(&lanes)
+}
+
+/// Says what has been tested on a device.
+fn tests(info: &DeviceInfo) -> String {
+    let lanes = TESTED_LANES.map(|lanes| lanes.to_string()).join(" and ");
+    if tested(&info.driver, info.subgroup_size) {
+        format!("tested: lavapipe with {lanes} lanes")
+    } else {
+        format!("not tested: the tests run on lavapipe with {lanes} lanes")
+    }
 }
 
 /// What there is for `accuracy.visibility_operands = 16`; that the device has none is among its fallbacks.
@@ -46,5 +90,16 @@ fn units(info: &DeviceInfo) -> Option<String> {
         Err(NoMatrices::Device) if Matrices::compiled() => None,
         Err(NoMatrices::Device) => Some(format!("no kernels for matrix units: {}", NoMatrices::Compiler)),
         Err(why) => Some(format!("matrix units of 16-bit operands: {shapes}, not used: {why}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn only_lavapipe_at_the_widths_of_the_tests_is_tested() {
+        let tested = super::tested;
+        assert!(tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 8) && tested("llvmpipe Mesa 25.0.7", 16));
+        assert!(!tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 32));
+        assert!(!tested("radv Mesa 25.0.7", 8) && !tested("NVIDIA 550.54", 32) && !tested("", 8));
     }
 }

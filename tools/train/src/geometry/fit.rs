@@ -57,6 +57,9 @@ impl Geometry {
         if let Some(c) = &self.correspondence {
             needs = needs.with_views(&self.device, &self.tuning, layout, &self.inputs, &options, c)?;
         }
+        if needs.arena + needs.pseudo_arena > self.device.info().largest_buffer() {
+            return Ok(false);
+        }
         Ok(needs.total().max(needs.growing(&self.gaussians.layout(), layout)) + SLACK <= self.allowed)
     }
 

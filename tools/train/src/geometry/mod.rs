@@ -23,6 +23,7 @@ use crate::data::TrainingData;
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::head::SemanticHead;
+use crate::limits;
 use crate::memory::{Needs, allowed};
 use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
@@ -183,7 +184,18 @@ impl Geometry {
         let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled };
         let budget = allowed(device, settings);
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
-        of(&layout)?.check(&budget)?;
+        let first = of(&layout)?;
+        let views = limits::Remedy::Views { views: data.views().len(), scale: settings.scale };
+        limits::check(
+            device.info(),
+            &[
+                limits::Single::bound("photographs", inputs.targets, views),
+                limits::Single::bound("normal priors", inputs.normals.unwrap_or(0), views),
+                limits::Single::bound("semantic features", inputs.semantics.map_or(0, |s| s.feature_bytes()), views),
+                limits::Single::buffer("intermediate results of a step", first.arena, limits::Remedy::Step),
+            ],
+        )?;
+        first.check(&budget)?;
         if count > most {
             return Err(TrainError::Memory(format!(
                 "The scene starts with {count} Gaussians, but at most {most} fit into the device's bindings; \

@@ -13,7 +13,7 @@ const RESERVE: f64 = 1.25;
 /// The most Gaussians of which no group exceeds the device's bindings.
 pub(super) fn most_by_binding(device: &Device, model: Model) -> u32 {
     let widest = model.groups().map(|g| u64::from(g.width()) * 8).max().unwrap_or(8);
-    u32::try_from(device.info().max_storage_range / widest).unwrap_or(u32::MAX)
+    u32::try_from(device.info().largest_binding() / widest).unwrap_or(u32::MAX)
 }
 
 /// At first: half as many again, so that densification rarely has to grow.

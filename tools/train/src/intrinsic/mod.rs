@@ -35,6 +35,7 @@ use crate::data::{Packed, TrainingData};
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::geometry::Decision;
+use crate::limits;
 use crate::memory::{allowed, uniform_bytes};
 use crate::relight::materials::{in_range, span};
 use crate::schedule::Schedule;
@@ -174,6 +175,19 @@ impl Intrinsic {
         let albedo = read(Material::Albedo, s.losses.albedo)?;
         let roughness = read(Material::Roughness, s.losses.roughness)?;
         let told = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
+        let views = limits::Remedy::Views { views: packed.views().len(), scale: settings.scale };
+        let sized = |what, priors: &Option<MaterialPriors>| {
+            limits::Single::bound(what, priors.as_ref().map_or(0, MaterialPriors::bytes), views)
+        };
+        limits::check(
+            device.info(),
+            &[
+                limits::Single::bound("photographs", packed.image_bytes(), views),
+                sized("albedo priors", &albedo),
+                sized("roughness priors", &roughness),
+                sized("metallic priors", &told),
+            ],
+        )?;
         let asked = settings;
         let (of, automatic, mut decisions) = match s.automatic.enabled {
             true => {
@@ -299,6 +313,8 @@ impl Intrinsic {
         // Surfaces of all views are kept where that fits beside everything else.
         let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
+        let step = limits::Single::buffer("intermediate results of a step", one.largest_arena(), limits::Remedy::Step);
+        limits::check(device.info(), &[step])?;
         one.check(&budget)?;
         let kept = match s.surface_bytes {
             0 => all.total() <= budget.left(),

@@ -173,6 +173,13 @@ impl IntrinsicNeeds {
         self.arena + self.cross_view_arena + self.relight_arena + self.staging
     }
 
+    /// Bytes of the largest arena.
+    pub(super) fn largest_arena(&self) -> u64 {
+        let arenas =
+            [self.surface_arena, self.environment_arena, self.arena, self.cross_view_arena, self.relight_arena];
+        arenas.into_iter().max().unwrap_or(0)
+    }
+
     /// All of it.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()

@@ -1,0 +1,138 @@
+//! The device tests again where lavapipe has 16 lanes: wide subgroups take other paths than the 8 lanes that it has by default.
+//!
+//! By default a part of them, one program after the other. `SGS_TEST_LANES=all` runs every program that needs a device, which
+//! takes half an hour on two cores.
+
+use sgs_tests::Gpu;
+use sgs_tests::cli::sgs_with;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::SystemTime;
+
+/// Bits of lavapipe's vectors, 32 for each lane. At 1024 it crashes.
+const WIDTH: &str = "512";
+
+/// Programs and tests of them that run by default: what sizes or strides anything by the subgroup.
+const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[])];
+
+/// Programs that need no device, or start devices of their own.
+const WITHOUT_DEVICE: &[&str] = &["lanes", "layers", "presets"];
+
+/// The variables of a run at 16 lanes. Mesa's cache of compiled kernels does not tell widths apart, so each has its own.
+fn variables() -> [(&'static str, String); 2] {
+    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("lanes16");
+    [("LP_NATIVE_VECTOR_WIDTH", WIDTH.to_owned()), ("MESA_SHADER_CACHE_DIR", cache.to_string_lossy().into_owned())]
+}
+
+/// Whether the tests run on lavapipe at its default width.
+fn applies() -> bool {
+    let gpu = Gpu::new();
+    let applies = gpu.device().info().driver.starts_with("llvmpipe") && gpu.subgroup_size() == 8;
+    if !applies {
+        println!("skipped: these tests need lavapipe with 8 lanes");
+    }
+    applies
+}
+
+/// The newest program of these tests; built if there is none.
+fn program(name: &str) -> PathBuf {
+    let this = std::env::current_exe().unwrap();
+    let folder = this.parent().unwrap();
+    let found = || {
+        let files = std::fs::read_dir(folder).unwrap().flatten().filter(|file| {
+            let file = file.file_name();
+            let hash = file.to_str().and_then(|f| f.strip_prefix(name)?.strip_prefix('-'));
+            hash.is_some_and(|h| h.len() == 16 && h.bytes().all(|b| b.is_ascii_hexdigit()))
+        });
+        files
+            .max_by_key(|f| f.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH))
+            .map(|f| f.path())
+    };
+    found().unwrap_or_else(|| {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut build = Command::new(cargo);
+        build.args(["test", "--quiet", "--locked", "--no-run", "-p", "sgs-tests", "--test", name]);
+        assert!(build.status().is_ok_and(|s| s.success()), "{name} could not be built");
+        found().unwrap_or_else(|| panic!("{name} was not found in {}", folder.display()))
+    })
+}
+
+/// Runs tests of a program at 16 lanes; the end of what it printed if they failed.
+fn run(name: &str, filters: &[&str]) -> Result<(), String> {
+    let mut command = Command::new(program(name));
+    command.args(filters).envs(variables()).env_remove("SGS_TEST_LANES");
+    let output = command.output().map_err(|e| e.to_string())?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let lines: Vec<&str> = text.lines().collect();
+    Err(format!("{name} at 16 lanes: {}\n{}", output.status, lines[lines.len().saturating_sub(60)..].join("\n")))
+}
+
+/// Every program of this folder that needs a device.
+fn programs() -> Vec<String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
+    let files = std::fs::read_dir(folder).unwrap().flatten();
+    let names = files.filter_map(|f| Some(f.file_name().to_str()?.strip_suffix(".rs")?.to_owned()));
+    let mut names: Vec<String> = names.filter(|name| !WITHOUT_DEVICE.contains(&name.as_str())).collect();
+    names.sort_unstable();
+    names
+}
+
+/// Not a test by itself: [`lavapipe_has_16_lanes`] runs it.
+#[test]
+#[ignore = "says how many lanes there are"]
+fn says_lanes() {
+    println!("lanes: {}", Gpu::new().subgroup_size());
+}
+
+#[test]
+fn lavapipe_has_16_lanes() {
+    if !applies() {
+        return;
+    }
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--ignored", "--exact", "--nocapture", "says_lanes"]).envs(variables());
+    let output = command.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("lanes: 16"), "{text}{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn device_tests_pass_at_16_lanes() {
+    if !applies() {
+        return;
+    }
+    let failures: Vec<String> = match std::env::var("SGS_TEST_LANES").as_deref() {
+        Ok("all") => programs().iter().filter_map(|name| run(name, &[]).err()).collect(),
+        Ok(other) => panic!("SGS_TEST_LANES is \"{other}\"; use all, or leave it unset"),
+        Err(_) => DEFAULT.iter().filter_map(|(name, filters)| run(name, filters).err()).collect(),
+    };
+    assert!(failures.is_empty(), "{}", failures.join("\n\n"));
+}
+
+#[test]
+fn devices_are_listed_with_what_was_tested() {
+    if !applies() {
+        return;
+    }
+    let variables = variables();
+    let wide: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
+    for (environment, lanes) in [(&[][..], 8), (&wide[..], 16)] {
+        let listed = sgs_with(&["devices", "--json"], environment).ok().json();
+        let devices = listed.as_array().unwrap();
+        let lavapipe = devices.iter().find(|d| d["driver"].as_str().unwrap().starts_with("llvmpipe")).unwrap();
+        assert_eq!(lavapipe["subgroup_size"], lanes);
+        assert_eq!((&lavapipe["tests"], &lavapipe["tested_lanes"]), (&"tested".into(), &vec![8, 16].into()));
+        for other in devices.iter().filter(|d| !d["driver"].as_str().unwrap().starts_with("llvmpipe")) {
+            assert_eq!(
+                (&other["tests"], other["tested_lanes"].as_array().map(Vec::len)),
+                (&"not tested".into(), Some(0))
+            );
+        }
+        let text = sgs_with(&["devices"], environment).ok().stdout;
+        assert!(text.contains("tested: lavapipe with 8 and 16 lanes"), "{text}");
+        assert_eq!(text.matches("not tested: ").count(), devices.len() - 1, "{text}");
+    }
+}
