@@ -13,6 +13,14 @@ pub enum SynthError {
         /// The names that exist, separated by commas.
         known: String,
     },
+    /// The layout's name is none of the known ones.
+    #[error("no layout is called `{name}`; the layouts are {known}")]
+    UnknownLayout {
+        /// What was asked for.
+        name: String,
+        /// The names that exist, separated by commas.
+        known: String,
+    },
     /// An option lies outside what makes sense.
     #[error("{option} is {value} but must lie between {min} and {max}")]
     OutOfRange {
@@ -37,7 +45,7 @@ pub enum SynthError {
     #[error("{} already holds something; name another directory, or replace a scene with --force", .0.display())]
     OutputOccupied(PathBuf),
     /// The output may be replaced, but it is no scene directory.
-    #[error("{} is not replaced because it is no scene directory: it holds no transforms.json", .0.display())]
+    #[error("{} is not replaced because it is no scene directory: it holds no file of cameras", .0.display())]
     NotAScene(PathBuf),
     /// The output path has no final component that could be renamed into place.
     #[error("{} does not name a directory that could be made", .0.display())]

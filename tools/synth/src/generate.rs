@@ -11,6 +11,7 @@ use serde_json::json;
 use crate::error::SynthError;
 use crate::expose;
 use crate::options::SynthOptions;
+use crate::output::layout::{self, Names};
 use crate::output::lights::{self, Relighting};
 use crate::output::stage::Stage;
 use crate::output::{exr, meta, npy, ply, view};
@@ -96,8 +97,7 @@ pub fn generate(
     }
     let points = points::choose(&scene, &views.train, &images, options.points, options.seed);
     stage.write("points.ply", &ply::encode(&points))?;
-    stage.write("transforms.json", &meta::text(&meta::transforms(&views)))?;
-    stage.write("split.json", &meta::text(&meta::split(&views)))?;
+    layout::cameras(&stage, options.layout, &views)?;
     stage.write("scene.json", &meta::text(&meta::scene(&scene, options)))?;
     job.shared_files()?;
     stage.commit()?;
@@ -137,9 +137,10 @@ impl Job<'_> {
         });
         let footprint = 1.0 / camera.focal;
         let image = denoise::image(&film, footprint, &[Vec3::ONE; MAX_GROUPS], options.denoise);
-        let stem = meta::stem(index);
-        view::image(stage, &stem, &film, &image)?;
-        view::truth(stage, &stem, &film)?;
+        let names = Names::new(options.layout, index, options.views);
+        let stem = names.stem();
+        names.image(stage, &film, &image)?;
+        view::truth(stage, &names, &film)?;
         let number = index as u64;
         let maps = maps::imitate(&film, &image, camera, options.seed, number);
         let regions = masks::imitate(&film, options.seed, number);
@@ -151,7 +152,7 @@ impl Job<'_> {
         } else {
             for relighting in self.relightings {
                 let relit = denoise::image(&film, footprint, &relighting.weights, options.denoise);
-                view::relit(stage, &stem, relighting.name, &film, &relit)?;
+                names.relit(stage, relighting.name, &film, &relit)?;
             }
         }
         Ok(image)

@@ -1,8 +1,8 @@
 //! Procedural furnished rooms, path-traced on the CPU: complete scene directories with images, cameras, points,
 //! imitated priors and ground truth.
 //!
-//! [`generate`] makes a directory in the layout that the trainer reads (`transforms.json`, `split.json`,
-//! `points.ply`, `images/`, `priors/`, `gt/`). World: y up, meters; images are sRGB of linear radiance at exposure 1.
+//! [`generate`] makes a directory in a layout that the trainer reads ([`SynthLayout`]): by default `transforms.json`,
+//! `split.json`, `points.ply`, `images/`, `priors/` and `gt/`. World: y up, meters; images are sRGB of linear radiance at exposure 1.
 //! The same [`SynthOptions`] give the same bytes on any number of threads. Reading scenes back, and everything that
 //! needs a GPU, is left to other crates.
 
@@ -22,4 +22,4 @@ mod views;
 
 pub use error::SynthError;
 pub use generate::{Summary, generate};
-pub use options::{SceneName, SynthOptions};
+pub use options::{SceneName, SynthLayout, SynthOptions};

@@ -76,11 +76,52 @@ impl FromStr for SceneName {
     }
 }
 
+/// The layouts in which a scene can be written. Priors, and ground truth that a layout has no place for, are the same in all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum SynthLayout {
+    /// `transforms.json`, `split.json` and `images/`.
+    #[default]
+    Nerfstudio,
+    /// `transforms_train.json`, `transforms_test.json` and a folder per view with `rgba.png`, `albedo.png`, `normal.png`,
+    /// `roughness.png` and `rgba_LIGHT.png`.
+    TensoIr,
+    /// `train/` and `val/` with `transforms.json` (Mitsuba's axes), HDR images in `Image/`, `albedo/` and `Roughness/`.
+    Fipt,
+}
+
+impl SynthLayout {
+    /// Every layout, in the order in which they are listed to people.
+    pub const ALL: [Self; 3] = [Self::Nerfstudio, Self::TensoIr, Self::Fipt];
+
+    /// The name as written on a command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Nerfstudio => "nerfstudio",
+            Self::TensoIr => "tensoir",
+            Self::Fipt => "fipt",
+        }
+    }
+}
+
+impl FromStr for SynthLayout {
+    type Err = SynthError;
+
+    fn from_str(text: &str) -> Result<Self, SynthError> {
+        let known = || Self::ALL.map(Self::as_str).join(", ");
+        Self::ALL
+            .into_iter()
+            .find(|layout| layout.as_str().eq_ignore_ascii_case(text))
+            .ok_or_else(|| SynthError::UnknownLayout { name: text.to_owned(), known: known() })
+    }
+}
+
 /// Everything that determines the output: the same options give the same bytes on any number of threads.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthOptions {
     /// Which scene.
     pub scene: SceneName,
+    /// The layout of the directory.
+    pub layout: SynthLayout,
     /// Training views.
     pub views: usize,
     /// Test views, made besides the training views and numbered after them.
@@ -111,6 +152,7 @@ impl Default for SynthOptions {
     fn default() -> Self {
         Self {
             scene: SceneName::default(),
+            layout: SynthLayout::default(),
             views: 12,
             test_views: 4,
             width: 160,

@@ -12,6 +12,9 @@ pub struct Args {
     /// Which scene.
     #[arg(long, value_name = "NAME", default_value = "livingroom")]
     scene: String,
+    /// Layout of the directory: nerfstudio, tensoir or fipt.
+    #[arg(long, value_name = "NAME", default_value = "nerfstudio")]
+    layout: String,
     /// Training views; test views come on top.
     #[arg(long, value_name = "N")]
     views: Option<usize>,
@@ -39,8 +42,13 @@ fn size(text: &str) -> Result<(usize, usize), String> {
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let mut options =
-        sgs_synth::SynthOptions { scene: a.scene.parse()?, seed: a.seed, replace: a.force, ..Default::default() };
+    let mut options = sgs_synth::SynthOptions {
+        scene: a.scene.parse()?,
+        layout: a.layout.parse()?,
+        seed: a.seed,
+        replace: a.force,
+        ..Default::default()
+    };
     (options.semantic_cell, options.semantic_wrong) = (a.semantic_cell, a.semantic_wrong);
     if let Some(views) = a.views {
         options.views = views;

@@ -4,6 +4,7 @@
 //! directory is either complete or absent.
 
 pub(crate) mod exr;
+pub(crate) mod layout;
 pub(crate) mod lights;
 pub(crate) mod meta;
 pub(crate) mod npy;

@@ -1,4 +1,4 @@
-//! PNG files: 8-bit color, 8-bit gray, 16-bit gray.
+//! PNG files: 8-bit color with and without alpha, 8-bit gray, 16-bit gray.
 
 use std::path::Path;
 
@@ -12,6 +12,13 @@ use crate::error::SynthError;
 pub(crate) fn rgb(path: &Path, width: usize, height: usize, map: &[Vec3]) -> Result<(), SynthError> {
     let bytes: Vec<u8> = map.iter().flat_map(|c| c.to_array().map(byte)).collect();
     save(path, width, height, &bytes, ColorType::Rgb8)
+}
+
+/// Values in [0, 1] with an alpha of 0 or 1.
+pub(crate) fn rgba(path: &Path, width: usize, height: usize, map: &[Vec3], alpha: &[bool]) -> Result<(), SynthError> {
+    let pixel = |(c, opaque): (&Vec3, &bool)| [byte(c.x), byte(c.y), byte(c.z), if *opaque { 255 } else { 0 }];
+    let bytes: Vec<u8> = map.iter().zip(alpha).flat_map(pixel).collect();
+    save(path, width, height, &bytes, ColorType::Rgba8)
 }
 
 /// Gray values in [0, 1].

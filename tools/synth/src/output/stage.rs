@@ -81,7 +81,8 @@ fn check(out: &Path, replace: bool) -> Result<(), SynthError> {
     if !replace {
         return Err(SynthError::OutputOccupied(out.to_owned()));
     }
-    if !out.join("transforms.json").is_file() {
+    let cameras = ["transforms.json", "transforms_train.json", "train/transforms.json"];
+    if !cameras.iter().any(|name| out.join(name).is_file()) {
         return Err(SynthError::NotAScene(out.to_owned()));
     }
     Ok(())
