@@ -11,7 +11,7 @@ layout(constant_id = 3) const uint FIRST_LETTER = 32;
 layout(constant_id = 4) const uint LETTERS = 96;
 layout(local_size_x = 8, local_size_y = 8) in;
 
-layout(push_constant, scalar) uniform Push { uvec2 size; } push;
+layout(push_constant, scalar) uniform Push { uvec2 size; uvec2 picture_size; } push;
 
 struct ShowStep {
     uint kind;        // what the picture holds: 0 encoded color, 1 linear light, 2 values, 3 directions
@@ -36,6 +36,21 @@ IN(uint, text);  // a byte a cell, line by line; 0 leaves the picture
 IN(uint, font);  // a byte a pixel, letter by letter
 OUT(uint, texels);
 
+vec3 texel(ivec2 at) {
+    return only_finite(imageLoad(picture, clamp(at, ivec2(0), ivec2(push.picture_size) - 1)).xyz);
+}
+
+// The picture at a pixel of the window; a picture of another size is interpolated bilinearly.
+vec3 picture_at(uvec2 at) {
+    if (push.picture_size == push.size) return texel(ivec2(at));
+    vec2 place = (vec2(at) + 0.5) * vec2(push.picture_size) / vec2(push.size) - 0.5;
+    ivec2 low = ivec2(floor(place));
+    vec2 t = place - vec2(low);
+    vec3 above = mix(texel(low), texel(low + ivec2(1, 0)), t.x);
+    vec3 below = mix(texel(low + ivec2(0, 1)), texel(low + ivec2(1, 1)), t.x);
+    return mix(above, below, t.y);
+}
+
 uint byte_of(float v) { return uint(clamp(v, 0.0, 1.0) * 255.0 + 0.5); }
 
 void main() {
@@ -43,7 +58,7 @@ void main() {
     if (any(greaterThanEqual(at, push.size))) return;
     uint kind = by_workgroup(params.step.kind);
     float gain = params.step.gain;
-    vec3 v = only_finite(imageLoad(picture, ivec2(at)).xyz);
+    vec3 v = picture_at(at);
     // Decoding and encoding again would change bits.
     if (kind == 0u) {
         v = gain == 1.0 ? v : srgb_encode(srgb_decode(v) * gain);

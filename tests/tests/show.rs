@@ -103,3 +103,30 @@ fn marks_and_letters_beyond_the_room_are_left_out() {
     assert!(refused(ImageFormat::Rgba16Float).contains("rgba16float"));
     assert!(refused(ImageFormat::R32Uint).contains("r32uint"));
 }
+
+#[test]
+fn a_smaller_picture_is_interpolated() {
+    let gpu = Gpu::new();
+    let font = Font::new(gpu.device(), LETTERS, &case().font).unwrap();
+    let (window, picture) = ([60, 36], [20, 12]);
+    let mut display = Display::scaled(gpu.device(), &font, [window, picture], ImageFormat::Rgba8Unorm, ROOM).unwrap();
+    assert_eq!((display.picture().size(), display.window().size()), (picture, window));
+    // Ramps: bilinear interpolation keeps them between the centers of the outer pixels.
+    let ramp = |x: f32, y: f32| [x / 20.0, y / 12.0, 0.5];
+    let texels: Vec<[f16; 4]> = (0..12)
+        .flat_map(|y| (0..20).map(move |x| (x, y)))
+        .map(|(x, y)| {
+            let [r, g, b] = ramp(x as f32 + 0.5, y as f32 + 0.5).map(f16::from_f32);
+            [r, g, b, f16::ONE]
+        })
+        .collect();
+    gpu.device().upload_image(display.picture(), bytemuck::cast_slice(&texels)).unwrap();
+    display.submit(&Shown { kind: ShownKind::Encoded, gain: 1.0, marks: &[], text: &[], letter_size: 1 }).unwrap();
+    display.finish().unwrap();
+    let found: Vec<[u8; 4]> = bytemuck::pod_collect_to_vec(&gpu.device().download_image(display.window()).unwrap());
+    for (i, texel) in found.iter().enumerate() {
+        let [x, y] = [(i % 60) as f32, (i / 60) as f32].map(|v| (v + 0.5) / 3.0);
+        let want = ramp(x.clamp(0.5, 19.5), y.clamp(0.5, 11.5));
+        assert!((0..3).all(|c| (f32::from(texel[c]) - 255.0 * want[c]).abs() < 1.0), "{i}: {texel:?}, not {want:?}");
+    }
+}

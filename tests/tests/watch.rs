@@ -5,8 +5,8 @@ use sgs_tests::Place;
 use sgs_tests::browser::Browser;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
-use std::io::{BufRead, BufReader};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
@@ -70,6 +70,15 @@ fn until_page(browser: &mut Browser, expression: &str) {
     }
 }
 
+/// What is answered at a port to somebody who names a host.
+fn answer(port: u16, host: &str) -> String {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+    write!(stream, "GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").expect("it reads");
+    let mut text = String::new();
+    stream.read_to_string(&mut text).expect("an answer");
+    text
+}
+
 #[test]
 fn a_page_follows_the_training() {
     let place = Place::new(Room { priors: true, ..Room::default() });
@@ -125,12 +134,23 @@ fn a_page_follows_the_training() {
     browser.photograph(true, &kept);
     eprintln!("the page is in {}", kept.display());
 
+    let curve =
+        "[...document.querySelectorAll('#curves figcaption')].some(c => c.textContent.startsWith('PSNR of held'))";
+    until_page(&mut browser, curve);
+    // A page at a forwarded port asks with that port as host.
+    assert!(answer(number, &format!("localhost:{}", number ^ 1)).contains("200 OK"));
+    assert!(answer(number, "elsewhere.example").contains("403"));
+
     signal(&child, "INT");
     let ended = wait(child);
     assert_eq!(ended.status, Some(130), "{}", ended.stderr);
     ended.assert_no_panic();
     assert!(TcpListener::bind(("127.0.0.1", number)).is_ok(), "the port is still open");
-    until_page(&mut browser, "document.body.classList.contains('ended')");
+    until_page(&mut browser, "document.body.classList.contains('finished')");
+    until_page(&mut browser, "document.querySelector('#summary').textContent.includes('stopped after step')");
+    let asked = browser.complaints().len();
+    std::thread::sleep(Duration::from_millis(4500));
+    assert_eq!(browser.complaints().len(), asked, "the page goes on asking");
     assert!(browser.eval("document.querySelectorAll('#curves svg').length > 1") == true, "it does not stay");
 }
 

@@ -74,6 +74,24 @@ fn what_the_screen_shows_is_what_render_writes() {
     assert!(differ > 0.05, "all channels are alike");
 }
 
+#[test]
+fn an_exported_glb_is_shown() {
+    let Some(screen) = Screen::start([400, 300]) else { return };
+    let place = place();
+    let (run, cameras, glb) = (place.text("run"), place.text("cameras.json"), place.text("scene.glb"));
+    sgs(&["export", &run, "-o", &glb]).ok();
+    let rendered = place.text("rendered");
+    sgs(&["render", &glb, "--cameras", &cameras, "-o", &rendered, "--channels", "rgb,pbr"]).ok();
+    for channel in ["rgb", "pbr"] {
+        let saved = place.text("saved.png");
+        let mut a = vec!["view", &glb, "--cameras", &cameras, "--channel", channel, "--json", "--validate"];
+        a.extend(["--frames", "2", "--save", &saved, "--size", "240x160"]);
+        wait(start_with(&a, &[("DISPLAY", screen.name())])).ok();
+        let (most, _) = apart(&place.path("saved.png"), &place.path(&format!("rendered/first_{channel}.png")));
+        assert!(most <= 1, "{channel}: {most}");
+    }
+}
+
 /// The part of the screen below the lines of text, against a picture of the window's size.
 fn on_screen(screen: &Image, picture: &Path, at: [usize; 2]) -> f64 {
     let (width, texels) = bytes(picture);
@@ -185,6 +203,11 @@ fn the_window_is_used_as_people_do() {
     assert_eq!([walked.width, walked.height], [301, 203]);
     assert!((walked.position() - second.position()).dot(second.forward()) > 1e-3, "{walked:?}");
     assert!(apart(&larger, &render(5, "pbr")).0 <= 1);
+    // It fills the window once the camera rests, at full resolution.
+    let [left, top] = corner();
+    screen.until("the picture in the larger window", || {
+        on_screen(&screen.picture(), &larger, [left as usize, top as usize]) < 1e-3
+    });
 
     assert!(child.try_wait().unwrap().is_none());
     key("Escape");

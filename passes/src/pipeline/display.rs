@@ -81,23 +81,39 @@ impl Display {
         format: ImageFormat,
         room: DisplayRoom,
     ) -> ViewResult<Display> {
+        Display::scaled(device, font, [size, size], format, room)
+    }
+
+    /// Prepares for a window and for pictures of another size, which are interpolated bilinearly: `[window, picture]`. Marks
+    /// and letters have the window's resolution.
+    ///
+    /// # Errors
+    /// As for [`Display::new`].
+    pub fn scaled(
+        device: &Device,
+        font: &Font,
+        [size, picture_size]: [[u32; 2]; 2],
+        format: ImageFormat,
+        room: DisplayRoom,
+    ) -> ViewResult<Display> {
         let texel = TexelFormat::try_from(format)?;
         if texel.bytes() != 4 {
             return Err(ViewError::Format(format));
         }
         // Where this format of a picture cannot be read by kernels there is no Vulkan.
-        let picture = device.image("picture", size, ImageFormat::Rgba16Float)?;
+        let picture = device.image("picture", picture_size, ImageFormat::Rgba16Float)?;
         let window = device.image("window", size, format)?;
         let mut g = Graph::new("display");
         let what = Show {
             step: g.uniform("show_step", size_of::<ShowStep>() as u64),
             picture: g.external_image(
                 "picture",
-                size,
+                picture_size,
                 ImageFormat::Rgba16Float,
                 ImageState::General,
                 ImageState::General,
             ),
+            picture_size,
             marks: g.uniform("marks", size_of::<Mark>() as u64 * u64::from(room.marks.max(1))),
             text: g.uniform("text", u64::from(room.columns * room.rows).next_multiple_of(4).max(4)),
             font: g.input("font", font.letters.bytes()),

@@ -59,6 +59,8 @@ pub struct Show {
     pub step: Buffer,
     /// What is shown, in [`sgs_engine::ImageFormat::Rgba16Float`].
     pub picture: Image,
+    /// Columns and rows of the picture. Where they differ from the window's, the picture is interpolated bilinearly.
+    pub picture_size: [u32; 2],
     /// Room for [`Mark`]s, at least as many as a step says.
     pub marks: Buffer,
     /// A byte a cell, line by line: the code of a letter, 0 for none.
@@ -87,7 +89,7 @@ pub fn show(
         first_letter: letters.first,
         letters: letters.count,
     };
-    let push = kernel::Push { size };
+    let push = kernel::Push { size, picture_size: what.picture_size };
     stage_with(g, "show", &kernel::KERNEL, specs.entries(), bytemuck::bytes_of(&push))
         .bind("params", what.step)
         .bind_image("picture", what.picture)

@@ -21,6 +21,11 @@ async function look() {
       for (const [id, html] of Object.entries(now.parts)) take(id, html);
       pictures = now.pictures;
       unanswered = 0;
+      if (now.ended) {
+        // Nobody answers any more.
+        document.body.classList.add("finished");
+        return;
+      }
     }
     setTimeout(look, 2000);
   } catch {

@@ -33,7 +33,8 @@ impl Page {
     }
 
     /// The page as a server gives it that keeps it up to date: it asks `live?pictures=N` on that server, and nobody else, for
-    /// `{"parts": {"id": "html"}, "pictures": N}`, and takes over the parts.
+    /// `{"parts": {"id": "html"}, "pictures": N, "ended": bool}`, and takes over the parts. It stops asking once `ended` is true,
+    /// or after three requests without an answer.
     pub fn live(&self) -> String {
         self.with("; connect-src 'self'", include_str!("live.js"))
     }

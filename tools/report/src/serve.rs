@@ -1,7 +1,7 @@
 //! Pages for this machine while something goes on.
 //!
 //! Promises: listens on 127.0.0.1 and nowhere else; answers nobody who asked for another host's name, as a page elsewhere
-//! would have a browser do; changes nothing. Whatever requests say, no more than 16 KiB of each are kept, and they have 5 seconds to
+//! would have a browser do, but any port of this machine, since ports are forwarded; changes nothing. Whatever requests say, no more than 16 KiB of each are kept, and they have 5 seconds to
 //! come and a minute to take the answer; whoever comes while 16 are attended is turned away; the end waits for nobody.
 
 use httparse::{EMPTY_HEADER, Error, Request, Status};
@@ -88,7 +88,7 @@ impl Port {
                     let pages =
                         |path: &str, query: &str| pages.lock().unwrap_or_else(PoisonError::into_inner)(path, query);
                     // Whoever has gone away meanwhile misses nothing.
-                    let _gone = attend(stream, address.port(), pages);
+                    let _gone = attend(stream, pages);
                     drop(seat);
                 };
                 // Without room for a thread somebody goes without an answer.
@@ -119,7 +119,7 @@ impl Drop for Serving {
 }
 
 /// Reads a request and answers it.
-fn attend(mut stream: TcpStream, port: u16, pages: impl Fn(&str, &str) -> Option<Content>) -> Result<()> {
+fn attend(mut stream: TcpStream, pages: impl Fn(&str, &str) -> Option<Content>) -> Result<()> {
     let mut buffer = [0; 4096];
     let mut request = Vec::new();
     let until = Instant::now() + PATIENCE;
@@ -130,7 +130,7 @@ fn attend(mut stream: TcpStream, port: u16, pages: impl Fn(&str, &str) -> Option
             0 => return Ok(()),
             count => request.extend_from_slice(&buffer[..count]),
         }
-        if let Some(answer) = respond(&request, port, &pages) {
+        if let Some(answer) = respond(&request, &pages) {
             break answer;
         }
     };
@@ -167,8 +167,8 @@ fn left(until: Instant) -> Result<Duration> {
     if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left) }
 }
 
-/// The answer to what has come of a request to this port so far, none if it is not whole. Bodies of requests are nothing to anybody.
-pub fn respond(request: &[u8], port: u16, pages: impl Fn(&str, &str) -> Option<Content>) -> Option<Vec<u8>> {
+/// The answer to what has come of a request so far, none if it is not whole. Bodies of requests are ignored.
+pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) -> Option<Vec<u8>> {
     let mut headers = [EMPTY_HEADER; MOST_HEADERS];
     let mut asked = Request::new(&mut headers);
     let plain = |text: &str| Content { kind: "text/plain", body: format!("{text}\n") };
@@ -184,7 +184,7 @@ pub fn respond(request: &[u8], port: u16, pages: impl Fn(&str, &str) -> Option<C
         Err(_) => return refused("400 Bad Request", "This is not understood."),
     }
     let mut hosts = asked.headers.iter().filter(|h| h.name.eq_ignore_ascii_case("host"));
-    let ours = hosts.next().is_some_and(|h| is_ours(h.value, port)) && hosts.next().is_none();
+    let ours = hosts.next().is_some_and(|h| is_ours(h.value)) && hosts.next().is_none();
     if !ours {
         return refused("403 Forbidden", "This page is for this machine alone.");
     }
@@ -199,11 +199,11 @@ pub fn respond(request: &[u8], port: u16, pages: impl Fn(&str, &str) -> Option<C
     Some(said(status, &content, method != "HEAD"))
 }
 
-/// Whether a request means this machine by its own name.
-fn is_ours(host: &[u8], port: u16) -> bool {
-    let host = std::str::from_utf8(host).ok();
-    let Some((name, given)) = host.and_then(|h| h.rsplit_once(':')) else { return false };
-    ["127.0.0.1", "localhost"].contains(&name) && given.parse() == Ok(port)
+/// Whether a request means this machine by its own name. The port may be another one, where it is forwarded.
+fn is_ours(host: &[u8]) -> bool {
+    let Ok(host) = std::str::from_utf8(host) else { return false };
+    let (name, port) = host.split_once(':').unwrap_or((host, "80"));
+    ["127.0.0.1", "localhost"].contains(&name) && port.parse::<u16>().is_ok()
 }
 
 /// An answer, after which the connection ends.
@@ -275,14 +275,18 @@ mod tests {
         assert!(whole.contains("Content-Length: 18\r\n") && whole.contains("no-store") && whole.contains("nosniff"));
         assert!(ask(port, &get(port, "/none", "")).contains("404"));
         let with = |host: &str| ask(port, &format!("GET / HTTP/1.1\r\n{host}\r\n"));
-        assert!(with(&format!("hOST: localhost:{port}\r\n")).contains("200 OK"));
+        let forwarded = port ^ 1;
+        for host in ["localhost".into(), format!("localhost:{port}"), format!("127.0.0.1:{forwarded}")] {
+            assert!(with(&format!("hOST: {host}\r\n")).contains("200 OK"), "{host}");
+        }
         let elsewhere = [
             "Host: elsewhere.example\r\n".to_owned(),
             format!("Host: elsewhere.example:{port}\r\n"),
             format!("Host: localhost:{port}\r\nHost: elsewhere.example\r\n"),
-            format!("Host: localhost:{}\r\n", port ^ 1),
+            format!("Host: localhost.elsewhere.example:{port}\r\n"),
+            "Host: localhost:x\r\n".to_owned(),
+            "Host: localhost:1:2\r\n".to_owned(),
             "Host: \u{e9}\r\n".to_owned(),
-            "Host: localhost\r\n".to_owned(),
             String::new(),
         ];
         for host in elsewhere {

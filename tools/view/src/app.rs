@@ -19,7 +19,7 @@ use winit::event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, Window
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Window, WindowId};
 
-/// How often it is asked whether frames are done, where one may have to be drawn again.
+/// How often it is asked whether the camera rests, where a coarse frame is shown.
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 /// Frames after which a window is expected to make nothing more.
 const WARM: u64 = 4;
@@ -145,6 +145,9 @@ impl App {
             WindowEvent::Resized(size) => {
                 stage.canvas.resize(size.into())?;
                 stage.stale = true;
+                if self.options.frames.is_none() {
+                    stage.moves();
+                }
             }
             WindowEvent::ScaleFactorChanged { scale_factor, .. } => {
                 stage.letter_size = (scale_factor.round() as u32).max(1);
@@ -206,8 +209,7 @@ impl App {
     /// Says when to come back.
     fn rest(&mut self, events: &ActiveEventLoop) -> Result<()> {
         let Some(Open { stage, window, .. }) = &mut self.open else { return Ok(()) };
-        let (done, again) = stage.canvas.settled()?;
-        stage.stale |= again;
+        let coarse = stage.settles();
         let drawable = !stage.canvas.size().contains(&0);
         if drawable && (stage.stale || stage.walks() || self.options.frames.is_some()) {
             if !stage.walks() {
@@ -216,7 +218,7 @@ impl App {
             window.request_redraw();
         }
         let idle = ControlFlow::Wait;
-        events.set_control_flow(if done { idle } else { ControlFlow::WaitUntil(Instant::now() + LOOK_AGAIN) });
+        events.set_control_flow(if !coarse { idle } else { ControlFlow::WaitUntil(Instant::now() + LOOK_AGAIN) });
         Ok(())
     }
 

@@ -1,7 +1,8 @@
 //! From Gaussians and light to the window: a view, the display over it, the window's images.
 //!
 //! Promises: a frame of the same channel and size makes nothing; the window's size is followed, and without a size nothing is
-//! drawn. Frames that lacked room for tile entries are known ([`Canvas::settled`]), so that they can be drawn again.
+//! drawn. A frame that lacked room for tile entries is drawn again before it is shown. While the camera moves, frames may be
+//! smaller than the window: as small as they must be to take less than [`SLOW`].
 
 use crate::channel::{Channel, Drawn};
 use crate::error::Result;
@@ -10,16 +11,23 @@ use sgs_engine::graph::ImageState;
 use sgs_engine::{Device, ImageFormat, Shown as Presented, Surface, Swapchain};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    Camera, Display, DisplayRoom, Font, Frame, LitFrame, LitOptions, LitView, Shown, View, ViewOptions, ViewReport,
+    Display, DisplayRoom, Font, Frame, LitFrame, LitOptions, LitView, Shown, View, ViewOptions, ViewReport,
 };
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{self, Encoding, Mark, TexelFormat};
-use sgs_scene::Splats;
+use sgs_scene::{Camera, Splats};
 use sgs_train::{Relighter, gaussian_data};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// Frames that may be in flight together.
 const FRAMES: usize = 2;
+/// Attempts to draw a frame whose buffers are too small. Each makes room for what the one before wanted.
+const ATTEMPTS: u32 = 6;
+/// A frame that takes longer is drawn at half of its resolution while the camera moves.
+const SLOW: Duration = Duration::from_millis(80);
+/// The most pixels of the window along a pixel of a frame.
+const MOST_FACTOR: u32 = 8;
 
 /// What draws.
 pub struct Canvas {
@@ -27,15 +35,21 @@ pub struct Canvas {
     gaussians: Gaussians,
     chain: Swapchain,
     font: Font,
+    /// The channel that the two below are made for.
+    channel: Option<Channel>,
     made: Option<Made>,
-    /// Frames of the present view, and how many of them are known to have lacked room.
-    submitted: u32,
-    incomplete: u32,
+    /// For frames while the camera moves, and pixels of the window along a pixel of such a frame.
+    coarse: Option<Made>,
+    factor: u32,
+    /// Whether the last frame was one of these.
+    is_coarse: bool,
+    /// How long the last frame took.
+    took: Duration,
 }
 
 /// What is made for one channel and size.
 struct Made {
-    channel: Channel,
+    factor: u32,
     view: Drawing,
     display: Display,
     page: Page,
@@ -46,12 +60,30 @@ enum Drawing {
     Lit(Box<LitView>),
 }
 
+impl Drawing {
+    fn finish(&mut self) -> Result<()> {
+        match self {
+            Drawing::Blended(view) => Ok(view.finish()?),
+            Drawing::Lit(view) => Ok(view.finish()?),
+        }
+    }
+
+    fn report(&self) -> Result<ViewReport> {
+        match self {
+            Drawing::Blended(view) => Ok(view.report()?),
+            Drawing::Lit(view) => Ok(view.report()?),
+        }
+    }
+}
+
 /// One frame.
 pub struct Picture<'a> {
     /// What is shown.
     pub channel: Channel,
     /// From where; of the canvas's size.
-    pub camera: Camera,
+    pub camera: &'a Camera,
+    /// Whether the camera moves, so that a fast frame is better than a fine one.
+    pub moving: bool,
     /// Factor of light or values.
     pub gain: f32,
     /// Pixels along a pixel of a letter.
@@ -69,7 +101,18 @@ impl Canvas {
         gaussians.upload(device, &gaussian_data(splats, model))?;
         let chain = Swapchain::new(device, surface, size)?;
         let font = font(device)?;
-        Ok(Canvas { device: device.clone(), gaussians, chain, font, made: None, submitted: 0, incomplete: 0 })
+        Ok(Canvas {
+            device: device.clone(),
+            gaussians,
+            chain,
+            font,
+            channel: None,
+            made: None,
+            coarse: None,
+            factor: 1,
+            is_coarse: false,
+            took: Duration::ZERO,
+        })
     }
 
     /// Columns and rows; zeros while there is nothing to draw on.
@@ -92,28 +135,66 @@ impl Canvas {
         if !self.chain.is_open() {
             return Ok(false);
         }
+        let begun = Instant::now();
         let size = self.chain.size();
-        let same = |m: &Made| m.channel == picture.channel && m.display.window().size() == size;
-        if !self.made.as_ref().is_some_and(same) {
-            // The old one goes first: there may be no room for both.
-            self.made = None;
-            self.made = Some(self.make(relighter, picture, size)?);
-            (self.submitted, self.incomplete) = (0, 0);
+        if self.channel != Some(picture.channel) {
+            (self.channel, self.made, self.coarse, self.factor) = (Some(picture.channel), None, None, 1);
         }
-        let Some(Made { view, display, page, .. }) = &mut self.made else { return Ok(false) };
-        match (view, relighter) {
-            (Drawing::Blended(view), _) => {
-                let frame = Frame { camera: picture.camera, sh_degree: u32::MAX, background: [0.0; 3] };
-                view.submit(&self.gaussians, display.picture(), &frame)?;
-            }
-            (Drawing::Lit(view), Some(relighter)) => {
-                let frame = LitFrame { camera: picture.camera, background: [0.0; 3], exposure: 1.0 };
-                let (scene, lighting) = (relighter.scene(), relighter.lighting());
-                view.frame(scene, lighting, display.picture(), &frame, |exec, uniforms| exec.submit(uniforms))?;
-            }
-            (Drawing::Lit(_), None) => return Ok(false),
+        // What has another size goes first: there may be no room for both.
+        for slot in [&mut self.made, &mut self.coarse] {
+            slot.take_if(|m| m.display.window().size() != size);
         }
-        self.submitted += 1;
+        self.is_coarse = picture.moving && self.factor > 1;
+        let factor = if self.is_coarse { self.factor } else { 1 };
+        let slot = if self.is_coarse { &mut self.coarse } else { &mut self.made };
+        let ready = slot.take().filter(|m| m.factor == factor);
+        let reused = ready.is_some();
+        let mut made = match ready {
+            Some(made) => made,
+            None => self.make(relighter, picture.channel, size, factor)?,
+        };
+        let drawn = self.submit(&mut made, relighter, picture, write);
+        let shown = drawn.and_then(|drawn| match drawn {
+            true => Ok(self.chain.show(made.display.window())? == Presented::Yes),
+            false => Ok(false),
+        });
+        *(if self.is_coarse { &mut self.coarse } else { &mut self.made }) = Some(made);
+        self.took = begun.elapsed();
+        if reused && picture.moving && self.took > SLOW && self.factor < MOST_FACTOR {
+            self.factor *= 2;
+        }
+        shown
+    }
+
+    /// Draws a frame until its buffers have room for all of it, and what lies over it.
+    fn submit(
+        &self,
+        Made { view, display, page, .. }: &mut Made,
+        relighter: Option<&Relighter>,
+        picture: &Picture<'_>,
+        write: impl FnOnce(&mut Page),
+    ) -> Result<bool> {
+        let [width, height] = display.picture().size();
+        let camera = sgs_train::camera(&picture.camera.scaled(width, height));
+        for _ in 0..ATTEMPTS {
+            let before = view.report()?.incomplete;
+            match (&mut *view, relighter) {
+                (Drawing::Blended(view), _) => {
+                    let frame = Frame { camera, sh_degree: u32::MAX, background: [0.0; 3] };
+                    view.submit(&self.gaussians, display.picture(), &frame)?;
+                }
+                (Drawing::Lit(view), Some(relighter)) => {
+                    let frame = LitFrame { camera, background: [0.0; 3], exposure: 1.0 };
+                    let (scene, lighting) = (relighter.scene(), relighter.lighting());
+                    view.frame(scene, lighting, display.picture(), &frame, |exec, uniforms| exec.submit(uniforms))?;
+                }
+                (Drawing::Lit(_), None) => return Ok(false),
+            }
+            view.finish()?;
+            if view.report()?.incomplete == before {
+                break;
+            }
+        }
         page.clear();
         write(page);
         display.submit(&Shown {
@@ -123,13 +204,14 @@ impl Canvas {
             text: page.cells(),
             letter_size: picture.letter_size,
         })?;
-        Ok(self.chain.show(display.window())? == Presented::Yes)
+        Ok(true)
     }
 
-    fn make(&self, relighter: Option<&Relighter>, picture: &Picture<'_>, size: [u32; 2]) -> Result<Made> {
+    fn make(&self, relighter: Option<&Relighter>, channel: Channel, window: [u32; 2], factor: u32) -> Result<Made> {
+        let size = window.map(|side| side.div_ceil(factor));
         let (device, tuning) = (&self.device, Tuning::for_device(self.device.info()));
         let (format, entry, exit) = (TexelFormat::Rgba16Float, ImageState::Undefined, ImageState::General);
-        let view = match (picture.channel.drawn(), relighter) {
+        let view = match (channel.drawn(), relighter) {
             (Drawn::Lit(layer), Some(relighter)) => {
                 let encoding = Encoding::Linear;
                 let (frames_in_flight, capacity) = (FRAMES, [0; 2]);
@@ -145,35 +227,23 @@ impl Canvas {
         };
         let cell = letters().cell;
         let marks = crate::lamps::MOST as u32;
-        let room = DisplayRoom { columns: (size[0] / cell[0]).max(1), rows: (size[1] / cell[1]).max(1), marks };
-        let display = Display::new(device, &self.font, size, self.chain.format(), room)?;
-        Ok(Made { channel: picture.channel, view, display, page: Page::new(room) })
+        let room = DisplayRoom { columns: (window[0] / cell[0]).max(1), rows: (window[1] / cell[1]).max(1), marks };
+        let display = Display::scaled(device, &self.font, [window, size], self.chain.format(), room)?;
+        Ok(Made { factor, view, display, page: Page::new(room) })
     }
 
-    /// Whether all frames are done (asked, not waited for), and whether the last ones lacked room and should be drawn again.
-    pub fn settled(&mut self) -> Result<(bool, bool)> {
-        let report: ViewReport = match self.made.as_ref().map(|m| &m.view) {
-            Some(Drawing::Blended(view)) => view.report()?,
-            Some(Drawing::Lit(view)) => view.report()?,
-            None => return Ok((true, false)),
-        };
-        let again = report.incomplete > self.incomplete;
-        self.incomplete = report.incomplete;
-        Ok((report.frames >= self.submitted, again))
+    /// Whether the last frame was smaller than the window.
+    pub fn is_coarse(&self) -> bool {
+        self.is_coarse
     }
 
-    /// Waits for the frames in flight.
-    pub fn finish(&mut self) -> Result<()> {
-        match self.made.as_mut().map(|m| &mut m.view) {
-            Some(Drawing::Blended(view)) => view.finish()?,
-            Some(Drawing::Lit(view)) => view.finish()?,
-            None => {}
-        }
-        Ok(())
+    /// How long the last frame took, from its beginning until it was handed to the window.
+    pub fn took(&self) -> Duration {
+        self.took
     }
 
-    /// The last frame without marks and letters, as texels of the window's format; and whether blue comes first in them.
-    /// Waits.
+    /// The last frame of the window's size without marks and letters, as texels of the window's format; and whether blue comes
+    /// first in them. Waits.
     pub fn read(&mut self, picture: &Picture<'_>) -> Result<Option<(Vec<u8>, bool)>> {
         let Some(Made { display, .. }) = &mut self.made else { return Ok(None) };
         let kind = picture.channel.kind();

@@ -10,13 +10,13 @@ use std::path::{Path, PathBuf};
 /// Gaussians that are looked at for how large a scene is.
 const SAMPLES: usize = 4096;
 
-/// A run or a PLY file.
+/// A run, or a PLY or glTF file.
 pub struct Source {
     /// Where it is.
     pub path: PathBuf,
     /// The Gaussians.
     pub splats: Splats,
-    /// Where one may look from at first; a PLY file knows none.
+    /// Where one may look from at first; a file has none.
     pub cameras: Vec<Camera>,
     /// Up, as most cameras have it.
     up: DVec3,

@@ -17,10 +17,14 @@ use sgs_scene::Camera;
 use sgs_train::Relighter;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How fast one walks: radii of the scene in a second.
 const PACE: f64 = 0.5;
+/// The camera rests once it has not moved for so long.
+const REST: Duration = Duration::from_millis(200);
+/// Weight of the last frame in the mean time of a frame.
+const LATEST: f64 = 0.3;
 /// Radians that a drag by one pixel turns.
 const TURN: f64 = 0.005;
 
@@ -49,6 +53,10 @@ pub struct Stage {
     pointer: DVec2,
     drag: Option<Drag>,
     walking: [[bool; 2]; 3],
+    /// When the camera or the window has changed last.
+    moved: Option<Instant>,
+    /// Mean seconds of a frame; 0 before the first.
+    seconds: f64,
     pub fast: bool,
     /// Pixels along a pixel of a letter.
     pub letter_size: u32,
@@ -104,6 +112,8 @@ impl Stage {
             pointer: DVec2::ZERO,
             drag: None,
             walking: [[false; 2]; 3],
+            moved: None,
+            seconds: 0.0,
             fast: false,
             letter_size: 1,
             output: output.to_owned(),
@@ -146,6 +156,7 @@ impl Stage {
             return Ok(false);
         }
         let camera = self.seen_with();
+        let (moving, seconds) = (self.is_moving() && !self.picture_wanted, self.seconds);
         let (shown, radius, gain) = (self.handles_shown(), self.handle_radius(), self.gain());
         let Stage { source, relighter, canvas, channel, letter_size, stops, help, message, .. } = self;
         let (channel, help) = (*channel, *help);
@@ -162,14 +173,17 @@ impl Stage {
             (Some(handles), Some(relighter)) if shown => handles.marks(relighter, &camera, radius)?,
             _ => &[],
         };
-        let as_kernels = sgs_train::camera(&camera);
-        let picture = Picture { channel, camera: as_kernels, gain, letter_size: *letter_size, marks };
+        let picture = Picture { channel, camera: &camera, moving, gain, letter_size: *letter_size, marks };
         let count = source.splats.len();
+        let rate = if seconds > 0.0 { 1.0 / seconds } else { 0.0 };
         let done = canvas.draw(relighter, &picture, |page| {
             let stops = if channel.has_exposure() && *stops != 0.0 { Some(*stops) } else { None };
+            let name = channel.name();
             match stops {
-                Some(stops) => page.line(format_args!("{}  {stops:+.1} stops  {count} Gaussians", channel.name())),
-                None => page.line(format_args!("{}  {count} Gaussians", channel.name())),
+                Some(stops) => {
+                    page.line(format_args!("{name}  {stops:+.1} stops  {count} Gaussians  {rate:.1} frames/s"))
+                }
+                None => page.line(format_args!("{name}  {count} Gaussians  {rate:.1} frames/s")),
             }
             if let Some((light, lamp)) = chosen {
                 let ([r, g, b], [x, y, z]) = (lamp.color, lamp.position);
@@ -187,6 +201,8 @@ impl Stage {
             }
         })?;
         self.stale = !done;
+        let took = self.canvas.took().as_secs_f64();
+        self.seconds = if self.seconds > 0.0 { self.seconds + LATEST * (took - self.seconds) } else { took };
         if done && self.picture_wanted {
             self.picture_wanted = false;
             if let Some((camera, texels, blue_first)) = self.grab()? {
@@ -211,19 +227,16 @@ impl Stage {
 
     /// The texels of what is shown, with its camera; and whether blue comes first in them.
     fn grab(&mut self) -> Result<Option<(Camera, Vec<u8>, bool)>> {
-        // Frames that lacked room show nothing.
-        for _ in 0..4 {
-            self.canvas.finish()?;
-            if !self.canvas.settled()?.1 {
-                break;
-            }
+        if self.canvas.is_coarse() {
+            self.moved = None;
             self.draw()?;
         }
         let camera = self.seen_with();
         let (channel, gain) = (self.channel, self.gain());
-        let picture = Picture { channel, camera: sgs_train::camera(&camera), gain, letter_size: 1, marks: &[] };
+        let picture = Picture { channel, camera: &camera, moving: false, gain, letter_size: 1, marks: &[] };
         self.stale = true;
-        Ok(self.canvas.read(&picture)?.map(|(texels, blue_first)| (camera, texels, blue_first)))
+        let read = self.canvas.read(&picture)?;
+        Ok(read.map(|(texels, blue_first)| (camera, texels, blue_first)))
     }
 
     fn wrote(&mut self, path: PathBuf) {
@@ -320,6 +333,24 @@ impl Stage {
         self.fast = false;
     }
 
+    /// The camera or the window has just changed.
+    pub fn moves(&mut self) {
+        self.moved = Some(Instant::now());
+        self.stale = true;
+    }
+
+    /// Whether the camera moves, or has until just now.
+    fn is_moving(&self) -> bool {
+        self.walks() || self.moved.is_some_and(|at| at.elapsed() < REST)
+    }
+
+    /// Whether a coarse frame still has to be replaced by a fine one; asks for that frame once the camera rests.
+    pub fn settles(&mut self) -> bool {
+        let coarse = self.canvas.is_coarse();
+        self.stale |= coarse && !self.is_moving();
+        coarse
+    }
+
     /// Whether one is walking.
     pub fn walks(&self) -> bool {
         self.walking.as_flattened().contains(&true)
@@ -368,7 +399,7 @@ impl Stage {
         let by = to - self.pointer;
         self.pointer = to;
         let Some(drag) = self.drag else { return Ok(()) };
-        self.stale = true;
+        self.moves();
         match drag {
             Drag::Orbit => self.eye.orbit(-TURN * by.x, TURN * by.y),
             Drag::Look => self.eye.look(TURN * by.x, -TURN * by.y),
@@ -397,6 +428,7 @@ impl Stage {
             handles.act(relighter, LampAction::Gain(1.1f32.powf(notches as f32)))?;
             return Ok(());
         }
+        self.moves();
         self.eye.zoom(0.9f64.powf(notches), 1e-3 * self.source.radius);
         Ok(())
     }

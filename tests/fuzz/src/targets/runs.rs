@@ -104,12 +104,11 @@ pub(crate) fn bytes(bytes: &[u8]) -> String {
 
 /// Requests for the page of a training.
 pub(crate) fn request(bytes: &[u8]) -> String {
-    const PORT: u16 = 8117;
     let pages = |path: &str, query: &str| {
         (path == "/live").then(|| serve::Content { kind: "text/plain", body: format!("{} bytes", query.len()) })
     };
-    let Some(answer) = serve::respond(bytes, PORT, pages) else {
-        assert_eq!(serve::respond(&bytes[..bytes.len() / 2], PORT, pages), None, "half of what is not whole is none");
+    let Some(answer) = serve::respond(bytes, pages) else {
+        assert_eq!(serve::respond(&bytes[..bytes.len() / 2], pages), None, "half of what is not whole is none");
         return "more".into();
     };
     let text = String::from_utf8(answer).expect("answers are text");

@@ -189,7 +189,8 @@ pub fn train_into(
             }
             other => other?,
         }
-        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
+        let over = training.step() == steps;
+        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due() || over && w.shows_end()) {
             watch.geometry(&training);
         }
         // What was chosen by measurement belongs to the run.

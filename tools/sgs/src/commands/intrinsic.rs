@@ -169,7 +169,8 @@ pub fn intrinsic_into(
             }
             other => other?,
         }
-        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due()) {
+        let over = training.step() == steps;
+        if let Some(watch) = watch.as_deref_mut().filter(|w| w.is_due() || over && w.shows_end()) {
             watch.intrinsic(&training);
         }
         for decision in training.decisions().iter().skip(told) {

@@ -441,12 +441,16 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 }
                 summary = serde_json::to_value(&done)?;
             }
-            Ended::Stopped(step) => return Err(stopped(step)),
+            Ended::Stopped(step) => {
+                end_watch(&mut watch, &format!("stopped after step {step}"));
+                return Err(stopped(step));
+            }
         }
     }
     if a.stage != Stage::Geometry {
-        let (start, watch, all) = (a.start.as_deref(), watch.as_mut(), a.stage == Stage::All);
-        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, all, &stop, watch)? {
+        let (start, all) = (a.start.as_deref(), a.stage == Stage::All);
+        let watched = watch.as_mut();
+        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, all, &stop, watched)? {
             IntrinsicEnded::Done(done) => {
                 if !common.quiet {
                     eprintln!(
@@ -458,11 +462,22 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 }
                 summary = RunDirectory::open(&a.output)?.training_summary()?;
             }
-            IntrinsicEnded::Stopped(step) => return Err(stopped(step)),
+            IntrinsicEnded::Stopped(step) => {
+                end_watch(&mut watch, &format!("stopped after step {step}"));
+                return Err(stopped(step));
+            }
         }
     }
+    end_watch(&mut watch, "finished");
     common.answer(&summary)?;
     validated(&device)
+}
+
+/// Says on the page of a training how it has ended.
+fn end_watch(watch: &mut Option<Watch>, how: &str) {
+    if let Some(watch) = watch {
+        watch.end(how);
+    }
 }
 
 /// Refuses to go on with geometry on which there are materials: they would be lost, and belong to the geometry as it is.

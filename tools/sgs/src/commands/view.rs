@@ -1,4 +1,4 @@
-//! `sgs view`: a window that shows a run or a PLY.
+//! `sgs view`: a window that shows a run, a PLY or a glTF file.
 
 use crate::common::Common;
 use crate::failure::refuse_usage;
@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = KEYS)]
 pub struct Args {
-    /// Run directory or PLY file.
+    /// Run directory, or a PLY or glTF file.
     source: PathBuf,
     /// Cameras to look from at first, and to step through: a transforms file; those of the run's scene by default.
     #[arg(long, value_name = "FILE.json")]

@@ -4,10 +4,11 @@ use serde_json::json;
 use sgs_report::figure::{data_uri, slider};
 use sgs_report::{Page, chart, escape, number, table};
 use sgs_scene::Image;
+use sgs_train::metrics::psnr;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Pixels across that pictures have at most.
 pub const WIDTH: u32 = 480;
@@ -44,6 +45,13 @@ struct Now {
     pictures: u64,
     /// The pictures as HTML, once somebody has asked for them.
     html: Option<String>,
+    /// PSNR of the held-back views, as lines of a log.
+    quality: String,
+    /// How the training has ended.
+    ended: Option<String>,
+    /// When a page has asked last, and whether a page knows that the training has ended.
+    asked: Option<Instant>,
+    end_seen: bool,
 }
 
 impl Board {
@@ -70,9 +78,27 @@ impl Board {
         text(&mut now.text);
     }
 
-    /// Other pictures take the place of those that there are.
-    pub fn show(&self, shots: Vec<Shot>, made: String) {
+    /// Says how the training has ended.
+    pub fn end(&self, how: &str) {
+        self.now().ended = Some(how.to_owned());
+    }
+
+    /// Whether a page that still asks does not know yet that the training has ended.
+    pub fn is_awaited(&self, within: Duration) -> bool {
+        let now = self.now();
+        !now.end_seen && now.asked.is_some_and(|at| at.elapsed() < within)
+    }
+
+    /// Shows other images, and adds the PSNR of their renders to its curve.
+    pub fn show(&self, stage: &str, step: u32, shots: Vec<Shot>, made: String) {
+        let all: Vec<f64> =
+            shots.iter().filter_map(|s| psnr(&s.render, &s.truth, None).ok()).filter(|v| v.is_finite()).collect();
         let mut now = self.now();
+        if !all.is_empty() {
+            let mean = all.iter().sum::<f64>() / all.len() as f64;
+            let line = json!({"stage": stage, "step": step, "PSNR of held-back views (dB)": mean});
+            let _ = writeln!(now.quality, "{line}");
+        }
         now.shots = shots;
         now.made = made;
         now.pictures += 1;
@@ -91,7 +117,16 @@ impl Board {
     /// What has changed for somebody who has seen so many pictures.
     pub fn changes(&self, seen: u64) -> String {
         let mut parts = json!({"summary": self.summary()});
-        let log = std::fs::read_to_string(self.run.join("log.jsonl")).unwrap_or_default();
+        let mut log = std::fs::read_to_string(self.run.join("log.jsonl")).unwrap_or_default();
+        // The last line may be in the making.
+        log.push('\n');
+        let ended = {
+            let mut now = self.now();
+            log.push_str(&now.quality);
+            now.asked = Some(Instant::now());
+            now.end_seen = now.ended.is_some();
+            now.end_seen
+        };
         let curves = chart::log(&log);
         if !curves.is_empty() {
             parts["curves"] = curves.into();
@@ -100,7 +135,7 @@ impl Board {
         if let Some(html) = views {
             parts["views"] = html.into();
         }
-        json!({"parts": parts, "pictures": pictures}).to_string()
+        json!({"parts": parts, "pictures": pictures, "ended": ended}).to_string()
     }
 
     fn summary(&self) -> String {
@@ -110,14 +145,16 @@ impl Board {
             let mut text = format!("step {} of {}", now.step, now.steps);
             if let Some((begun, first)) = now.since
                 && now.step > first
+                && now.ended.is_none()
             {
                 let rate = f64::from(now.step - first) / begun.elapsed().as_secs_f64().max(1e-9);
                 let left = f64::from(now.steps.saturating_sub(now.step)) / rate;
                 let _ = write!(text, ", {} a second, {} s to go", number(rate), number(left.ceil()));
             }
             rows.push((now.stage.clone(), text));
-            rows.push(("now".into(), now.text.clone()));
+            rows.push((if now.ended.is_some() { "at the end" } else { "now" }.into(), now.text.clone()));
         }
+        rows.extend(now.ended.iter().map(|how| ("state".to_owned(), how.clone())));
         table::facts(&rows)
     }
 
@@ -165,7 +202,8 @@ mod tests {
         assert!(board.page().contains("a &lt;run&gt;") && changes(0)["parts"]["views"].is_null());
         let image = Image::new(4, 2, 3);
         board.step("geometry", 3, 10, |text| text.push_str("loss 0.5"));
-        board.show(vec![Shot { name: "<a>".into(), truth: image.clone(), render: image }], "At step 3".into());
+        let shot = |render: Image| vec![Shot { name: "<a>".into(), truth: image.clone(), render }];
+        board.show("geometry", 3, shot(image.clone()), "At step 3".into());
         let first = changes(0);
         assert_eq!(first["pictures"], 1);
         let html = first["parts"]["views"].as_str().expect("pictures");
@@ -179,5 +217,27 @@ mod tests {
         let summary = later["parts"]["summary"].as_str().expect("a summary");
         assert!(summary.contains("step 3 of 10") && summary.contains("loss 0.5") && summary.contains("&lt;x&gt;"));
         assert!(later["parts"]["curves"].is_null());
+        // Two measurements make a curve.
+        let gray = |v: f32| Image { data: vec![v; 24], ..image.clone() };
+        board.show("geometry", 5, shot(gray(0.1)), "At step 5".into());
+        board.show("geometry", 9, shot(gray(0.01)), "At step 9".into());
+        let curves = changes(3)["parts"]["curves"].as_str().expect("a curve").to_owned();
+        assert!(curves.contains("PSNR of held-back views (dB)") && curves.contains("40 at the end"), "{curves}");
+    }
+
+    #[test]
+    fn the_end_reaches_a_page_that_asks() {
+        let board = Board::new("run".into(), PathBuf::from("none"), Vec::new());
+        board.step("geometry", 9, 10, |text| text.push_str("loss 0.5"));
+        let soon = Duration::from_secs(60);
+        assert!(!board.is_awaited(soon), "nobody has asked");
+        let ended = || serde_json::from_str::<serde_json::Value>(&board.changes(0)).expect("JSON");
+        assert_eq!(ended()["ended"], false);
+        board.end("finished");
+        assert!(board.is_awaited(soon) && !board.is_awaited(Duration::ZERO));
+        let last = ended();
+        let summary = last["parts"]["summary"].as_str().expect("a summary");
+        assert!(last["ended"] == true && summary.contains("finished") && summary.contains("loss 0.5"), "{last}");
+        assert!(!summary.contains("to go") && !board.is_awaited(soon));
     }
 }

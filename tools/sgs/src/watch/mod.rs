@@ -20,10 +20,13 @@ use sgs_scene::{Camera, Image, Scene, resize};
 use sgs_train::{Geometry, Intrinsic, Shading, displayed, render_view, shaded_scene};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Views that are shown.
 const VIEWS: usize = 3;
+
+/// A page that has not asked for so long is gone; one that is there asks every two seconds.
+const ASKS_WITHIN: Duration = Duration::from_secs(6);
 
 /// A training that is watched.
 pub struct Watch {
@@ -33,7 +36,14 @@ pub struct Watch {
     begun: Instant,
     /// Nothing goes wrong twice.
     pictures: bool,
+    ended: bool,
     _serving: Serving,
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.end("ended by an error");
+    }
 }
 
 impl Watch {
@@ -61,7 +71,15 @@ impl Watch {
         let name = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
         let board = Arc::new(Board::new(format!("SGS: {name}, in training"), run, facts));
         let serving = port.serve(board.clone())?;
-        Ok(Watch { board, views, pace: Pace::new(), begun: Instant::now(), pictures: true, _serving: serving })
+        Ok(Watch {
+            board,
+            views,
+            pace: Pace::new(),
+            begun: Instant::now(),
+            pictures: true,
+            ended: false,
+            _serving: serving,
+        })
     }
 
     /// Where steps are told to.
@@ -72,6 +90,22 @@ impl Watch {
     /// Whether the training is to be stopped for pictures.
     pub fn is_due(&self) -> bool {
         self.pictures && !self.views.is_empty() && self.pace.is_due(Instant::now())
+    }
+
+    /// Whether there are pictures to be made of a stage that has just ended.
+    pub fn shows_end(&self) -> bool {
+        self.pictures && !self.views.is_empty()
+    }
+
+    /// Says how the training has ended. Waits a moment for a page that is open, so that it shows the end and stops asking.
+    pub fn end(&mut self, how: &str) {
+        if std::mem::replace(&mut self.ended, true) {
+            return;
+        }
+        self.board.end(how);
+        while self.board.is_awaited(ASKS_WITHIN) {
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 
     /// Shows the geometry as it is now.
@@ -97,7 +131,7 @@ impl Watch {
     /// Shows what is shaded now.
     pub fn intrinsic(&mut self, training: &Intrinsic) {
         let background = training.settings().geometry.background;
-        self.shots("materials", training.step(), |views| {
+        self.shots("intrinsic", training.step(), |views| {
             let (device, light) = (training.device(), training.light()?);
             let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
             let scene = shaded_scene(device, &training.splats()?, lights, environment, &light.visibility)?;
@@ -117,8 +151,12 @@ impl Watch {
             Ok(shots) => {
                 self.pace.made(begun, Instant::now());
                 let share = 100.0 * self.pace.spent.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-9);
-                self.board
-                    .show(shots, format!("After step {step} of {stage}. Pictures took {share:.1} % of the time."));
+                self.board.show(
+                    stage,
+                    step,
+                    shots,
+                    format!("After step {step} of {stage}. Pictures took {share:.1} % of the time."),
+                );
             }
             Err(error) => {
                 tracing::warn!("there will be no more pictures to watch: {error}");

@@ -10,6 +10,7 @@ use super::lamps::{Lamp, Lamps};
 use super::lights::edit_lights;
 use super::{Relit, Selector};
 use crate::error::{Result, TrainError};
+use crate::exchange::{read_light, read_splats};
 use crate::head::SemanticHead;
 use crate::run::RunDirectory;
 use crate::settings::Settings;
@@ -41,7 +42,7 @@ pub struct Relighter {
     scene: LitScene,
 }
 
-/// The PLY behind a run directory or a file, and the run's settings if it is one.
+/// The Gaussians of a run directory, or of a PLY or glTF file, and the run's settings if it is one.
 ///
 /// # Errors
 /// If it is neither, is damaged, or training has not finished.
@@ -49,8 +50,8 @@ pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
     let wrong = |reason: &str| TrainError::File { path: source.to_owned(), reason: reason.to_owned() };
     if !source.is_dir() {
         return match source.exists() {
-            true => Ok((Splats::read_ply(source)?, None)),
-            false => Err(wrong("there is no such run directory or PLY file")),
+            true => Ok((read_splats(source)?, None)),
+            false => Err(wrong("there is no such run directory, PLY or glTF file")),
         };
     }
     let run = RunDirectory::open(source)?;
@@ -62,8 +63,8 @@ pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
 }
 
 impl Relighter {
-    /// Opens a run directory, or a PLY file with materials, which has no light of its own. There is room for `capacity`
-    /// lights, or if that is 0 for a few more than the run has.
+    /// Opens a run directory, or a PLY or glTF file with materials and the light in it or beside it. There is room for
+    /// `capacity` lights, or if that is 0 for a few more than there are.
     ///
     /// # Errors
     /// If there are no materials, a file is damaged, or memory runs out.
@@ -80,7 +81,7 @@ impl Relighter {
         }
         let light = match &settings {
             Some(settings) => light_of(&RunDirectory::open(source)?, settings)?,
-            None => RunLight::default(),
+            None => read_light(source, Settings::default().intrinsic.environment.resolution)?,
         };
         let run = Relit { splats, light };
         let tuning = Tuning::for_device(device.info());
