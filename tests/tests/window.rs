@@ -203,7 +203,8 @@ fn the_window_is_used_as_people_do() {
     assert_eq!([walked.width, walked.height], [301, 203]);
     assert!((walked.position() - second.position()).dot(second.forward()) > 1e-3, "{walked:?}");
     assert!(apart(&larger, &render(5, "pbr")).0 <= 1);
-    // It fills the window once the camera rests, at full resolution.
+    // Without handles, it fills the window once the camera rests, at full resolution.
+    key("l");
     let [left, top] = corner();
     screen.until("the picture in the larger window", || {
         on_screen(&screen.picture(), &larger, [left as usize, top as usize]) < 1e-3
