@@ -181,6 +181,10 @@ fn the_trade_between_time_and_accuracy_is_measured() {
     let row = |row: &mut Value, factor: f64| {
         row["value"]["median"] = Value::from(factor * row["value"]["median"].as_f64().unwrap());
     };
+    // Atomics add in another order each time, at times in that of the exact choice.
+    let by_atomics = |r: &&mut Value| r["name"] == "gradient error, backward by atomics";
+    let atomics = baseline["values"].as_array_mut().unwrap().iter_mut().find(by_atomics).unwrap();
+    atomics["value"]["median"] = Value::from(1e-4);
     for (name, factor, said) in
         [("step, ", 100.0, "nothing has grown"), ("mean error, fast", 0.5, "GROWN mean error, fast")]
     {

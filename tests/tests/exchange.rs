@@ -40,7 +40,7 @@ fn ranges_are_those_of_the_shaders() {
     let text = include_str!("../../shaders-glsl/include/material.glsl");
     let number = |name: &str| -> f32 {
         let line = text.lines().find(|l| l.contains(&format!("const float {name} ="))).unwrap();
-        line.split('=').nth(1).unwrap().trim().trim_end_matches(';').parse().unwrap()
+        line.rsplit('=').next().unwrap().trim().trim_end_matches(';').parse().unwrap()
     };
     assert_eq!(ALBEDO_RANGE, [number("ALBEDO_LOW"), number("ALBEDO_RANGE")]);
     assert_eq!(ROUGHNESS_RANGE, [number("ROUGHNESS_LOW"), number("ROUGHNESS_RANGE")]);

@@ -91,7 +91,7 @@ fn gathered(case: &Case, rows: &[Vec<(usize, f64)>]) -> Vec<[[f64; 2]; 5]> {
 /// How fast materials grow with raw ones: the derivative of the sigmoid, without differences of nearly equal numbers.
 fn slopes(raw: &Materials, i: usize) -> [f64; 5] {
     let slope = |x: f64| 1.0 / ((1.0 + (-x).exp()) * (1.0 + x.exp()));
-    let [r, g, b] = [0, 1, 2].map(|c| 0.98 * slope(raw.albedo[3 * i + c]));
+    let [r, g, b] = [0, 1, 2].map(|c| raw.albedo_range[1] * slope(raw.albedo[3 * i + c]));
     [r, g, b, 0.9 * slope(raw.roughness[i]), raw.metallic.get(i).map_or(0.0, |x| slope(*x))]
 }
 
