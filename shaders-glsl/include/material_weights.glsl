@@ -6,4 +6,5 @@ struct MaterialWeights {
     float roughness_edge; // likewise of roughness
     float cross_view;     // of a region's mean albedo in several views, each pseudo-view
     float relight;        // of albedo against estimates under other light, all estimates together
+    float own_prior;      // of albedo in the region against the view's own prior
 };

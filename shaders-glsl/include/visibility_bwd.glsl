@@ -147,7 +147,7 @@ void main() {
     FieldStep field = field_params.field;
     uint lights = light_count();
     uint side = gl_SubgroupInvocationID / ACROSS;
-    float largest = 0.0;
+    float largest = 0.0, jitter = 0.0;
     [[dont_unroll]] for (uint batch = gl_WorkGroupID.x * SIDES; batch * ITEMS < push.count;
                          batch += gl_NumWorkGroups.x * SIDES) {
         side_first = (batch + side) * ITEMS;
@@ -185,7 +185,13 @@ void main() {
                 logit = logits[0];
             }
             // The squashing function's order is that of the logits.
-            if (REGULARIZED) by_visibility += field.regularizer * sign(logit - moved_logit);
+            if (REGULARIZED) {
+                by_visibility += field.regularizer * sign(logit - moved_logit);
+                float apart = abs(1.0 / (1.0 + exp(-logit)) - 1.0 / (1.0 + exp(-moved_logit)));
+                if (counts && column() < ITEMS && finite_bits(apart)) {
+                    jitter += float(max(SAMPLE, 1u)) * field.regularizer * apart;
+                }
+            }
             float e = exp(-abs(logit)), d = 1.0 / (1.0 + e);
             slope = counts ? float(max(SAMPLE, 1u)) * by_visibility * (e * d * d) : 0.0;
             if (!finite_bits(slope)) slope = 0.0;
@@ -216,6 +222,11 @@ void main() {
             largest = max(largest, abs(by_row[i]));
         }
         EACH_ITEM(write_row)
+    }
+    if (REGULARIZED) {
+        float of_side = 0.0;
+        [[unroll]] for (uint i = 0u; i < ITEMS; i++) of_side += from_lane(jitter, i);
+        if (column() == 0u) jitter_sums[gl_WorkGroupID.x * SIDES + side] += of_side;
     }
     uint top = subgroupMax(floatBitsToUint(largest));
     if (subgroupElect()) atomicMax(extent[0], top);

@@ -24,4 +24,5 @@ IN(float, moved_rows);      // likewise, moved
 OUT(float, row_gradients);  // count x 32
 OUT(float, sums_of);        // by workgroup and side
 INOUT(float, place_sums);   // by workgroup and side, light
+INOUT(float, jitter_sums);  // by workgroup and side: the smoothness term, with its weight
 INOUT(uint, extent);        // largest magnitude of row_gradients, as bits

@@ -13,6 +13,7 @@ layout(constant_id = 2) const bool MSG = true;    // which of them there are
 layout(constant_id = 3) const uint PICTURES = 3;  // of the loss across views: 0 if there is none
 layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
 layout(constant_id = 5) const uint GRAY_ESTIMATES = 0; // likewise, of roughness
+layout(constant_id = 6) const bool OWN_PRIOR = false;  // whether the region is compared with its own prior
 
 #define SUM_T vec3
 #include "group_sum.glsl"
@@ -34,6 +35,7 @@ IN(MsgLevels, relight_first);
 IN(MsgLevels, relight_second);
 IN(MsgLevels, roughness_first);
 IN(MsgLevels, roughness_second);
+IN(MsgLevels, own);
 OUT(MaterialStats, stats);
 
 void main() {
@@ -44,7 +46,7 @@ void main() {
     sum = group_sum(sum);
     if (first != 0u) return;
     sum /= vec3(1.0, 3.0, 1.0) * float(params.step.camera.size.x) * float(params.step.camera.size.y);
-    MaterialStats r = MaterialStats(0.0, 0.0, 0.0, sum.y, sum.z, 0.0, 0.0, sum.x, 0u, 0u);
+    MaterialStats r = MaterialStats(0.0, 0.0, 0.0, sum.y, sum.z, 0.0, 0.0, 0.0, sum.x, 0u, 0u, 0u);
     if (MSG) {
         r.albedo_msg = msg[0].albedo;
         r.roughness_msg = msg[0].roughness;
@@ -66,8 +68,13 @@ void main() {
     if (GRAY_ESTIMATES > 0u) gray += roughness_first[0].square + roughness_first[0].albedo;
     if (GRAY_ESTIMATES > 1u) gray += roughness_second[0].square + roughness_second[0].albedo;
     r.relight += push.roughness_share / float(max(GRAY_ESTIMATES, 1u)) * gray;
+    if (OWN_PRIOR) {
+        r.own_prior = own[0].square + own[0].albedo;
+        r.own_count = uint(own[0].pixels > 0.0);
+    }
     MaterialWeights w = given.weights;
     r.total = w.albedo_msg * r.albedo_msg + w.roughness_msg * r.roughness_msg + w.albedo_edge * r.albedo_edge
-            + w.roughness_edge * r.roughness_edge + w.cross_view * r.cross_view + w.relight * r.relight;
+            + w.roughness_edge * r.roughness_edge + w.cross_view * r.cross_view + w.relight * r.relight
+            + w.own_prior * r.own_prior;
     stats[0] = r;
 }

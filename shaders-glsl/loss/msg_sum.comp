@@ -10,7 +10,8 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint TILE_X = 28; // as the sums were made
 layout(constant_id = 3) const uint TILE_Y = 16;
-layout(constant_id = 4) const bool SQUARE = false; // whether it is an estimate under other light
+layout(constant_id = 4) const bool SQUARE = false; // whether squared differences count
+layout(constant_id = 5) const bool OWN = false;    // then: the view's own prior, not an estimate under other light
 
 #define SUM_T vec4
 #include "group_sum.glsl"
@@ -28,7 +29,7 @@ OUT(MsgLevels, result);
 void main() {
     uvec2 size = params.step.camera.size;
     MaterialWeights w = given.weights;
-    vec2 weights = push.share * (SQUARE ? vec2(w.relight, 0.0) : vec2(w.albedo_msg, w.roughness_msg));
+    vec2 weights = push.share * (SQUARE ? vec2(OWN ? w.own_prior : w.relight, 0.0) : vec2(w.albedo_msg, w.roughness_msg));
     vec2 losses = vec2(0.0);
     vec2 square = vec2(0.0);
     uint first = 0u;

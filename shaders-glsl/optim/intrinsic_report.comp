@@ -9,7 +9,13 @@ layout(constant_id = 0) const uint RING = 64;
 layout(constant_id = 1) const bool ALBEDO = false;    // whether there was a prior
 layout(constant_id = 2) const bool ROUGHNESS = false;
 layout(constant_id = 3) const bool METALLIC = false;
+layout(constant_id = 4) const bool LIGHTS = false;    // whether lights are regularized
 layout(local_size_x = 1) in;
+
+layout(push_constant, scalar) uniform Push {
+    uint smooth_count; // workgroups that left sums of the environment's smoothness; 0 if it has no weight
+    uint jitter_count; // likewise of the visibility field's jitter
+} push;
 
 struct IntrinsicReport {
     uint step;
@@ -20,6 +26,13 @@ struct IntrinsicReport {
     float albedo;          // weighted losses of the priors
     float roughness;
     float metallic;
+    float light_position;     // means before their weights
+    float light_value;
+    float environment_smooth;
+    float visibility_jitter;  // with its weight
+    float recent_cross_view;  // of the last step that compared so; below 0 before the first. The host fills these in
+    float recent_relight;
+    float recent_own_prior;
     MaterialStats materials;
 };
 
@@ -30,6 +43,9 @@ IN(LossStats, albedo);
 IN(LossStats, roughness);
 IN(LossStats, metallic);
 IN(MaterialStats, materials);
+IN(float, light_losses);
+IN(float, smooth_sums);
+IN(float, jitter_sums);
 OUT(IntrinsicReport, reports);
 
 void main() {
@@ -38,6 +54,12 @@ void main() {
     if (ALBEDO) a = albedo[0].total;
     if (ROUGHNESS) r = roughness[0].total;
     if (METALLIC) m = metallic[0].total;
+    vec2 lights = vec2(0.0);
+    if (LIGHTS) lights = vec2(light_losses[0], light_losses[1]);
+    float smoothness = 0.0, jitter = 0.0;
+    for (uint i = 0u; i < push.smooth_count; i++) smoothness += smooth_sums[i];
+    for (uint i = 0u; i < push.jitter_count; i++) jitter += jitter_sums[i];
     reports[params.step.step % RING] =
-        IntrinsicReport(params.step.step, skipped[0], s.total, s.l1, s.ssim, a, r, m, materials[0]);
+        IntrinsicReport(params.step.step, skipped[0], s.total, s.l1, s.ssim, a, r, m, lights.x, lights.y, smoothness, jitter,
+                        -1.0, -1.0, -1.0, materials[0]);
 }

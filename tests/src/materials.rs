@@ -5,7 +5,7 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::Tuning;
 use sgs_passes::loss::{
     CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Msg, cross_view, edge_aware, material_sum, msg,
-    pack_mask, relight,
+    own_prior, pack_mask, relight,
 };
 use sgs_passes::reference::cross_view::{Picture, cross_view as cross, cross_view_bwd as cross_bwd};
 use sgs_passes::reference::edge_aware::{edge_aware as edge, edge_aware_bwd as edge_bwd};
@@ -29,6 +29,7 @@ pub const WEIGHTS: MaterialWeights = MaterialWeights {
     roughness_edge: 0.25,
     cross_view: 0.375,
     relight: 0.625,
+    own_prior: 0.4375,
 };
 
 /// A view's pictures and what they are compared with; the first is the training view, others are pseudo-views.
@@ -69,6 +70,8 @@ pub struct Asked {
     pub estimates: usize,
     /// The region in all views.
     pub cross: bool,
+    /// Albedo of the region against its own prior.
+    pub own: bool,
 }
 
 /// What a device made of it: gradients less what was there before, and the record.
@@ -236,6 +239,10 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
         let share = 1.0 / asked.estimates as f32;
         losses.relight[i] = Some(relight(&mut g, tuning, &a, i as u32, share, albedo_gradient).unwrap());
     }
+    if asked.own {
+        let a = Msg { mask: Some(mask), ..a };
+        losses.own_prior = Some(own_prior(&mut g, tuning, &a, albedo_gradient).unwrap());
+    }
     if asked.cross {
         losses.cross_view = Some(cross_view(&mut g, tuning, weights, &crosses).unwrap());
     }
@@ -260,7 +267,7 @@ pub struct Expected {
     /// `[P * 3]` of the training view, of which the first channel counts.
     pub roughness: Vec<f64>,
     /// The record's, before their weights.
-    pub terms: [f64; 6],
+    pub terms: [f64; 7],
     /// Their weighted sum.
     pub total: f64,
 }
@@ -271,7 +278,7 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
     let n = v.pixels();
     let mut albedo: Vec<Vec<f64>> = views.iter().map(|v| vec![0.0; 3 * v.pixels()]).collect();
     let mut roughness = vec![0.0; n];
-    let mut terms = [0.0; 6];
+    let mut terms = [0.0; 7];
     let add = |to: &mut [f64], gradient: &[f64], weight: f32| {
         to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
     };
@@ -309,8 +316,16 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
             add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
         }
     }
+    if asked.own {
+        let d = v.albedo_difference(&v.albedo_prior, true);
+        for (loss, gradient) in [twin(&d), square(&d)] {
+            terms[6] += loss;
+            add(&mut albedo[0], &gradient, WEIGHTS.own_prior);
+        }
+    }
     let w = &WEIGHTS;
-    let weights = [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight];
+    let weights =
+        [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight, w.own_prior];
     let total = terms.iter().zip(weights).map(|(t, w)| t * f64::from(w)).sum();
     // Of roughness the first channel counts.
     let roughness = roughness.into_iter().flat_map(|g| [g, 0.0, 0.0]).collect();

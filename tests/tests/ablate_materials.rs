@@ -160,8 +160,9 @@ fn variants_of_materials_that_make_no_sense_are_refused() {
     let place = room();
     let intrinsic = |more: &[&str]| ablate(&place, &[&["--stage", "intrinsic"], more].concat());
     intrinsic(&["--only", "rgb"]).refused(&["no variant \"rgb\"", "there are full, gray_start, no_lights"]);
-    intrinsic(&["--only", "no_relight", "--intrinsic-steps", "20"])
+    intrinsic(&["--only", "no_own_prior", "--intrinsic-steps", "20"])
         .refused(&["would differ from no other", "it begins at step 1000 of 20"]);
+    intrinsic(&["--only", "no_relight"]).refused(&["would differ from no other", "no provider of materials is asked"]);
     let off = ["--only", "no_lights", "--set", "intrinsic.lights.enabled=false"];
     intrinsic(&off).refused(&["\"no_lights\" would differ from no other", "leave it out anyway"]);
     intrinsic(&["--start", "nothing.ply"]).refused(&["no file \"nothing.ply\""]);

@@ -57,7 +57,7 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
     for (step, .., materials) in &losses {
         let cross = step.is_multiple_of(3);
         assert!(cross == (materials.cross_view > 0.0) || materials.cross_pairs == 0, "step {step}: {materials:?}");
-        assert!((step % 3 == 1 && *step >= 4) == (materials.relight_count > 0), "step {step}: {materials:?}");
+        assert!((step % 3 == 1 && *step >= 4) == (materials.own_count > 0), "step {step}: {materials:?}");
     }
     assert!(losses.iter().any(|l| l.4.cross_view > 0.0), "no pseudo-view was compared");
     // Geometry is as it came; materials are new.
@@ -204,6 +204,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         masks: Masks::Carried,
         cross_view: false,
         relight: false,
+        own_prior: false,
         relight_roughness: 0.0,
         returning: false,
         rates,

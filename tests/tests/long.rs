@@ -153,13 +153,13 @@ fn materials_with_every_loss() {
     let (mut crossed, mut relit, mut skipped) = (0, 0, 0);
     let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
         let m = &r.materials;
-        let others = [m.albedo_msg, m.roughness_msg, m.albedo_edge, m.roughness_edge, m.cross_view, m.relight];
+        let others = [m.albedo_msg, m.roughness_msg, m.albedo_edge, m.roughness_edge, m.cross_view, m.own_prior];
         course.see(r.step, &[&[r.shaded, r.albedo, r.roughness, r.metallic][..], &others].concat());
-        (crossed, relit, skipped) = (crossed + r.materials.cross_pairs, relit + r.materials.relight_count, r.skipped);
+        (crossed, relit, skipped) = (crossed + r.materials.cross_pairs, relit + r.materials.own_count, r.skipped);
     };
     training.train(s.intrinsic.steps, heard, || true).unwrap();
     let names = ["photographs", "albedo", "roughness", "metallic", "gradients of albedo", "gradients of roughness"];
-    let others = ["edges of albedo", "edges of roughness", "cross-view", "relit"];
+    let others = ["edges of albedo", "edges of roughness", "cross-view", "own prior"];
     course.check("materials", &[&names[..], &others].concat(), gpu.device());
     assert!(crossed > 0 && relit > 0 && skipped == 0, "{crossed} {relit} {skipped}");
     let trained = training.splats().unwrap();

@@ -12,8 +12,8 @@ fn tolerance(expected: &[f64]) -> Tolerance {
     Tolerance::new(1e-7_f64.min(1e-3 / expected.len() as f64).max(2e-5 * largest), 2e-4)
 }
 
-fn terms(s: &MaterialStats) -> [f32; 6] {
-    [s.albedo_msg, s.roughness_msg, s.albedo_edge, s.roughness_edge, s.cross_view, s.relight]
+fn terms(s: &MaterialStats) -> [f32; 7] {
+    [s.albedo_msg, s.roughness_msg, s.albedo_edge, s.roughness_edge, s.cross_view, s.relight, s.own_prior]
 }
 
 fn compare(e: &Expected, found: &Found, what: &str) {
@@ -67,6 +67,9 @@ fn estimates_under_other_light_are_compared_as_the_reference_does() {
             let v = [Painted::new(size, 40 + i as u32)];
             let found = check(&gpu, &v, Asked { estimates, ..Default::default() });
             assert_eq!(found.stats.relight_count as usize, if i == 0 { 0 } else { estimates }, "{size:?}");
+            // The view's own prior has a weight and a term of its own.
+            let found = check(&gpu, &v, Asked { estimates, own: true, ..Default::default() });
+            assert_eq!(found.stats.own_count, u32::from(i > 0), "{size:?}");
         }
     }
 }

@@ -195,7 +195,7 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
     assert!(surfaces(&short) < surfaces(&found), "{short}");
     let both = plan(&["--stage", "all"]).ok().stdout;
     for word in
-        ["densify", "lights      64 of 12 lobes", "visibility  a field of 16 levels", "relight     every 3 steps"]
+        ["densify", "lights      64 of 12 lobes", "visibility  a field of 16 levels", "own prior   every 3 steps"]
     {
         assert!(both.contains(word), "{word}: {both}");
     }

@@ -32,12 +32,12 @@ fn train(gpu: &Gpu, place: &Place, s: &Settings) -> (Vec<IntrinsicReport>, Splat
     (reports, training.splats().unwrap())
 }
 
-/// How many steps compared a region between views, and under other lights.
+/// How many steps compared a region between views, and with the view's own prior.
 fn compared(reports: &[IntrinsicReport]) -> [usize; 2] {
     let count = |of: fn(&IntrinsicReport) -> bool| reports.iter().filter(|r| of(r)).count();
     [
         count(|r| r.materials.cross_pairs > 0 && r.materials.cross_view > 0.0),
-        count(|r| r.materials.relight_count > 0 && r.materials.relight > 0.0),
+        count(|r| r.materials.own_count > 0 && r.materials.own_prior > 0.0),
     ]
 }
 

@@ -24,6 +24,7 @@ const WEIGHTS: MaterialWeights = MaterialWeights {
     roughness_edge: 0.25,
     cross_view: 0.5,
     relight: 0.5,
+    own_prior: 0.0,
 };
 
 /// Two estimates under other light, and two pseudo-views: as the method has them.

@@ -26,6 +26,8 @@ pub struct MaterialLosses {
     pub relight_roughness: [Option<MsgLoss>; 2],
     /// See there.
     pub roughness_share: f32,
+    /// Albedo of a region against the view's own prior.
+    pub own_prior: Option<MsgLoss>,
 }
 
 /// Adds the pass that writes `stats` (a `MaterialStats`). `weights`: uniform `MaterialWeights`.
@@ -49,9 +51,10 @@ pub fn material_sum(
         of.msg.map(|m| m.result),
         of.cross_view.map(|c| c.regions),
         results.first().copied(),
+        of.own_prior.map(|o| o.result),
     ];
     let Some(any) = parts.iter().flatten().next().copied() else { return g.fill("material_sum", stats, 0) };
-    let [compose_sums, edge_sums, msg, regions, relight_first] = parts.map(|p| p.unwrap_or(any).into());
+    let [compose_sums, edge_sums, msg, regions, relight_first, own] = parts.map(|p| p.unwrap_or(any).into());
     let bindings = kernel::Bindings {
         params: step.into(),
         given: weights.into(),
@@ -63,6 +66,7 @@ pub fn material_sum(
         relight_second: results.get(1).copied().unwrap_or(any).into(),
         roughness_first: gray.first().copied().unwrap_or(any).into(),
         roughness_second: gray.get(1).copied().unwrap_or(any).into(),
+        own,
         stats: stats.into(),
     };
     let specs = kernel::Specs {
@@ -71,6 +75,7 @@ pub fn material_sum(
         pictures: of.cross_view.map_or(0, |c| c.pictures),
         estimates: results.len() as u32,
         gray_estimates: gray.len() as u32,
+        own_prior: of.own_prior.is_some(),
     };
     let push = kernel::Push {
         compose_count: of.saturated.map_or(0, |s| s.count),

@@ -28,7 +28,7 @@ pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
 pub use gray_picture::{gray_picture, gray_picture_bwd};
 pub use material_pictures::{MaterialPictures, Materials, material_pictures, material_pictures_bwd, pictures};
 pub use material_sum::{MaterialLosses, material_sum};
-pub use msg::{Msg, MsgLoss, msg, relight};
+pub use msg::{Msg, MsgLoss, msg, own_prior, relight};
 pub use octahedral::{octahedral_decode, octahedral_encode};
 pub use photometric::{Partials, Photometric, photometric, photometric_bwd, photometric_bwd_in_place};
 pub use region_mask::{CarryOptions, Seen, carry_mask, pack_regions, region_mask};

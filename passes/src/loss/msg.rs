@@ -1,4 +1,4 @@
-//! `msg` and `relight`: materials should change over the picture as their priors do, at several scales.
+//! `msg`, `relight` and `own_prior`: materials should change over the picture as their priors do, at several scales.
 //!
 //! The multi-scale gradient loss of SGS-Intrinsic (method of Careaga and Aksoy). The difference d of a picture and its prior
 //! is made smaller to 1/2^l of the picture (rounded down, at least a pixel), l = 0 to 3, by a tent of two pixels' width of the
@@ -10,7 +10,8 @@
 //!
 //! `relight` compares albedo with an estimate of it under other light (or from elsewhere) within a mask: the squared
 //! difference, summed over channels, mean over the pixels that count, plus `msg` over the same pixels. It has the same
-//! kernels, with its squares where roughness would be summed.
+//! kernels, with its squares where roughness would be summed. `own_prior` is the same against the view's own prior, with a
+//! weight of its own: that loss is not of the paper.
 //!
 //! Promises: gradients are added to (they must have been written), nothing behind the view's pixels is touched, the same
 //! bits from run to run: the transposed tent is bilinear interpolation between pixels of a level, so gradients are gathered.
@@ -40,7 +41,7 @@ pub struct Msg {
     pub coverage: Buffer,
     /// Packed RGBA8: what albedo is compared with.
     pub albedo_prior: Buffer,
-    /// Packed RGBA8: what roughness is compared with, red, if there is such. Not for [`relight`].
+    /// Packed RGBA8: what roughness is compared with, red, if there is such. For [`msg`] alone.
     pub roughness_prior: Option<Buffer>,
     /// Whether priors are those of all views, this one's from `target_offset`; or of this view alone.
     pub all_views: bool,
@@ -73,7 +74,18 @@ fn extent(largest: [u32; 2]) -> (u64, u64) {
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn msg(g: &mut Graph, tuning: Tuning, a: &Msg, gradients: &MaterialPictures) -> Result<MsgLoss, GraphError> {
-    compared(g, tuning, "msg", a, gradients, None)
+    compared(g, tuning, "msg", a, gradients, Against::Priors)
+}
+
+/// What is compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Against {
+    /// The priors of the view, everywhere.
+    Priors,
+    /// An estimate under other light, which has this share of the weight.
+    Estimate(f32),
+    /// The prior of the view, in a region.
+    OwnPrior,
 }
 
 /// Adds the passes `relight{number}` of one estimate, which add to the gradient of albedo what `relight` weighs times
@@ -90,17 +102,25 @@ pub fn relight(
     albedo_gradient: Buffer,
 ) -> Result<MsgLoss, GraphError> {
     let gradients = MaterialPictures { albedo: albedo_gradient, roughness: None };
-    compared(g, tuning, &format!("relight{number}"), a, &gradients, Some(share))
+    compared(g, tuning, &format!("relight{number}"), a, &gradients, Against::Estimate(share))
 }
 
-/// `share`: of an estimate under other light, whose squared differences count too.
+/// Adds the passes `own_prior`, which add to the gradient of albedo what `own_prior` weighs.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn own_prior(g: &mut Graph, tuning: Tuning, a: &Msg, albedo_gradient: Buffer) -> Result<MsgLoss, GraphError> {
+    let gradients = MaterialPictures { albedo: albedo_gradient, roughness: None };
+    compared(g, tuning, "own_prior", a, &gradients, Against::OwnPrior)
+}
+
 fn compared(
     g: &mut Graph,
     tuning: Tuning,
     name: &str,
     a: &Msg,
     gradients: &MaterialPictures,
-    share: Option<f32>,
+    against: Against,
 ) -> Result<MsgLoss, GraphError> {
     let (all, tiles) = extent(a.largest);
     let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
@@ -110,7 +130,7 @@ fn compared(
     let slopes = g.transient(name("slopes"), 16 * all);
     let sums = g.transient(name("sums"), 16 * tiles);
     let result = g.transient(name("result"), size_of::<MsgLevels>() as u64);
-    let (workgroup, square) = (tuning.workgroup, share.is_some());
+    let (workgroup, square) = (tuning.workgroup, against != Against::Priors);
     let gray = a.pictures.roughness.zip(gradients.roughness).zip(a.roughness_prior);
 
     // What is absent is bound to something that the specialized kernel never touches.
@@ -149,8 +169,9 @@ fn compared(
 
     let bindings =
         msg_sum::Bindings { params: a.step.into(), given: a.weights.into(), sums: sums.into(), result: result.into() };
-    let specs = msg_sum::Specs { workgroup, tile_x: TILE[0], tile_y: TILE[1], square };
-    let push = msg_sum::Push { share: share.unwrap_or(1.0) };
+    let own = against == Against::OwnPrior;
+    let specs = msg_sum::Specs { workgroup, tile_x: TILE[0], tile_y: TILE[1], square, own };
+    let push = msg_sum::Push { share: if let Against::Estimate(share) = against { share } else { 1.0 } };
     stage(g, &name("sum"), &msg_sum::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])?;
 

@@ -23,7 +23,7 @@ def make(networks, options):
     for name, path in networks:
         if name == "stand-in":
             from .stand_in import StandIn
-            services.append(StandIn(path, options.noise, options.frame, options.color))
+            services.append(StandIn(path, options.noise, options.frame, options.color, options.leak))
         else:
             module = importlib.import_module(f".networks.{NETWORKS[name][0]}", __package__)
             services.append(module.load(path, options))
@@ -40,6 +40,8 @@ def main(arguments=None):
     parser.add_argument("--steps", type=int, default=50, help="denoising steps of rgbx")
     parser.add_argument("--max-side", type=int, default=1024, help="longest side of the images that networks get")
     parser.add_argument("--noise", type=float, default=0.05, help="errors of the stand-in")
+    parser.add_argument("--leak", type=float, default=0.0,
+                        help="how much shading of the image is in the stand-in's albedo: 0 none, 1 all of it")
     parser.add_argument("--frame", default="camera-stablenormal", help="frame of the stand-in's normals",
                         choices=["world", "camera-opencv", "camera-opengl", "camera-stablenormal"])
     parser.add_argument("--color", default="srgb", choices=["srgb", "linear"], help="of the stand-in's albedo")

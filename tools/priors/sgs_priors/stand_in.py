@@ -18,12 +18,16 @@ CELL = 8
 
 
 class StandIn:
-    """The service. ``noise`` is the spread of every error; 0 gives the truth itself."""
+    """The service. ``noise`` is the spread of every error; 0 gives the truth itself.
+
+    ``leak`` makes albedo depend on the light that the image shows, as estimates of networks do: it is multiplied by the
+    shading (image over albedo) relative to its mean, to the power of ``leak``. 1 gives the image itself, up to a gain.
+    """
 
     name = "stand-in"
 
-    def __init__(self, scene, noise=0.05, frame="camera-stablenormal", color="srgb"):
-        self.truth, self.noise, self.frame, self.color = Truth(scene), noise, frame, color
+    def __init__(self, scene, noise=0.05, frame="camera-stablenormal", color="srgb", leak=0.0):
+        self.truth, self.noise, self.frame, self.color, self.leak = Truth(scene), noise, frame, color, leak
         self.offers = {"masks": {}}
         if self.truth.classes:
             self.offers.update(text={"channels": CHANNELS}, classes={})
@@ -35,6 +39,8 @@ class StandIn:
         maps = [m for m in ("albedo", "roughness", "metallic") if self.truth.has(m)]
         if maps:
             self.offers["materials"] = {"maps": maps}
+            if leak:
+                self.offers["materials"]["image"] = "linear"
 
     def answer(self, question):
         """The answer to a question."""
@@ -80,10 +86,13 @@ class StandIn:
             gain = 1 + rng.gauss(0, self.noise)
             channels = 3 if kind == "albedo" else 1
             divisor = 255 if isinstance(pixels[0][0], int) else 1
+            leaked = self._leaked(question, pixels, divisor) if kind == "albedo" and self.leak else None
             out = []
-            for p in pixels:
-                for v in p[:channels]:
+            for at, p in enumerate(pixels):
+                for c, v in enumerate(p[:channels]):
                     v = v / divisor * gain
+                    if leaked:
+                        v *= leaked[3 * at + c]
                     if kind == "albedo" and self.color == "srgb":
                         v = 12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055
                     if self.noise:
@@ -92,6 +101,18 @@ class StandIn:
             shape = (height, width, 3) if channels == 3 else (height, width)
             arrays[kind] = pack("F32", shape, out)
         return {"color": self.color}, arrays
+
+    def _leaked(self, question, pixels, divisor):
+        """What shading multiplies albedo by: three numbers a pixel, 1 where albedo is black. Images are linear."""
+        light = question.images[0].numbers()
+        albedo = [v / divisor for p in pixels for v in p[:3]]
+        shading = [max(s, 0.0) / a if a > 0.02 else None for s, a in zip(light, albedo)]
+        known = [s for s in shading if s is not None]
+        mean = sum(known) / len(known) if known else 0.0
+        if mean <= 0.0:
+            return [1.0] * len(albedo)
+        # A pixel in full shadow keeps a hundredth of the mean, so that no estimate is black for want of light.
+        return [1.0 if s is None else max(s / mean, 0.01) ** self.leak for s in shading]
 
     def regions(self, question):
         """The class of each pixel as its region, with ragged borders."""

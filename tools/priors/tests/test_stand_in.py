@@ -159,6 +159,27 @@ class Answers(unittest.TestCase):
             self.assertEqual(text["color"], color)
             self.assertAlmostEqual(arrays["albedo"].numbers()[5], value, delta=1e-5)
 
+    def test_leak_puts_shading_into_albedo(self):
+        w, h = self.size
+        # The left half has four times the light of the right half; the light is red.
+        light = [v for _ in range(h) for x in range(w) for v in ((0.4, 0.2, 0.2) if x < w // 2 else (0.1, 0.05, 0.05))]
+
+        def albedo(leak, factor=1):
+            service = StandIn(self.root, 0, color="linear", leak=leak)
+            self.assertEqual(service.offers["materials"].get("image"), "linear" if leak else None)
+            image = pack("F32", (h, w, 3), [factor * v for v in light])
+            text = {"question": "materials", "id": 1, "views": [{"name": "000"}], "seed": 1, "maps": ["albedo"]}
+            return list(service.answer(Question(text, {"image0": image}))[1]["albedo"].numbers())
+
+        clean, half, whole = albedo(0), albedo(0.5), albedo(1)
+        self.assertTrue(all(abs(v - 0.25) < 1e-6 for v in clean))
+        for found, ratio in ((half, 2), (whole, 4)):
+            self.assertAlmostEqual(found[0] / found[3 * (w - 1)], ratio, places=3)
+            self.assertAlmostEqual(found[0] / found[1], ratio ** 0.5, places=3)
+        # A gain of the light says nothing about materials.
+        for a, b in zip(half, albedo(0.5, factor=3)):
+            self.assertAlmostEqual(a, b, places=5)
+
     def test_features_are_those_of_the_text(self):
         service = StandIn(self.root, 0)
         names = self.ask(service, "classes", [])[0]["names"]

@@ -23,7 +23,7 @@ pub struct Correspondence {
 }
 
 impl Correspondence {
-    /// None where nothing says what a region is. `largest`: columns and rows that no view exceeds.
+    /// None if the scene has no regions. `largest`: columns and rows that no view exceeds.
     ///
     /// # Errors
     /// If a file cannot be used, the provider of the settings fails, or memory runs out.

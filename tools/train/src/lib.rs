@@ -21,6 +21,7 @@ mod framing;
 pub mod fuzzed;
 mod geometry;
 mod head;
+mod idle;
 mod intrinsic;
 mod kept;
 mod limits;
@@ -59,6 +60,7 @@ pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_excha
 pub use framing::Framing;
 pub use geometry::{Decision, Geometry, MANY_POINTS, MOST_THINNED, Progress, Sight};
 pub use head::SemanticHead;
+pub use idle::IdleLoss;
 pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, Probe, read_lights, write_lights};
 pub use kept::Kept;
 pub use lock::{DirectoryLock, LockHolder};
@@ -70,14 +72,14 @@ pub use relight::{
     NewLight, Region, Relighter, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
     skip_relit, source_of,
 };
-pub use run::{IntrinsicLog, RunDirectory, StepLog};
+pub use run::{IntrinsicLog, LoggedLosses, RunDirectory, StepLog};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
     AutomaticSettings, Backward, DensifyOptions, DensifyStatistic, EnvironmentSettings, GeometrySettings,
     IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, LossWeights, MOST_BANDS,
-    MaterialStart, MemorySettings, Metallic, OnDivergence, PRESETS, Preset, ProviderSettings, Rates, RelightSettings,
-    Settings, ShDegree, TrainSettings, VisibilityKind, VisibilitySettings, accuracy_named, overlay,
+    MaterialStart, MemorySettings, Metallic, OnDivergence, OwnPrior, PRESETS, Preset, ProviderSettings, Rates,
+    RelightSettings, Settings, ShDegree, TrainSettings, VisibilityKind, VisibilitySettings, accuracy_named, overlay,
 };
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;

@@ -5,7 +5,7 @@ use super::build::Frame;
 use super::priors::Asked;
 use crate::loss::{
     CarryOptions, CrossPicture, MaterialPictures, Materials, Msg, Seen, carry_mask, cross_view, material_pictures,
-    pictures, region_mask, relight,
+    own_prior, pictures, region_mask, relight,
 };
 use crate::pipeline::{Masks, SurfaceHandles};
 use crate::shade::{PixelMaterials, SURFACE_DEPTH, Weights, materials, surface_depth};
@@ -28,7 +28,7 @@ pub(super) fn across_views(
     asked: &mut Asked,
 ) -> Result<Vec<Other>, GraphError> {
     let pixels = f.screen.pixels();
-    let region = match (f.o.cross_view || f.o.relight, f.inputs.regions) {
+    let region = match (f.o.cross_view || f.o.relight || f.o.own_prior, f.inputs.regions) {
         (true, Some(masks)) if f.o.masks == Masks::Given => Some(masks),
         (true, Some(ids)) => {
             let mask = g.transient("region_mask", 4 * wanted_words(pixels));
@@ -39,6 +39,10 @@ pub(super) fn across_views(
     };
     if let (Some(mask), true) = (region, f.o.relight) {
         under_other_lights(g, f, mask, asked)?;
+    }
+    if let (Some(mask), true, Some(prior)) = (region, f.o.own_prior, f.inputs.albedo_priors) {
+        let compared = in_region(f, mask, prior, asked.pictures.albedo);
+        asked.losses.own_prior = Some(own_prior(g, *f.t, &compared, asked.by_picture.albedo)?);
     }
     let mut others = Vec::new();
     // Pseudo-views are about albedo alone.
@@ -97,13 +101,9 @@ pub(super) fn across_views(
 
 /// Compares materials of the step's region with what is said of them under other lights.
 fn under_other_lights(g: &mut Graph, f: &Frame<'_>, mask: Buffer, asked: &mut Asked) -> Result<(), GraphError> {
-    let (mut albedo, mut roughness) = (f.inputs.estimates[..COPIES].to_vec(), f.inputs.estimates[COPIES..].to_vec());
-    if albedo.iter().all(Option::is_none) {
-        // Whatever the light, its prior says the same.
-        (albedo, roughness) = (vec![f.inputs.albedo_priors], Vec::new());
-    }
+    let (albedo, roughness) = f.inputs.estimates.split_at(COPIES);
     let share = |of: &[Option<Buffer>]| 1.0 / of.iter().flatten().count().max(1) as f32;
-    let (by_albedo, by_roughness) = (share(&albedo), f.o.relight_roughness * share(&roughness));
+    let (by_albedo, by_roughness) = (share(albedo), f.o.relight_roughness * share(roughness));
     let gray = asked.pictures.roughness.zip(asked.by_picture.roughness).filter(|_| by_roughness > 0.0);
     let all = albedo.iter().flatten().map(|e| (*e, asked.pictures.albedo, asked.by_picture.albedo, by_albedo));
     // Gray pictures have three channels as well.
@@ -111,17 +111,7 @@ fn under_other_lights(g: &mut Graph, f: &Frame<'_>, mask: Buffer, asked: &mut As
     let rough = rough.filter_map(|e| gray.map(|(picture, gradient)| (*e, picture, gradient, by_roughness)));
     let all: Vec<_> = all.map(|e| (e, true)).chain(rough.map(|e| (e, false))).collect();
     for (number, ((estimate, picture, gradient, share), of_albedo)) in all.into_iter().enumerate() {
-        let compared = Msg {
-            step: f.steps.shaded,
-            weights: f.steps.weights,
-            pictures: MaterialPictures { albedo: picture, roughness: None },
-            coverage: f.seen.coverage,
-            albedo_prior: estimate,
-            roughness_prior: None,
-            all_views: true,
-            mask: Some(mask),
-            largest: f.o.shape.largest,
-        };
+        let compared = in_region(f, mask, estimate, picture);
         let loss = relight(g, *f.t, &compared, number as u32, share, gradient)?;
         let into = if of_albedo { &mut asked.losses.relight } else { &mut asked.losses.relight_roughness };
         if let Some(free) = into.iter_mut().find(|l| l.is_none()) {
@@ -130,4 +120,19 @@ fn under_other_lights(g: &mut Graph, f: &Frame<'_>, mask: Buffer, asked: &mut As
     }
     asked.losses.roughness_share = f.o.relight_roughness;
     Ok(())
+}
+
+/// A picture of the step's region against what is said of it.
+fn in_region(f: &Frame<'_>, mask: Buffer, said: Buffer, picture: Buffer) -> Msg {
+    Msg {
+        step: f.steps.shaded,
+        weights: f.steps.weights,
+        pictures: MaterialPictures { albedo: picture, roughness: None },
+        coverage: f.seen.coverage,
+        albedo_prior: said,
+        roughness_prior: None,
+        all_views: true,
+        mask: Some(mask),
+        largest: f.o.shape.largest,
+    }
 }

@@ -42,6 +42,8 @@ pub(super) struct Words {
     pub flags: Buffer,
     pub skipped: Buffer,
     pub reports: Buffer,
+    /// Smoothness of the environment, where its texels do not move in each step.
+    pub smoothness: Option<Buffer>,
 }
 
 /// What every part of a step works on.
@@ -165,6 +167,8 @@ pub(super) fn build(
     }
     let words_of = StepWords { step, flags: words.flags, skipped: words.skipped };
     let mut moves = Vec::new();
+    let (mut light_losses, mut jitter) = (None, None);
+    let mut smooth = words.smoothness.filter(|_| o.environment_smooth > 0.0).map(|b| (b, 1));
     if let (Some((lights, parameters, _, _, sight)), Some(l)) = (&lit, &inputs.lights) {
         let gradients = match (&inputs.visibility, sight) {
             (Some(v), _) => lights_bwd_field(g, *t, lights, &v.field, radiance_gradient)?,
@@ -176,6 +180,7 @@ pub(super) fn build(
             [0.0, 0.0] => None,
             weights => {
                 let losses = g.transient("light_regularizers", 8);
+                light_losses = Some(losses);
                 Some(lights_regularize(g, *t, lights, parameters, weights, losses)?)
             }
         };
@@ -191,7 +196,7 @@ pub(super) fn build(
                 sample: o.visibility_sample.max(1),
                 ..Default::default()
             };
-            visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
+            jitter = visibility_lights_bwd(g, *t, lights, &v.field, radiance_gradient, &options, &gradients)?;
             visibility_adam(g, *t, &v.field, &gradients, &moments)?;
         }
         if let (Some(learned), Some(of_gaussians)) = (&learned, inputs.normals) {
@@ -219,6 +224,7 @@ pub(super) fn build(
         } else {
             let weight = o.environment_smooth;
             let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, weight);
+            smooth = smoothness.as_ref().filter(|_| weight > 0.0).map(|s| (s.sums, s.groups));
             let grad_texels = texels.gradient(g);
             environment_filter_bwd(g, t, e, tables, filtered, &sums, smoothness.as_ref(), grad_texels)?;
             moves.push((**texels, grad_texels, Rate::Constant(o.rates.environment), TEXEL_EPSILON));
@@ -264,6 +270,9 @@ pub(super) fn build(
         roughness: of_priors[1].unwrap_or(stats).into(),
         metallic: of_priors[2].unwrap_or(stats).into(),
         materials: material_stats.into(),
+        light_losses: light_losses.unwrap_or(stats).into(),
+        smooth_sums: smooth.map_or(stats, |s| s.0).into(),
+        jitter_sums: jitter.map_or(stats, |j| j.0).into(),
         reports: words.reports.into(),
     };
     let specs = report::Specs {
@@ -271,7 +280,10 @@ pub(super) fn build(
         albedo: of_priors[0].is_some(),
         roughness: of_priors[1].is_some(),
         metallic: of_priors[2].is_some(),
+        lights: light_losses.is_some(),
     };
-    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
+    let push = report::Push { smooth_count: smooth.map_or(0, |s| s.1), jitter_count: jitter.map_or(0, |j| j.1) };
+    let push = bytemuck::bytes_of(&push);
+    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])?;
     Ok(image)
 }

@@ -69,9 +69,10 @@ pub struct IntrinsicOptions {
     pub masks: Masks,
     /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
     pub cross_view: bool,
-    /// Whether albedo in the region is compared with what is said of it under other lights: estimates of the view, or where
-    /// there are none its prior, which stands in. Needs one of both, and regions.
+    /// Whether albedo in the region is compared with estimates of it under other lights; needs these and regions.
     pub relight: bool,
+    /// Whether albedo in the region is compared with the view's own prior; needs that and regions.
+    pub own_prior: bool,
     /// What roughness in the region weighs beside albedo, where there are estimates of it under other lights.
     pub relight_roughness: f32,
     /// Pixels that are too bright keep the gradients that lead them back.
@@ -168,13 +169,15 @@ pub struct IntrinsicStatus {
     flags: DeviceBuffer,
     skipped: DeviceBuffer,
     reports: DeviceBuffer,
+    /// Smoothness of the environment when its texels last moved, where they do not move in each step.
+    smoothness: DeviceBuffer,
 }
 
 const REPORTS: u64 = RING as u64 * size_of::<IntrinsicReport>() as u64;
 
 impl IntrinsicStatus {
     /// What it takes.
-    pub const BYTES: u64 = 8 + REPORTS;
+    pub const BYTES: u64 = 12 + REPORTS;
 
     /// Makes it, all clear.
     ///
@@ -184,10 +187,27 @@ impl IntrinsicStatus {
         let flags = device.buffer("flags", 4, Location::Device)?;
         let skipped = device.buffer("skipped", 4, Location::Device)?;
         let reports = device.buffer("reports", REPORTS, Location::Readback)?;
-        for buffer in [&flags, &skipped, &reports] {
+        let smoothness = device.buffer("smoothness", 4, Location::Device)?;
+        for buffer in [&flags, &skipped, &reports, &smoothness] {
             device.fill(buffer, 0)?;
         }
-        Ok(IntrinsicStatus { flags, skipped, reports })
+        Ok(IntrinsicStatus { flags, skipped, reports, smoothness })
+    }
+
+    /// The smoothness that steps report until texels move again.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn smoothness(&self, device: &Device) -> Result<f32> {
+        Ok(device.download_as(&self.smoothness, 1)?.first().copied().unwrap_or(0.0))
+    }
+
+    /// Sets the smoothness that steps report until texels move again.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn set_smoothness(&self, device: &Device, value: f32) -> Result<()> {
+        device.upload(&self.smoothness, 0, bytemuck::bytes_of(&value))
     }
 
     /// The report of a step that is done.
@@ -228,6 +248,9 @@ impl IntrinsicStep {
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
         exec.bind(declared.words.reports, &status.reports)?;
+        if let Some(smoothness) = declared.words.smoothness {
+            exec.bind(smoothness, &status.smoothness)?;
+        }
         let bytes = 12 * u64::from(options.shape.largest[0]) * u64::from(options.shape.largest[1]);
         let make = || device.buffer("shaded_picture", bytes, Location::Device);
         let picture = declared.picture.map(|_| make()).transpose()?;
@@ -367,6 +390,7 @@ fn declare(
         flags: g.input("flags", 4),
         skipped: g.external("skipped", 4),
         reports: g.external("reports", REPORTS),
+        smoothness: (environment.is_some() && o.environment_every > 1).then(|| g.input("smoothness", 4)),
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
     let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.table_bits);

@@ -8,6 +8,7 @@
 use super::build::TEXEL_EPSILON;
 use super::{IntrinsicInputs, IntrinsicOptions, IntrinsicStatus, Step};
 use crate::Tuning;
+use crate::kernel::stage;
 use crate::optim::Rate;
 use crate::scene::{StepWords, Trainable};
 use crate::shade::environment::{
@@ -17,6 +18,7 @@ use crate::shade::environment::{
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::semantic_reduce;
 use std::sync::Arc;
 
 /// The levels of an environment in device memory, and what has been asked of them since the texels moved.
@@ -96,6 +98,7 @@ struct Declared {
     texels: crate::scene::TrainableHandles,
     tables: EnvironmentTables,
     kept: Kept,
+    smoothness: Option<Buffer>,
 }
 
 impl EnvironmentRefresh {
@@ -122,6 +125,9 @@ impl EnvironmentRefresh {
         kept.bind(&mut exec, &made.kept)?;
         exec.bind(made.words.flags, &status.flags)?;
         exec.bind(made.words.skipped, &status.skipped)?;
+        if let Some(smoothness) = made.smoothness {
+            exec.bind(smoothness, &status.smoothness)?;
+        }
         Ok(Some(EnvironmentRefresh { exec, step: made.step }))
     }
 
@@ -177,6 +183,20 @@ fn declare(t: &Tuning, e: &Environment, o: &IntrinsicOptions) -> Result<Declared
     let smoothness = environment_smoothness(&mut g, t, e, &tables, texels.parameters, o.environment_smooth);
     let gradient = texels.gradient(&mut g);
     environment_filter_kept_bwd(&mut g, t, e, &tables, &kept, smoothness.as_ref(), gradient)?;
+    let smoothness = match smoothness {
+        Some(s) if o.environment_smooth > 0.0 => {
+            let into = g.external("smoothness", 4);
+            let specs = semantic_reduce::Specs { workgroup: t.workgroup, add: false, parts: t.workgroup };
+            let push = semantic_reduce::Push { width: 1, groups: s.groups };
+            let bytes = bytemuck::bytes_of(&push);
+            stage(&mut g, "environment_smoothness_sum", &semantic_reduce::KERNEL, [], specs.entries(), bytes)
+                .bind("partials", s.sums)
+                .bind_discard("accumulated", into)
+                .dispatch([1, 1, 1])?;
+            Some(into)
+        }
+        _ => None,
+    };
     // As far in as many steps: moves are rarer, so they are longer.
     let rate = o.rates.environment * o.environment_every.max(1) as f32;
     texels.follow(&mut g, t, &words, gradient, Rate::Constant(rate), TEXEL_EPSILON, true)?;
@@ -184,5 +204,5 @@ fn declare(t: &Tuning, e: &Environment, o: &IntrinsicOptions) -> Result<Declared
     environment_filter_kept(&mut g, t, e, &tables, texels.parameters, &kept)?;
     g.fill("clear_gathered", kept.gathered, 0)?;
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, step, words, texels, tables, kept })
+    Ok(Declared { plan, step, words, texels, tables, kept, smoothness })
 }

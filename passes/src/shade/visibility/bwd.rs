@@ -119,6 +119,7 @@ pub fn visibility_bwd(
             row_gradients: chunk.gradients,
             sums_of: chunk.sums,
             place_sums: plan.places.into(),
+            jitter_sums: plan.jitter.into(),
             extent: plan.extent.into(),
             light_positions: view.lights.into(),
             light_radiance: asked.radiance.into(),
@@ -155,6 +156,7 @@ pub(super) struct Plan {
     feature_sums: Buffer,
     pub places: Buffer,
     pub extent: Buffer,
+    pub jitter: Buffer,
 }
 
 /// Slices of a chunk.
@@ -196,10 +198,17 @@ impl Plan {
             feature_sums: g.transient("visibility.feature_sums", sets[1] * u64::from(levels) * 2 * ROW),
             places: g.transient("visibility.places", u64::from(groups[0] * sides * lights.max(1)) * 12),
             extent: g.transient("visibility.extent", 4),
+            jitter: g.transient("visibility.jitter", 4 * u64::from(groups[0] * sides)),
         };
+        g.fill("visibility.clear_jitter", plan.jitter, 0)?;
         g.fill("visibility.clear_extent", plan.extent, 0)?;
         g.fill("visibility.clear_places", plan.places, 0)?;
         Ok(plan)
+    }
+
+    /// Sums of the smoothness term, with its weight, by workgroup and side; and how many. None without the term.
+    pub(super) fn jitter(&self) -> Option<(Buffer, u32)> {
+        self.options.regularized.then_some((self.jitter, self.groups[0] * self.sides))
     }
 
     /// First pixel and number of pixels of each chunk.

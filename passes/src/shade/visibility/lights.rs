@@ -201,7 +201,8 @@ pub fn lights_normals_bwd_field(
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
-/// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field.
+/// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field. Returns
+/// sums of the smoothness term with its weight, and how many there are.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -213,7 +214,7 @@ pub fn visibility_lights_bwd(
     radiance_gradient: Buffer,
     options: &BackwardOptions,
     into: &Gradients,
-) -> Result<(), GraphError> {
+) -> Result<Option<(Buffer, u32)>, GraphError> {
     let p = &a.pixels;
     let most = a.prepared.model.lights;
     let view = View {
@@ -234,6 +235,7 @@ pub fn visibility_lights_bwd(
             row_gradients: chunk.gradients,
             sums_of: chunk.sums,
             place_sums: plan.places.into(),
+            jitter_sums: plan.jitter.into(),
             extent: plan.extent.into(),
             radiance_gradient: radiance_gradient.into(),
         });
@@ -254,5 +256,6 @@ pub fn visibility_lights_bwd(
             .subgroup_size(Some(a.shape.subgroup))
             .dispatch([chunk.groups, 1, 1])?;
     }
-    plan.finish(g, field, &view, into)
+    plan.finish(g, field, &view, into)?;
+    Ok(plan.jitter())
 }

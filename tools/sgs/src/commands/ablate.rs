@@ -14,7 +14,7 @@ pub struct Args {
     series: series::Series,
     /// Variants. Of geometry: rgb, depth, normal, semantic, correspondence; each uses what those before it use. The full
     /// method of geometry without one term: no_normal, no_depth, no_semantic, no_correspondence. Of materials, each with one
-    /// thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_priors; and full, with
+    /// thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_own_prior, no_priors; and full, with
     /// --stage intrinsic. By default all that differ on this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,

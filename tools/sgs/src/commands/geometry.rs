@@ -9,7 +9,9 @@ use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::pipeline::DensifyStats;
 use sgs_scene::Scene;
-use sgs_train::{Decision, Geometry, OnDivergence, Progress, RollBack, RunDirectory, Settings, StepLog, TrainError};
+use sgs_train::{
+    Decision, Geometry, IdleLoss, OnDivergence, Progress, RollBack, RunDirectory, Settings, StepLog, TrainError,
+};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,6 +45,9 @@ pub struct Summary {
     sh_degree: u32,
     /// What was decided about the model, and why.
     decisions: Vec<Decision>,
+    /// Losses that have a weight and did not run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    warnings: Vec<IdleLoss>,
 }
 
 /// A line of `log.jsonl` between those of steps.
@@ -96,6 +101,7 @@ pub fn train_into(
     if stop.load(Ordering::SeqCst) {
         return Ok(Ended::Stopped(0));
     }
+    training.idle_losses().iter().for_each(|idle| tracing::warn!("{idle}"));
     // What was refused or stopped so far leaves nothing behind.
     let run = RunDirectory::create(output)?;
     if !resuming {
@@ -235,6 +241,7 @@ pub fn train_into(
         roll_backs: training.roll_backs().to_vec(),
         sh_degree: training.gaussians().model.sh_degree,
         decisions: training.decisions().to_vec(),
+        warnings: training.idle_losses().to_vec(),
     };
     run.write_json("training.json", &summary)?;
     kept.forget()?;

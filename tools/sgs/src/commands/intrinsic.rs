@@ -10,7 +10,8 @@ use sgs_engine::Device;
 use sgs_engine::graph::dump::html;
 use sgs_scene::Scene;
 use sgs_train::{
-    Decision, Intrinsic, IntrinsicLog, OnDivergence, RollBack, RunDirectory, Settings, TrainError, read_splats,
+    Decision, IdleLoss, Intrinsic, IntrinsicLog, OnDivergence, RollBack, RunDirectory, Settings, TrainError,
+    read_splats,
 };
 use std::io::Write;
 use std::path::Path;
@@ -34,6 +35,9 @@ pub struct IntrinsicSummary {
     /// What was decided about the model, and why.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     decisions: Vec<Decision>,
+    /// Losses that have a weight and did not run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    warnings: Vec<IdleLoss>,
 }
 
 /// A line of `log.jsonl` between those of steps.
@@ -85,6 +89,7 @@ pub fn intrinsic_into(
         true => Intrinsic::within(device, scene, settings, &mut splats)?,
         false => Intrinsic::new(device, scene, settings, &splats)?,
     };
+    training.idle_losses().iter().for_each(|idle| tracing::warn!("{idle}"));
     let run = RunDirectory::create(output)?;
     if resuming {
         training.restore(&run.intrinsic_checkpoint())?;
@@ -127,9 +132,10 @@ pub fn intrinsic_into(
             training.set_timestamps(true)?;
         }
         let rates = training.roll_backs().last().map_or(1.0, |r| r.rates);
+        let runs = training.logged_losses();
         let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
             if r.step.is_multiple_of(10) || r.step == 1 || r.step == steps {
-                let line = serde_json::to_string(&IntrinsicLog { rates, ..IntrinsicLog::from(r) }).unwrap_or_default();
+                let line = serde_json::to_string(&IntrinsicLog::of(r, &runs, rates)).unwrap_or_default();
                 if let Err(e) = writeln!(log, "{line}") {
                     failure.get_or_insert(e);
                 }
@@ -219,6 +225,7 @@ pub fn intrinsic_into(
         device: device.info().name.clone(),
         roll_backs: training.roll_backs().to_vec(),
         decisions: training.decisions().to_vec(),
+        warnings: training.idle_losses().to_vec(),
     };
     run.add_intrinsic_summary(&summary)?;
     kept.forget()?;

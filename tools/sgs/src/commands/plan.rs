@@ -191,6 +191,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             "sh_degree": model.sh_degree,
             "sh_degree_asked": s.geometry.sh_degree,
             "decisions": training.decisions(),
+            "warnings": training.idle_losses(),
             "normals": model.normals,
             "semantics": model.semantics,
             "classes": training.classes(),
@@ -261,6 +262,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         None => "none",
     };
     println!("pseudo      {views} ({})", why("pseudo-views"));
+    for idle in training.idle_losses() {
+        println!("warning     {idle}");
+    }
     println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
     println!(
         "a step      {} passes in {} groups, {} barriers",

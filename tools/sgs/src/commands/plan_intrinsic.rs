@@ -6,7 +6,7 @@ use sgs_engine::{Budget, Device};
 use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::IntrinsicOptions;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Decision, Intrinsic, IntrinsicNeeds, Settings, read_splats};
+use sgs_train::{Decision, IdleLoss, Intrinsic, IntrinsicNeeds, Settings, read_splats};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -21,8 +21,8 @@ pub struct IntrinsicPlan {
     compares: [bool; 2],
     kept: bool,
     interval: u32,
-    /// Whether a network says what albedo is under other lights.
-    asked: bool,
+    /// Losses that have a weight and cannot run.
+    idle: Vec<IdleLoss>,
     needs: IntrinsicNeeds,
     /// What was decided about the model before the first step.
     decisions: Vec<Decision>,
@@ -54,7 +54,7 @@ impl IntrinsicPlan {
             compares: training.compares(),
             kept: training.keeps_surfaces(),
             interval: s.intrinsic.consistency_interval,
-            asked: s.intrinsic.relight.command().is_some(),
+            idle: training.idle_losses().to_vec(),
             needs: *training.needs(),
             graph,
             cost,
@@ -78,8 +78,10 @@ impl IntrinsicPlan {
             "decisions": self.decisions,
             "priors": {"albedo": albedo, "roughness": roughness, "metallic": metallic},
             "cross_view": self.compares[0],
-            "relight": self.compares[1],
-            "relight_asked": self.compares[1] && self.asked,
+            "relight": self.compares[1] && o.relight,
+            "relight_asked": self.compares[1] && o.relight,
+            "own_prior": self.compares[1] && o.own_prior,
+            "warnings": self.idle,
             "surfaces_kept": self.kept,
             "needs": self.needs,
             "needs_bytes": self.needs.total(),
@@ -123,15 +125,15 @@ impl IntrinsicPlan {
         for d in &self.decisions {
             println!("required    {d}");
         }
-        let [cross_view, relight] = self.compares;
+        let [cross_view, lights] = self.compares;
         let every = format!("every {} steps", self.interval);
-        let said = |due: bool| {
-            if due { every.clone() } else { "never: switched off, or regions or priors are missing".into() }
-        };
+        let said = |due: bool| if due { every.as_str() } else { "never" };
         println!("cross view  {} (albedo in pseudo-views)", said(cross_view));
-        let who = if self.asked { "asked of intrinsic.relight.provider" } else { "of its prior" };
-        let who = if relight { format!(", {who}") } else { String::new() };
-        println!("relight     {} (albedo under other lights{who})", said(relight));
+        println!("relight     {} (albedo against intrinsic.relight.provider)", said(lights && o.relight));
+        println!("own prior   {} (albedo of regions against the view's prior)", said(lights && o.own_prior));
+        for idle in &self.idle {
+            println!("warning     {idle}");
+        }
         println!(
             "surfaces    {}",
             if self.kept { "kept for all training views" } else { "worked out anew in each step: memory is short" }

@@ -2,7 +2,7 @@
 
 use super::variant::any;
 use crate::error::Result;
-use crate::settings::{IntrinsicSettings, MaterialStart, Settings, VisibilityKind};
+use crate::settings::{IntrinsicSettings, MaterialStart, OwnPrior, Settings, VisibilityKind};
 use sgs_scene::Scene;
 
 /// What a variant does differently.
@@ -20,8 +20,10 @@ pub(super) enum Change {
     Visibility,
     /// Albedo is not compared between views.
     CrossView,
-    /// Nor under other lights.
+    /// Nor with estimates under other lights.
     Relight,
+    /// Nor with the views' own priors, in regions.
+    OwnPrior,
     /// What networks say of materials is not asked for, but where they begin.
     Priors,
 }
@@ -29,6 +31,7 @@ pub(super) enum Change {
 impl Change {
     /// Makes it.
     pub fn apply(self, s: &mut IntrinsicSettings) {
+        let own_prior = s.own_prior_weight();
         let l = &mut s.losses;
         match self {
             Change::Nothing => {}
@@ -43,7 +46,8 @@ impl Change {
             Change::Environment => s.environment.enabled = false,
             Change::Visibility => s.visibility.kind = VisibilityKind::None,
             Change::CrossView => l.cross_view = 0.0,
-            Change::Relight => l.relight = 0.0,
+            Change::Relight => (l.relight, l.own_prior) = (0.0, OwnPrior::Weight(own_prior)),
+            Change::OwnPrior => l.own_prior = OwnPrior::Weight(0.0),
             Change::Priors => (l.albedo, l.roughness, l.metallic) = (0.0, 0.0, 0.0),
         }
     }
@@ -65,8 +69,12 @@ impl Change {
         let metallic = || any(scene, |view| Ok(scene.metallic_prior(view)?.is_some()));
         match self {
             Change::CrossView => Ok(late("intrinsic.cross_view_from", s.cross_view_from)),
-            Change::Relight if s.relight.command().is_none() && !albedo()? => said("the scene has no priors/albedo"),
-            Change::Relight => Ok(late("intrinsic.relight_from", s.relight_from)),
+            Change::Relight if s.relight.command().is_none() => {
+                said("no provider of materials is asked (intrinsic.relight.provider)")
+            }
+            Change::OwnPrior if s.own_prior_weight() == 0.0 => said("the settings leave it out anyway"),
+            Change::OwnPrior if !albedo()? => said("the scene has no priors/albedo"),
+            Change::Relight | Change::OwnPrior => Ok(late("intrinsic.relight_from", s.relight_from)),
             Change::GrayStart | Change::Priors if !(albedo()? || roughness()? || metallic()?) => {
                 said("the scene has no priors of materials")
             }

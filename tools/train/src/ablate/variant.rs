@@ -64,7 +64,7 @@ const fn materials(name: &'static str, about: &'static str, change: Change) -> V
     Variant { name, about, run: name, kind: Kind::Materials(change) }
 }
 
-const ALL: [Variant; 17] = [
+const ALL: [Variant; 18] = [
     geometry("rgb", "photographs alone", &[]),
     geometry("depth", "and depth smoothness and variance", &[Part::Depth]),
     geometry("normal", "and priors of normals", &[Part::Depth, Part::Normals]),
@@ -80,7 +80,8 @@ const ALL: [Variant; 17] = [
     materials("no_environment", "without light of the surroundings", Change::Environment),
     materials("no_visibility", "without shadows", Change::Visibility),
     materials("no_cross_view", "albedo not compared between views", Change::CrossView),
-    materials("no_relight", "albedo not compared under other lights", Change::Relight),
+    materials("no_relight", "albedo not compared with estimates under other lights", Change::Relight),
+    materials("no_own_prior", "albedo of regions not compared with the views' own priors", Change::OwnPrior),
     materials("no_priors", "without what networks say of materials", Change::Priors),
 ];
 
@@ -274,7 +275,7 @@ mod tests {
         assert_eq!(Variant::named(Scope::Geometry, &[]).unwrap(), ALL[..9]);
         assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[9..]);
         let whole = Variant::named(Scope::Whole, &[]).unwrap();
-        assert!(whole.len() == 16 && whole.iter().all(|v| v.name != "full"));
+        assert!(whole.len() == 17 && whole.iter().all(|v| v.name != "full"));
         let error = Variant::named(Scope::Geometry, &names(&["magic"])).unwrap_err().to_string();
         assert!(
             error.starts_with(

@@ -1,6 +1,8 @@
 //! What was decided about the model: what, when, and by what measure. `training.json` holds all of it.
 
+use super::Geometry;
 use crate::error::{Result, TrainError};
+use crate::idle::IdleLoss;
 use crate::settings::{DensifyStatistic, GeometrySettings, Settings};
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +45,7 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         match (g.correspondence, g.losses.correspondence > 0.0, found[2]) {
             (false, ..) => "switched off".to_owned(),
             (_, false, _) => "its loss weighs nothing".to_owned(),
-            (.., false) => "nothing says what a region is".to_owned(),
+            (.., false) => "there are no regions".to_owned(),
             (.., true) => format!("regions are compared from step {} on", g.correspondence_from),
         }
     };
@@ -101,5 +103,17 @@ impl std::fmt::Display for Decision {
             0 => write!(f, "{} {kept}: {} ({})", self.what, self.reason, self.setting),
             step => write!(f, "{} {kept} after step {step}: {} ({})", self.what, self.reason, self.setting),
         }
+    }
+}
+
+impl Geometry {
+    /// Losses whose weight is not zero and that cannot run.
+    pub fn idle_losses(&self) -> &[IdleLoss] {
+        &self.idle
+    }
+
+    /// What was decided about the model so far.
+    pub fn decisions(&self) -> &[Decision] {
+        &self.decisions
     }
 }

@@ -24,6 +24,7 @@ use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::head::SemanticHead;
 use crate::limits;
+use crate::idle::{self, FoundForGeometry, IdleLoss};
 use crate::memory::{Needs, allowed};
 use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
@@ -106,6 +107,8 @@ pub struct Geometry {
     bands: Option<Bands>,
     /// What was decided about the model.
     decisions: Vec<Decision>,
+    /// Losses that cannot run.
+    idle: Vec<IdleLoss>,
     /// Sizes of what is trained on.
     inputs: InputSizes,
     /// Bytes that training may take, all in, and whether that was promised.
@@ -256,6 +259,7 @@ impl Geometry {
             roll_backs: Vec::new(),
             bands: (g.sh_degree == ShDegree::Auto).then(Bands::default),
             decisions: Vec::new(),
+            idle: Vec::new(),
             inputs,
             allowed: may,
             promised,
@@ -263,6 +267,8 @@ impl Geometry {
         };
         let found = [model.normals, model.semantics, training.correspondence.is_some()];
         training.decisions = decision::given(&training.settings, found);
+        let [normals, semantics, regions] = found;
+        training.idle = idle::of_geometry(&training.settings, FoundForGeometry { normals, semantics, regions });
         training.rebuild()?;
         Ok(training)
     }
@@ -433,11 +439,6 @@ impl Geometry {
             self.watch.restart(step);
         }
         Ok(())
-    }
-
-    /// What was decided about the model so far.
-    pub fn decisions(&self) -> &[Decision] {
-        &self.decisions
     }
 
     fn decide(&mut self, decision: Decision, heard: &mut impl FnMut(&Progress)) {

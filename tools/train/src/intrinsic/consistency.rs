@@ -21,7 +21,7 @@ pub(super) enum StepKind {
     Plain,
     /// Compares albedo with pseudo-views.
     CrossView,
-    /// Compares albedo under other lights.
+    /// Compares albedo with estimates under other lights, or with the view's own prior.
     Relight,
 }
 
@@ -31,14 +31,20 @@ impl StepKind {
 
     /// The options of such a step, of those that all kinds share.
     pub fn options(self, o: &IntrinsicOptions) -> IntrinsicOptions {
-        IntrinsicOptions { cross_view: self == StepKind::CrossView, relight: self == StepKind::Relight, ..*o }
+        let relight = self == StepKind::Relight;
+        IntrinsicOptions {
+            cross_view: self == StepKind::CrossView,
+            relight: relight && o.relight,
+            own_prior: relight && o.own_prior,
+            ..*o
+        }
     }
 
     /// What a step is due, as the settings have it.
     pub fn of(s: &IntrinsicSettings, step: u32) -> StepKind {
         match step % s.consistency_interval {
             0 if s.losses.cross_view > 0.0 && step >= s.cross_view_from => StepKind::CrossView,
-            1 if s.losses.relight > 0.0 && step >= s.relight_from => StepKind::Relight,
+            1 if s.relight_weight() + s.own_prior_weight() > 0.0 && step >= s.relight_from => StepKind::Relight,
             _ => StepKind::Plain,
         }
     }

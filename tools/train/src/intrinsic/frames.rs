@@ -47,7 +47,10 @@ impl Intrinsic {
         consistency.fill(self.required.seed, view, values);
         let there = !consistency.asks() || self.ask_masks(&mut consistency, kind, view, values)?;
         self.consistency = there.then_some(consistency);
-        Ok(there && (kind != StepKind::Relight || self.estimated(view, values)?))
+        if there && kind == StepKind::Relight {
+            self.estimated(view, values)?;
+        }
+        Ok(there && (kind != StepKind::Relight || self.options.relight || self.options.own_prior))
     }
 
     /// Shows a provider of masks the frames of a step, shaded as they are before it.

@@ -13,7 +13,7 @@ fn of(what: &str, on: bool, reason: String, setting: &str) -> Decision {
     Decision { step: 0, what, on, reason, measured: None, asked: None, setting }
 }
 
-/// Adds what nothing was measured for. `told`: whether there are priors of metallic; `regions`: whether something says what a region is;
+/// Adds what nothing was measured for. `told`: whether there are priors of metallic; `regions`: whether there are regions;
 /// `kinds`: which kinds of steps there will be.
 pub(super) fn add(
     decisions: &mut Vec<Decision>,
@@ -37,7 +37,7 @@ pub(super) fn add(
             (true, ..) => format!("once in {} steps from step {from} on", s.consistency_interval),
             (_, false, _) => "its loss weighs nothing".to_owned(),
             _ if from > s.steps => format!("there is none before step {from}, and training ends at {}", s.steps),
-            (.., false) => "nothing says what a region is".to_owned(),
+            (.., false) => "there are no regions".to_owned(),
             (.., true) => else_missing.to_owned(),
         };
         (on, reason)
@@ -45,8 +45,9 @@ pub(super) fn add(
     let none = "there is no step for it";
     let (on, reason) = compared(StepKind::CrossView, s.losses.cross_view, s.cross_view_from, none);
     decisions.push(of("albedo between views", on, reason, "intrinsic.losses.cross_view"));
-    let none = "nothing says what albedo is: there are no priors, and no provider";
-    let (on, reason) = compared(StepKind::Relight, s.losses.relight, s.relight_from, none);
+    let none = "there are neither albedo priors nor a provider";
+    let weight = s.relight_weight() + s.own_prior_weight();
+    let (on, reason) = compared(StepKind::Relight, weight, s.relight_from, none);
     decisions.push(of("albedo under other lights", on, reason, "intrinsic.losses.relight"));
 }
 
@@ -120,7 +121,7 @@ mod tests {
             panic!("three are said")
         };
         assert!(metallic.contains("left out: switched off") && cross.contains("weighs nothing"), "{metallic} {cross}");
-        assert!(relight.contains("nothing says what a region is"), "{relight}");
+        assert!(relight.contains("there are no regions"), "{relight}");
         // What was measured already is not said again.
         let mut all = vec![of("metallic", false, "measured".into(), "intrinsic.automatic.metallic")];
         add(&mut all, &s, true, true, [true; 3]);

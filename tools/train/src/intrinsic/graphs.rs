@@ -12,11 +12,7 @@ impl Intrinsic {
     pub(super) fn kind(&self, step: u32) -> StepKind {
         match StepKind::of(&self.required.intrinsic, step) {
             _ if self.consistency.is_none() => StepKind::Plain,
-            StepKind::Relight => match self.required.intrinsic.relight.command() {
-                Some(_) if self.relit.is_some() => StepKind::Relight,
-                None if self.priors.albedo.is_some() => StepKind::Relight,
-                _ => StepKind::Plain,
-            },
+            StepKind::Relight if !self.options.relight && !self.options.own_prior => StepKind::Plain,
             kind => kind,
         }
     }

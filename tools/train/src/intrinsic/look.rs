@@ -62,7 +62,7 @@ impl Intrinsic {
     pub(super) fn look(&mut self, until: u32, heard: &mut impl FnMut(&IntrinsicReport)) -> Result<()> {
         while self.done < until {
             let step = self.done + 1;
-            let report = self.status.report(step)?;
+            let mut report = self.status.report(step)?;
             if report.step != step {
                 return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
             }
@@ -70,6 +70,14 @@ impl Intrinsic {
             if losses.iter().any(|l| !l.is_finite()) {
                 return Err(self.diverged(step, &format!("the losses are {losses:?}"))?);
             }
+            let m = &report.materials;
+            let seen = [(m.cross_pairs, m.cross_view), (m.relight_count, m.relight), (m.own_count, m.own_prior)];
+            for (recent, (count, value)) in self.recent.iter_mut().zip(seen) {
+                if count > 0 {
+                    *recent = value;
+                }
+            }
+            [report.recent_cross_view, report.recent_relight, report.recent_own_prior] = self.recent;
             self.done = step;
             heard(&report);
             if let Some(reason) = self.judge(&report) {

@@ -21,6 +21,7 @@ mod seldom;
 mod start;
 mod state;
 mod surfaces;
+mod train;
 mod values;
 
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
@@ -36,6 +37,7 @@ use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::geometry::Decision;
 use crate::limits;
+use crate::idle::{self, FoundForMaterials, IdleLoss};
 use crate::memory::{allowed, uniform_bytes};
 use crate::relight::materials::{in_range, span};
 use crate::schedule::Schedule;
@@ -44,14 +46,13 @@ use crate::shadows::{Rays, traced};
 use automatic::{Automatic, Found, required, tables};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
-use graphs::gone;
 use needs::Sizes;
 use relit::Relit;
 use seldom::Seldom;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
-    COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicReport, IntrinsicSizes,
-    IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder,
+    COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes, IntrinsicStatus,
+    IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::ALBEDO_RANGE;
@@ -85,6 +86,10 @@ pub struct Intrinsic {
     automatic: Option<Automatic>,
     /// What was decided about the model.
     decisions: Vec<Decision>,
+    /// Losses that cannot run.
+    idle: Vec<IdleLoss>,
+    /// Of the last steps that compared with pseudo-views, with estimates under other lights, and with own priors; below 0 before.
+    recent: [f32; 3],
     schedule: Schedule,
     data: TrainingData,
     priors: Priors,
@@ -205,6 +210,7 @@ impl Intrinsic {
         };
         let settings = &Settings { intrinsic: of, ..settings.clone() };
         let s = &settings.intrinsic;
+        let any_metallic = told.is_some();
         let told = told.filter(|_| s.metallic != Metallic::Off);
         let metallic = match s.metallic {
             Metallic::Auto => told.is_some(),
@@ -235,7 +241,7 @@ impl Intrinsic {
         };
         let (traced, shape) = traced.unzip();
         let r = &s.rates;
-        let options = IntrinsicOptions {
+        let mut options = IntrinsicOptions {
             shape: builder.shape(),
             albedo_range: span(s.albedo_range),
             metallic,
@@ -252,6 +258,7 @@ impl Intrinsic {
             masks: consistency.as_ref().map_or(Masks::Carried, |c| c.regions().masks()),
             cross_view: false,
             relight: false,
+            own_prior: s.own_prior_weight() > 0.0 && albedo.is_some(),
             relight_roughness: s.relight.roughness,
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
@@ -273,7 +280,7 @@ impl Intrinsic {
         };
         // Nothing is asked where nothing would be compared.
         let due = (1..=s.steps).any(|step| StepKind::of(s, step) == StepKind::Relight);
-        let command = s.relight.command().filter(|_| due && consistency.is_some());
+        let command = s.relight.command().filter(|_| s.losses.relight > 0.0 && due && consistency.is_some());
         let relit = match command {
             Some(command) => {
                 let helper = if asks { Relit::helper(settings, command)? } else { None };
@@ -284,6 +291,7 @@ impl Intrinsic {
             }
             None => None,
         };
+        options.relight = relit.is_some();
         let sizes = Sizes {
             inputs: IntrinsicSizes {
                 targets: packed.image_bytes(),
@@ -304,12 +312,17 @@ impl Intrinsic {
             // Beside the parameters Gaussians have their count.
             surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
             kinds: StepKind::ALL.map(|kind| {
-                let estimated = if command.is_some() { relit.is_some() } else { albedo.is_some() };
-                let can = consistency.is_some() && (kind != StepKind::Relight || estimated);
+                let can = consistency.is_some() && (kind != StepKind::Relight || options.relight || options.own_prior);
                 kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)
             }),
         };
         given::add(&mut decisions, s, told.is_some(), consistency.is_some(), sizes.kinds);
+        let found = FoundForMaterials {
+            priors: [albedo.is_some(), roughness.is_some(), any_metallic],
+            regions: consistency.is_some(),
+            estimates: relit.is_some(),
+        };
+        let idle = idle::of_materials(settings, found);
         // Surfaces of all views are kept where that fits beside everything else.
         let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
@@ -410,6 +423,8 @@ impl Intrinsic {
             required: settings.clone(),
             automatic,
             decisions,
+            idle,
+            recent: [-1.0; 3],
             schedule,
             data,
             priors,
@@ -464,52 +479,5 @@ impl Intrinsic {
     /// How many splats.
     pub fn gaussians(&self) -> usize {
         self.splats.len()
-    }
-
-    /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
-    ///
-    /// # Errors
-    /// If the device fails or training diverges.
-    pub fn train(
-        &mut self,
-        last: u32,
-        mut heard: impl FnMut(&IntrinsicReport),
-        mut go_on: impl FnMut() -> bool,
-    ) -> Result<()> {
-        while self.submitted < last && go_on() {
-            let step = self.submitted + 1;
-            let view = self.schedule.view(step);
-            let mut kind = self.kind(step);
-            let mut values = self.values(step, view);
-            if kind != StepKind::Plain && !self.choose(kind, view, &mut values)? {
-                kind = StepKind::Plain;
-            }
-            let pseudo = kind == StepKind::CrossView;
-            // Graphs order their own replays, not each other's.
-            let another = step > 1 && self.kind(step - 1) != kind;
-            if another || self.surfaces.waits(pseudo) {
-                self.finish()?;
-            }
-            self.make(kind)?;
-            let Some(exec) = &mut self.execs[kind as usize] else { return Err(gone()) };
-            self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
-            self.submitted = step;
-            self.move_environment(step)?;
-            if self.remembers(step) {
-                self.finish()?;
-                self.remember(step)?;
-            }
-            // Each graph has replays of its own in flight: only what all have waited for is surely done.
-            let decides = self.decides_after(step);
-            if step.is_multiple_of(LOOK) || decides {
-                self.finish()?;
-                self.look(step, &mut heard)?;
-            }
-            if decides {
-                self.decide(step)?;
-            }
-        }
-        self.finish()?;
-        self.look(self.submitted, &mut heard)
     }
 }

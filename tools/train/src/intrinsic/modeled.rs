@@ -4,6 +4,8 @@ use super::consistency::StepKind;
 use super::graphs::gone;
 use super::{Intrinsic, IntrinsicNeeds};
 use crate::error::Result;
+use crate::idle::IdleLoss;
+use crate::run::LoggedLosses;
 use crate::settings::IntrinsicSettings;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::cost::{Cost, Counts, of_plan};
@@ -34,6 +36,31 @@ impl Intrinsic {
     pub fn priors(&self) -> [bool; 3] {
         let p = &self.priors;
         [p.albedo.is_some(), p.roughness.is_some(), p.metallic.is_some()]
+    }
+
+    /// Losses whose weight is not zero and that cannot run.
+    pub fn idle_losses(&self) -> &[IdleLoss] {
+        &self.idle
+    }
+
+    /// Losses that steps log as the model is now.
+    pub fn logged_losses(&self) -> LoggedLosses {
+        let (s, o) = (&self.required.intrinsic, &self.options);
+        let [albedo, roughness, metallic] = self.priors();
+        let l = &s.losses;
+        LoggedLosses {
+            albedo,
+            roughness,
+            metallic: metallic && o.metallic,
+            albedo_gradients: albedo && o.gradients,
+            roughness_gradients: albedo && roughness && o.gradients,
+            albedo_smooth: l.albedo_smooth > 0.0,
+            roughness_smooth: l.roughness_smooth > 0.0,
+            environment_smooth: self.environment.is_some() && l.environment_smooth > 0.0,
+            light_position: o.lights.is_some() && l.light_position > 0.0,
+            light_value: o.lights.is_some() && l.light_value > 0.0,
+            visibility_jitter: if self.parameters.visibility.is_some() { l.visibility_jitter } else { 0.0 },
+        }
     }
 
     /// Whether what views see of the geometry is kept for all of them.

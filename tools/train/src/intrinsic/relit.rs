@@ -189,20 +189,24 @@ impl Relit {
 }
 
 impl Intrinsic {
-    /// Asks what a view is made of under other lights, if that is due. False if there is nobody to ask any more.
-    pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<bool> {
+    /// Asks what a view is made of under other lights, if that is due. L_relight ends where there is nobody to ask any more.
+    pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<()> {
         let step = values.shaded.step;
-        let Some(relit) = &self.relit else { return Ok(self.required.intrinsic.relight.command().is_none()) };
+        let Some(relit) = &self.relit else { return Ok(()) };
         // Without a region there is nothing to compare.
         if values.shaded.region == 0 || !relit.is_due(view, step) {
-            return Ok(true);
+            return Ok(());
         }
         self.finish()?;
         let images = self.relit_images(view, values)?;
-        let Some(mut relit) = self.relit.take() else { return Ok(false) };
-        let answered = relit.ask(&self.device, view, step, &images)?;
-        self.relit = answered.then_some(relit);
-        Ok(answered)
+        let Some(mut relit) = self.relit.take() else { return Ok(()) };
+        if relit.ask(&self.device, view, step, &images)? {
+            self.relit = Some(relit);
+        } else {
+            self.options.relight = false;
+            self.execs[StepKind::Relight as usize] = None;
+        }
+        Ok(())
     }
 
     /// A training view under the perturbed lights of a step: linear images. Renders them once a step.

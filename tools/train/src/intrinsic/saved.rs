@@ -40,6 +40,9 @@ pub(super) const PACE: &str = "pace";
 /// The error of shaded pictures when they were last looked at.
 pub(super) const LAST: &str = "last_look";
 
+/// Losses that not each step has, as they were last: pseudo-views, other lights, own priors, smoothness of the environment.
+pub(super) const RECENT: &str = "recent_losses";
+
 /// How many lobes lights have, where that may be decided.
 pub(super) const LOBES: &str = "lobes";
 

@@ -2,7 +2,8 @@
 
 use super::automatic::Remembered;
 use super::saved::{
-    ASKED_AT, BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, PACE, Saved, TEXELS,
+    ASKED_AT, BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, PACE, RECENT, Saved,
+    TEXELS,
 };
 use super::{Intrinsic, LightFile, write_lights};
 use crate::checkpoint::Course;
@@ -33,6 +34,7 @@ struct Values {
     gathered: Option<Vec<f32>>,
     before: Vec<Remembered>,
     estimates: Option<(Vec<Vec<u32>>, Vec<u32>)>,
+    recent: [f32; 4],
 }
 
 impl Intrinsic {
@@ -48,6 +50,8 @@ impl Intrinsic {
         }
         let gains = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
         values.push((GAINS.to_owned(), gains));
+        let smoothness = self.status.smoothness(&self.device)?;
+        values.push((RECENT.to_owned(), [&self.recent[..], &[smoothness]].concat()));
         if let Some(field) = &self.parameters.visibility {
             let [tables, mlp] = field.download(&self.device)?;
             let [table_moments, mlp_moments] = field.download_moments(&self.device)?;
@@ -117,6 +121,8 @@ impl Intrinsic {
         }
         // But for what has been decided, everything is read before anything is changed.
         let values = self.values_of(&saved)?;
+        let [cross_view, relight, own_prior, smoothness] = values.recent;
+        self.recent = [cross_view, relight, own_prior];
         self.put(values)?;
         if let Some(a) = &mut self.automatic {
             a.last = saved.last;
@@ -126,6 +132,7 @@ impl Intrinsic {
         self.watch.restore(&saved.course.watch);
         // What is counted on the device counts from the start again; graphs are made when they are due.
         self.status = IntrinsicStatus::new(&self.device)?;
+        self.status.set_smoothness(&self.device, smoothness)?;
         self.set_rates(HALF.powi(saved.course.roll_backs.len() as i32));
         self.roll_backs = saved.course.roll_backs;
         self.keep_environment()
@@ -202,7 +209,11 @@ impl Intrinsic {
             _ => None,
         };
         let gains = saved.floats(GAINS, self.light_model.lights as usize)?;
-        Ok(Values { parameters, gains, field, gathered, before, estimates })
+        let recent = match saved.has(RECENT) {
+            true => <[f32; 4]>::try_from(saved.floats(RECENT, 4)?).unwrap_or([-1.0; 4]),
+            false => [-1.0, -1.0, -1.0, 0.0],
+        };
+        Ok(Values { parameters, gains, field, gathered, before, estimates, recent })
     }
 
     /// Brings to the device what a checkpoint holds.

@@ -23,7 +23,8 @@ impl Intrinsic {
                 albedo_edge: s.losses.albedo_smooth,
                 roughness_edge: s.losses.roughness_smooth,
                 cross_view: s.losses.cross_view,
-                relight: s.losses.relight,
+                relight: s.relight_weight(),
+                own_prior: s.own_prior_weight(),
             },
             field: self.field_step(&whole),
             ..Default::default()

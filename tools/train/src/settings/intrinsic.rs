@@ -1,6 +1,6 @@
 //! Settings of the intrinsic stage, with the defaults of SGS-Intrinsic, stage II.
 
-use super::AutomaticSettings;
+use super::{AutomaticSettings, OwnPrior};
 use crate::error::TrainError;
 use serde::{Deserialize, Serialize};
 use sgs_passes::shade::visibility::FieldConfig;
@@ -42,7 +42,7 @@ pub struct IntrinsicSettings {
     pub cross_view_from: u32,
     /// The first step that compares albedo under other lights.
     pub relight_from: u32,
-    /// Who says what albedo is under other lights.
+    /// Who estimates albedo under other lights.
     pub relight: RelightSettings,
     /// Most bytes for what views see of the geometry; beyond that it is worked out anew in each step. 0 for what fits.
     pub surface_bytes: u64,
@@ -76,12 +76,12 @@ impl Default for IntrinsicSettings {
     }
 }
 
-/// Who says what materials are under other lights.
+/// Who estimates materials under other lights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RelightSettings {
-    /// `own`: the prior of the view, which says the same under any light. Anything else is the command line of a provider of
-    /// materials: it is shown the view under perturbed lights.
+    /// Command line of a provider of materials, which is shown the view under perturbed lights. `own`: none is asked, and
+    /// L_relight does not run.
     pub provider: String,
     /// What it has said of a view serves for so many steps. 1 asks each time, as published.
     pub every: u32,
@@ -313,8 +313,12 @@ pub struct IntrinsicLosses {
     pub visibility_jitter: f32,
     /// Albedo of a region in other views.
     pub cross_view: f32,
-    /// Albedo under other lights.
+    /// L_relight: albedo of a region against what a provider of materials estimates under perturbed lights. Needs
+    /// `relight.provider`.
     pub relight: f32,
+    /// Albedo of a region against the view's own prior, in the steps of `relight`; not in the paper. "auto": the weight of
+    /// `relight` where no provider is asked, else 0.
+    pub own_prior: OwnPrior,
 }
 
 impl Default for IntrinsicLosses {
@@ -334,11 +338,26 @@ impl Default for IntrinsicLosses {
             visibility_jitter: 0.4,
             cross_view: 0.4,
             relight: 0.4,
+            own_prior: OwnPrior::Auto,
         }
     }
 }
 
 impl IntrinsicSettings {
+    /// The weight of L_relight, 0 where no provider of materials is asked.
+    pub fn relight_weight(&self) -> f32 {
+        if self.relight.command().is_some() { self.losses.relight } else { 0.0 }
+    }
+
+    /// The weight of comparing albedo with the view's own prior.
+    pub fn own_prior_weight(&self) -> f32 {
+        match self.losses.own_prior {
+            OwnPrior::Weight(weight) => weight,
+            OwnPrior::Auto if self.relight.command().is_none() => self.losses.relight,
+            OwnPrior::Auto => 0.0,
+        }
+    }
+
     /// Checks what types cannot.
     pub(super) fn check(&self, table: &toml::Table) -> crate::Result<()> {
         if let Some((name, value)) = wrong_number("intrinsic", table) {

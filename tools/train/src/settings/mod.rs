@@ -8,6 +8,7 @@ mod intrinsic;
 mod memory;
 mod names;
 mod noise;
+mod own_prior;
 mod presets;
 mod provider;
 mod train;
@@ -23,6 +24,7 @@ pub use intrinsic::{
 pub use memory::MemorySettings;
 pub(crate) use names::{distance, one_line};
 pub use noise::NoiseSettings;
+pub use own_prior::OwnPrior;
 pub use presets::{PRESETS, Preset, overlay};
 pub use provider::ProviderSettings;
 pub use train::{OnDivergence, TrainSettings};

@@ -8,7 +8,13 @@ pub(crate) fn one_line(message: &str) -> String {
 }
 
 /// Settings that are a number or this word.
-const OR_WORD: [(&str, &str, &str); 1] = [("geometry.sh_degree", super::degree::AUTO, "0 to 3")];
+const OR_WORD: [(&str, &str, &str); 2] = [
+    ("geometry.sh_degree", super::degree::AUTO, "0 to 3"),
+    (OWN_PRIOR, super::own_prior::AUTO, "a number of at least 0"),
+];
+
+/// The one of these that may be a fraction.
+const OWN_PRIOR: &str = "intrinsic.losses.own_prior";
 
 /// Every key of `given` must be known, with a value of the same kind.
 pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, all: &toml::Table) -> crate::Result<()> {
@@ -30,6 +36,7 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
             match value {
                 Integer(n) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),
                 Integer(_) => continue,
+                Float(f) if name == OWN_PRIOR && f.is_finite() && *f >= 0.0 => continue,
                 toml::Value::String(s) if s == word => continue,
                 _ => return fail(format!("{name} is {value}, but must be {numbers} or \"{word}\".")),
             }
