@@ -156,7 +156,7 @@ fn losses_add_up_and_are_the_same_every_time() {
     let gpu = Gpu::new();
     let views: Vec<Painted> =
         [[97, 61], [60, 40], [33, 80]].iter().enumerate().map(|(k, &s)| Painted::new(s, 80 + k as u32)).collect();
-    let asked = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true };
+    let asked = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: false };
     let first = check(&gpu, &views, asked);
     let again = run(&gpu, Tuning { subgroup_size: 64, ..gpu.tuning() }, &views, asked);
     let bits = |f: &Found| -> Vec<u32> { f.albedo.iter().flatten().chain(&f.roughness).map(|g| g.to_bits()).collect() };
@@ -204,7 +204,7 @@ fn gradients_are_finite_differences_of_the_reference() {
 #[test]
 fn checks_can_fail() {
     let views = [Painted::new([41, 27], 7), Painted::new([30, 30], 8)];
-    let asked = Asked { edge: true, msg: true, roughness: true, masked: true, estimates: 1, cross: true };
+    let asked = Asked { edge: true, msg: true, roughness: true, masked: true, estimates: 1, cross: true, own: false };
     let exact = expected(&views, asked);
     let differs = |views: &[Painted], factor: f64| {
         let e = expected(views, asked);
