@@ -78,6 +78,8 @@ fn of_train(error: &TrainError) -> Option<Kind> {
         TrainError::Scene(error) => of_scene(error),
         TrainError::Setting(_) => Some(Kind::Usage),
         TrainError::Memory(_) => Some(Kind::OutOfMemory),
+        // No later try has another device's limits.
+        TrainError::Limit(_) => Some(Kind::Input),
         TrainError::Locked { .. } => Some(Kind::Locked),
         TrainError::Diverged { .. } => Some(Kind::Diverged),
         _ => None,
@@ -207,6 +209,7 @@ mod tests {
             (SceneError::NotAScene { path: "a".into(), problem: "is empty".into() }.into(), 42),
             (TrainError::from(sgs_engine::Error::DeviceLost("a call".into())).into(), 75),
             (TrainError::Memory("too much".into()).into(), 75),
+            (TrainError::Limit("too large".into()).into(), 42),
             (failure(Kind::Interrupted, "stopped"), 130),
         ];
         for (error, status) in kinds {
