@@ -40,8 +40,8 @@ fn arguments(place: &Place, command: &[&str], more: &[&str]) -> Vec<String> {
 /// The last line of the intrinsic stage.
 fn last(place: &Place) -> Value {
     let text = String::from_utf8(place.read("run/log.jsonl")).unwrap();
-    let lines = text.lines().map(|l| serde_json::from_str::<Value>(l).unwrap());
-    lines.filter(|l| l["stage"] == "intrinsic" && l.get("decision").is_none()).last().unwrap()
+    let mut lines = text.lines().map(|l| serde_json::from_str::<Value>(l).unwrap());
+    lines.rfind(|l| l["stage"] == "intrinsic" && l.get("decision").is_none()).unwrap()
 }
 
 fn keys(line: &Value) -> BTreeSet<&str> {

@@ -265,9 +265,11 @@ prop_compose! {
         flat in 0.0..1.0_f64,
         [edge, msg, roughness, masked, cross] in [any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>()],
         estimates in 0..3_usize,
+        own in any::<bool>(),
         seed in 0..1_000_000_u32,
     ) -> Materials {
-        let asked = Asked { edge: edge || (!msg && !cross && estimates == 0), msg, roughness, masked, estimates, cross };
+        let none = !msg && !cross && !own && estimates == 0;
+        let asked = Asked { edge: edge || none, msg, roughness, masked, estimates, cross, own };
         Materials { sizes, off, flat, asked, seed }
     }
 }
@@ -352,7 +354,7 @@ fn checks_of_losses_can_fail() {
         length: [-1.0, 0.0],
         seed: 3,
     };
-    let all = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true };
+    let all = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: true };
     let painted = Materials { sizes: vec![[20, 30], [17, 9]], off: [-2.0, 0.0], flat: 0.2, asked: all, seed: 4 };
     assert!(
         check_materials(&gpu, &painted, 1.0, &compared).is_ok()
