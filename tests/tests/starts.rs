@@ -78,7 +78,7 @@ fn images_and_priors_that_do_not_suffice_are_warned_of() {
     write_png(&image, &cut).unwrap();
     let said = train(&place, &[]).ok().stderr;
     assert!(said.contains("000.png is transparent in 25 % of its pixels"), "{said}");
-    assert!(!said.contains("priors") && !said.contains('\u{1b}') && !said.contains("sgs::"), "{said}");
+    assert!(!said.contains("no priors of") && !said.contains('\u{1b}') && !said.contains("sgs::"), "{said}");
     let said = sgs(&["plan", &place.text("scene"), "--stage", "all"]).ok().stderr;
     assert!(said.contains("no priors of normals or materials") && said.contains("docs/PRIORS.md"), "{said}");
     // An evaluation starts from nothing.

@@ -21,9 +21,38 @@ pub struct IdleLoss {
     pub remedy: String,
 }
 
-impl std::fmt::Display for IdleLoss {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} does not run: {}; {}, or set {} = 0", self.loss, self.missing, self.remedy, self.setting)
+impl IdleLoss {
+    /// Warnings, a sentence for all losses of a stage that lack the same.
+    pub fn warnings(all: &[IdleLoss]) -> Vec<String> {
+        let mut groups: Vec<Vec<&IdleLoss>> = Vec::new();
+        for idle in all {
+            let same = |other: &IdleLoss| {
+                (other.stage, &other.missing, &other.remedy) == (idle.stage, &idle.missing, &idle.remedy)
+            };
+            match groups.iter_mut().find(|group| same(group[0])) {
+                Some(group) => group.push(idle),
+                None => groups.push(vec![idle]),
+            }
+        }
+        let sentence = |group: Vec<&IdleLoss>| {
+            let names = listed(&group.iter().map(|idle| idle.loss).collect::<Vec<_>>());
+            let settings = listed(&group.iter().map(|idle| idle.setting).collect::<Vec<_>>());
+            let (missing, remedy) = (&group[0].missing, &group[0].remedy);
+            match group.len() {
+                1 => format!("{names} does not run: {missing}; {remedy}, or set {settings} = 0"),
+                _ => format!("{names} do not run: {missing}; {remedy}, or set {settings} to 0"),
+            }
+        };
+        groups.into_iter().map(sentence).collect()
+    }
+}
+
+/// Words as a list in a sentence.
+fn listed(words: &[&str]) -> String {
+    match words {
+        [] => String::new(),
+        [one] => (*one).to_owned(),
+        [first @ .., last] => format!("{} and {last}", first.join(", ")),
     }
 }
 
@@ -178,13 +207,18 @@ mod tests {
         let idle = of_geometry(&s, none);
         assert_eq!(names(&idle), ["normal", "normal_smooth", "semantic", "semantic_class", "correspondence"]);
         assert_eq!(
-            idle[0].to_string(),
-            "L_normal does not run: the scene has no normal priors; add priors/normal (sgs priors), or set \
-             geometry.losses.normal = 0"
+            IdleLoss::warnings(&idle),
+            [
+                "L_normal and normal smoothness do not run: the scene has no normal priors; add priors/normal (sgs priors), or set \
+                 geometry.losses.normal and geometry.losses.normal_smooth to 0",
+                "L_semantic (features), L_semantic (classes) and L_corresponding do not run: the scene has no semantic priors; add \
+                 priors/semantic (sgs priors), or set geometry.losses.semantic, geometry.losses.semantic_class and \
+                 geometry.losses.correspondence to 0",
+            ]
         );
         let all = FoundForGeometry { normals: true, semantics: true, regions: true };
         assert_eq!(of_geometry(&s, all), []);
-        let text = |s: &Settings| of_geometry(s, FoundForGeometry { regions: false, ..all })[0].to_string();
+        let text = |s: &Settings| IdleLoss::warnings(&of_geometry(s, FoundForGeometry { regions: false, ..all })).remove(0);
         assert!(text(&s).contains("no regions; add priors/masks, semantic priors or provider.command"), "{}", text(&s));
         s.provider.command = "ask".into();
         assert!(text(&s).contains("the provider of masks does not answer"), "{}", text(&s));
@@ -216,7 +250,7 @@ mod tests {
         let idle = of_materials(&s, FoundForMaterials { regions: false, ..all });
         assert_eq!(names(&idle), ["cross_view", "relight", "own_prior"]);
         assert_eq!(
-            idle[0].to_string(),
+            IdleLoss::warnings(&idle[..1])[0],
             "L_cross_semantic does not run: no regions; add priors/masks, semantic priors or provider.command, or set \
              intrinsic.losses.cross_view = 0"
         );

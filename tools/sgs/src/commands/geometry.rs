@@ -101,7 +101,7 @@ pub fn train_into(
     if stop.load(Ordering::SeqCst) {
         return Ok(Ended::Stopped(0));
     }
-    training.idle_losses().iter().for_each(|idle| tracing::warn!("{idle}"));
+    IdleLoss::warnings(training.idle_losses()).iter().for_each(|warning| tracing::warn!("{warning}"));
     // What was refused or stopped so far leaves nothing behind.
     let run = RunDirectory::create(output)?;
     if !resuming {

@@ -89,7 +89,7 @@ pub fn intrinsic_into(
         true => Intrinsic::within(device, scene, settings, &mut splats)?,
         false => Intrinsic::new(device, scene, settings, &splats)?,
     };
-    training.idle_losses().iter().for_each(|idle| tracing::warn!("{idle}"));
+    IdleLoss::warnings(training.idle_losses()).iter().for_each(|warning| tracing::warn!("{warning}"));
     let run = RunDirectory::create(output)?;
     if resuming {
         training.restore(&run.intrinsic_checkpoint())?;

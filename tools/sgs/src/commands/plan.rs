@@ -8,7 +8,7 @@ use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::Masks;
-use sgs_train::{Geometry, ShDegree};
+use sgs_train::{Geometry, IdleLoss, ShDegree};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -262,8 +262,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         None => "none",
     };
     println!("pseudo      {views} ({})", why("pseudo-views"));
-    for idle in training.idle_losses() {
-        println!("warning     {idle}");
+    for warning in IdleLoss::warnings(training.idle_losses()) {
+        println!("warning     {warning}");
     }
     println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
     println!(

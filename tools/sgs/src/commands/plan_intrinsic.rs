@@ -131,8 +131,8 @@ impl IntrinsicPlan {
         println!("cross view  {} (albedo in pseudo-views)", said(cross_view));
         println!("relight     {} (albedo against intrinsic.relight.provider)", said(lights && o.relight));
         println!("own prior   {} (albedo of regions against the view's prior)", said(lights && o.own_prior));
-        for idle in &self.idle {
-            println!("warning     {idle}");
+        for warning in IdleLoss::warnings(&self.idle) {
+            println!("warning     {warning}");
         }
         println!(
             "surfaces    {}",
