@@ -64,6 +64,7 @@ impl Room {
                     cy: 0.5 * f64::from(height),
                     rotation,
                     translation: -(rotation * place),
+                    near: sgs_scene::NEAR,
                 }
             })
             .collect()

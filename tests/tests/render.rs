@@ -55,6 +55,7 @@ fn stored(name: &str, c: &Camera) -> sgs_scene::Camera {
         cy: c.center.y,
         rotation: c.rotation,
         translation: c.translation,
+        near: sgs_scene::NEAR,
     }
 }
 

@@ -1,9 +1,10 @@
 //! Checks before the first step of a training: inputs that are refused, and warnings about a bad start.
 
-use sgs_scene::{Image, write_png};
+use sgs_scene::{Image, Splats, write_png};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::{Room, write_json};
+use sgs_train::read_lights;
 use std::path::Path;
 
 /// Changes the places of the cameras and of the points of a room.
@@ -33,16 +34,88 @@ fn train(place: &Place, more: &[&str]) -> Finished {
     sgs(&[&["train", &scene, "-o", &run, "--geometry-steps", "1", "--no-densify", "--force"], more].concat())
 }
 
+/// Trains both stages in a few steps.
+fn train_all(place: &Place, run: &str) {
+    let small = [
+        "geometry.densify.from=10",
+        "geometry.densify.interval=10",
+        "intrinsic.lights.grid=2",
+        "intrinsic.lights.lobes=2",
+        "intrinsic.environment.resolution=8",
+        "intrinsic.visibility.levels=2",
+    ];
+    let sets: Vec<&str> = small.iter().flat_map(|set| ["--set", *set]).collect();
+    let (scene, run) = (place.text("scene"), place.text(run));
+    let steps = ["--stage", "all", "--geometry-steps", "60", "--intrinsic-steps", "20"];
+    sgs(&[&["train", &scene, "-o", &run], &steps[..], &sets].concat()).ok();
+}
+
+/// In millimeters and in units of eight kilometers a room is trained alike, and files keep its units.
 #[test]
-fn scenes_in_the_wrong_units_are_refused() {
+fn the_units_of_a_scene_change_nothing() {
     let place = Place::new(Room::default());
     let scene = place.path("scene");
-    move_room(&scene, |v| 1e-4 * v, |v| 1e-4 * v);
-    train(&place, &[]).refused_with(42, &["no training view sees any", "0.01 units", "cameras and points by 10000"]);
-    sgs(&["plan", &place.text("scene")]).refused_with(42, &["by 10000"]);
+    Room::default().write_materials(&scene);
+    train_all(&place, "own");
+    let (large, small) = (2_f64.powi(10), 2_f64.powi(-13));
+    move_room(&scene, |v| large * v, |v| large * v);
+    train_all(&place, "large");
+    let metrics_of = |run: &str| sgs(&["eval", &place.text(run), "--json"]).ok().json();
+    let of_large = metrics_of("large");
+    move_room(&scene, |v| small / large * v, |v| small / large * v);
+    train_all(&place, "small");
+    let of_small = metrics_of("small");
+
+    let splats = |run: &str| Splats::read_ply(&place.path(&format!("{run}/scene.ply"))).unwrap();
+    let (a, b) = (splats("large"), splats("small"));
+    let scaled = |means: &[[f32; 3]], by: f64| -> Vec<f32> {
+        means.as_flattened().iter().map(|v| (f64::from(*v) * by) as f32).collect()
+    };
+    assert!(a.len() > 100);
+    assert_eq!(scaled(&a.means, small / large), b.means.as_flattened());
+    assert_eq!((a.sh, a.albedo, a.roughness, a.rotations), (b.sh, b.albedo, b.roughness, b.rotations));
+    let lights = |run: &str| read_lights(&place.path(&format!("{run}/lights.json"))).unwrap();
+    let (a, b) = (lights("large"), lights("small"));
+    for (a, b) in a.lights.iter().zip(&b.lights) {
+        let by = (small / large) as f32;
+        assert_eq!(a.position.map(|v| v * by), b.position);
+        assert_eq!((a.gain * by * by, &a.lobes), (b.gain, &b.lobes));
+    }
+    // Pictures are those of the room in its own unit.
+    let psnr = |metrics: &serde_json::Value, of: &str| metrics["test"]["mean"][of]["psnr"].as_f64().unwrap();
+    let own = metrics_of_moved(&place, &scene, small);
+    for of in ["nvs", "pbr"] {
+        let all = [&of_large, &of_small].map(|m| psnr(m, of));
+        assert!((all[0] - all[1]).abs() < 0.05, "{of}: {all:?}");
+        assert!((all[0] - psnr(&own, of)).abs() < 1.5, "{of}: {all:?} and {}", psnr(&own, of));
+    }
+    // Cameras of a file say nothing of the scene's size.
+    let (run, out) = (place.text("small"), place.text("out"));
+    move_room(&scene, |v| small * v, |v| small * v);
+    let cameras = place.text("scene/transforms.json");
+    sgs(&["render", &run, "--cameras", &cameras, "-o", &out]).ok();
+    let first = std::fs::read_dir(place.path("out")).unwrap().map(|e| e.unwrap().path());
+    let first = first.filter(|p| p.extension().is_some_and(|e| e == "png")).min().unwrap();
+    let image = sgs_scene::Image::read(&first).unwrap();
+    let mean = image.data.iter().sum::<f32>() / image.data.len() as f32;
+    assert!(mean > 0.1, "the picture is black: {mean}");
+}
+
+/// Measures of the run "own", whose room is brought back to its own unit first.
+fn metrics_of_moved(place: &Place, scene: &Path, from: f64) -> serde_json::Value {
+    move_room(scene, |v| v / from, |v| v / from);
+    sgs(&["eval", &place.text("own"), "--json"]).ok().json()
+}
+
+#[test]
+fn scenes_in_two_units_are_refused() {
+    let place = Place::new(Room::default());
+    let scene = place.path("scene");
+    move_room(&scene, |v| v, |v| 1e-4 * v);
+    train(&place, &[]).refused_with(42, &["no training view sees any", "same reconstruction", "same units"]);
+    sgs(&["plan", &place.text("scene")]).refused_with(42, &["same units"]);
     assert!(!place.path("run").exists());
-    // As it says.
-    move_room(&scene, |v| 1e4 * v, |v| 1e4 * v);
+    move_room(&scene, |v| v, |v| 1e4 * v);
     let said = train(&place, &[]).ok().stderr;
     assert!(!said.contains("WARN"), "{said}");
     // Points of another reconstruction.

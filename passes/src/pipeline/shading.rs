@@ -22,6 +22,9 @@ use std::time::Instant;
 /// Everything that shades, in device memory.
 #[derive(Debug)]
 pub struct ShadedScene {
+    /// A length of the world that is 1 in device memory: places of Gaussians, lights and the visibility field are in this unit, gains
+    /// are divided by its square. Cameras that are given, and points that are returned, are the world's.
+    pub unit: f32,
     /// Geometry with normals.
     pub gaussians: Gaussians,
     /// Raw albedo, 3 a Gaussian.
@@ -36,6 +39,18 @@ pub struct ShadedScene {
     pub environment: Option<ShadedEnvironment>,
     /// What lights see, if anything is in their way.
     pub visibility: Option<ShadedVisibility>,
+}
+
+impl ShadedScene {
+    /// A camera of the world in the scene's unit.
+    pub(super) fn camera(&self, camera: &Camera) -> Camera {
+        let by = 1.0 / self.unit;
+        let mut camera = *camera;
+        camera.world_to_camera.iter_mut().for_each(|row| row[3] *= by);
+        camera.position.iter_mut().for_each(|v| *v *= by);
+        camera.near *= by;
+        camera
+    }
 }
 
 /// What lights see, in device memory.
@@ -197,6 +212,7 @@ impl Shader {
     /// Shades a view; the outputs stay on the device. Returns the seconds without those of allocation.
     fn run(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<f64> {
         self.seen = None;
+        let camera = &scene.camera(camera);
         let largest = self.builder.shape().largest;
         let needed = [largest[0].max(camera.size[0]), largest[1].max(camera.size[1])];
         if needed != largest {
@@ -235,6 +251,7 @@ impl Shader {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn again(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Option<Vec<f32>>> {
+        let camera = &scene.camera(camera);
         let same = self.seen.is_some_and(|seen| bytemuck::bytes_of(&seen) == bytemuck::bytes_of(camera));
         match (&mut self.state, &self.surface) {
             (Some(state), Some(surface)) if same => {
@@ -246,7 +263,7 @@ impl Shader {
     }
 
     /// Shades each Gaussian alone, at its center, as seen from a place: pixel `i` of `surface`
-    /// ([`Surface::of_gaussians`]) is Gaussian `i`.
+    /// ([`Surface::of_gaussians`]) is Gaussian `i`. The surface and the place are in the scene's unit.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -434,7 +451,7 @@ impl State {
         let read = |i: usize| self.read(device, i, camera);
         Ok(Shaded {
             size: camera.size,
-            points: cut(points, 3),
+            points: cut(points, 3).into_iter().map(|v| v * scene.unit).collect(),
             normals: cut(normals, 3),
             coverage: cut(coverage, 1),
             materials: read(0)?,

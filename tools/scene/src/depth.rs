@@ -166,6 +166,7 @@ mod tests {
                     cy: 23.0,
                     rotation,
                     translation,
+                    near: crate::camera::NEAR,
                 }
             })
             .collect();

@@ -28,10 +28,11 @@ mod scene;
 mod splats;
 mod split;
 mod split_rule;
+mod unit;
 mod view;
 
 pub use atomic::atomic_write;
-pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE};
+pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
 pub use gltf::{GltfScene, Placement, PointLight, write_gltf};
@@ -50,4 +51,5 @@ pub use scene::{Scene, SceneOptions};
 pub use splats::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
 pub use split::Split;
 pub use split_rule::SplitRule;
+pub use unit::Unit;
 pub use view::{LoadOptions, Photograph, View};

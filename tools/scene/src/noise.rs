@@ -245,6 +245,7 @@ mod tests {
             cy: 3.0,
             rotation: turn(DVec3::new(0.3, -0.2, 0.9)),
             translation: DVec3::new(1.0, 2.0, 3.0),
+            near: crate::camera::NEAR,
         };
         let moved: Vec<Camera> = (0..3000).map(|view| noise(4).moved(&camera, view, 5.0)).collect();
         let along: Vec<f64> = moved.iter().map(|c| (c.position() - camera.position()).x).collect();

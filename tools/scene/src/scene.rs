@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::camera::NEAR;
 use crate::depth::DepthDefinition;
 use crate::error::{Result, SceneError};
 use crate::exposure;
@@ -17,6 +18,7 @@ use crate::priors::PriorSettings;
 use crate::reader::{self, Layout};
 use crate::split::Split;
 use crate::split_rule::SplitRule;
+use crate::unit::Unit;
 use crate::view::{LoadOptions, View};
 
 /// How to open a scene.
@@ -97,7 +99,7 @@ pub struct Scene {
     pub(crate) prior_settings: PriorSettings,
     pub(crate) depth_definition: OnceLock<Option<DepthDefinition>>,
     pub(crate) noise: Noise,
-    extent: f64,
+    pub(crate) extent: f64,
 }
 
 impl Scene {
@@ -128,7 +130,7 @@ impl Scene {
             }
         }
         frames.par_iter().try_for_each(|frame| frame.check_size())?;
-        let views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
+        let mut views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
         let split = split_of(path, &views, (&missing, own_split), options, &mut warnings)?;
         warnings.extend(coverage_warning(&views));
         let points = match tracks.filter(|tracks| !tracks.is_empty()) {
@@ -147,6 +149,8 @@ impl Scene {
             seen.map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
         };
         let points = points.unwrap_or_else(random);
+        let near = NEAR * Unit::of_extent(extent).length();
+        views.iter_mut().for_each(|view| view.camera.near = near);
         let mut options = options.clone();
         if options.exposure.is_none() {
             let train: Vec<&View> = split.train.iter().filter_map(|&i| views.get(i)).collect();

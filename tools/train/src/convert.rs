@@ -5,9 +5,6 @@ use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::{GaussianData, Group, Model};
 use sgs_scene::Splats;
 
-/// Nothing nearer than this is seen.
-pub const NEAR: f32 = 0.01;
-
 /// A camera as kernels take it; tiles are filled in where it is used.
 pub fn camera(c: &sgs_scene::Camera) -> Camera {
     let row = |i: usize| {
@@ -17,7 +14,7 @@ pub fn camera(c: &sgs_scene::Camera) -> Camera {
     Camera {
         world_to_camera: [row(0), row(1), row(2)],
         position: c.position().as_vec3().to_array(),
-        near: NEAR,
+        near: c.near as f32,
         focal: [c.fx as f32, c.fy as f32],
         center: [c.cx as f32, c.cy as f32],
         size: [c.width, c.height],

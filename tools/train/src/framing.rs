@@ -1,9 +1,7 @@
 //! Whether the training views see the points that training starts from: checked before the first step, on the processor.
 //!
-//! A training whose views see nothing ends in black images. Poses and points in different units, or in units that are far from the
-//! sizes that kernels assume, are the usual cause.
+//! A training whose views see nothing ends in black images. Poses and points in different units are the usual cause.
 
-use crate::convert::NEAR;
 use crate::error::Result;
 use glam::DVec3;
 use sgs_scene::{Camera, Scene, SceneError};
@@ -70,7 +68,7 @@ impl Framing {
             for (point, seen) in points.iter().zip(&mut seen) {
                 let Some((cell, depth)) = place(camera, *point) else { continue };
                 within += 1;
-                if depth < f64::from(NEAR) {
+                if depth < camera.near {
                     near += 1;
                 } else {
                     (*seen, cells[cell]) = (true, true);
@@ -99,30 +97,21 @@ impl Framing {
         let refuse = |problem: String| {
             Err(SceneError::Points { path: scene.root.clone(), place: String::new(), problem }.into())
         };
-        let too_small = || {
-            // Points a few units away, as in a room in meters.
-            let factor = 10_f64.powf((3.0 / self.distance.max(1e-30)).log10().round());
-            let distance = self.distance;
-            format!(
-                "they lie about {distance:.2e} units from the cameras, and what is nearer than {NEAR} units is not drawn; \
-                 multiply the positions of cameras and points by {factor}"
-            )
-        };
         let apart = || {
-            let (distance, baseline) = (self.distance, self.baseline);
+            let shown = |v: f64| if (0.01..1e5).contains(&v) { format!("{v:.3}") } else { format!("{v:.2e}") };
+            let (distance, baseline) = (shown(self.distance), shown(self.baseline));
             format!(
-                "they lie about {distance:.3} units from the cameras, which lie within {baseline:.3} units; check that poses \
+                "they lie about {distance} units from the cameras, which lie within {baseline} units; check that poses \
                  and points come from the same reconstruction and have the same units"
             )
         };
         if self.seen == 0.0 {
-            let why = if self.near > 0.0 { too_small() } else { apart() };
-            return refuse(format!("no training view sees any of the {n} points: {why}"));
+            return refuse(format!("no training view sees any of the {n} points: {}", apart()));
         }
         let mut warnings = Vec::new();
         if self.near > FEW_NEAR {
             let percent = 100.0 * self.near;
-            warnings.push(format!("{percent:.0} % of the points are too near to be drawn: {}", too_small()));
+            warnings.push(format!("{percent:.0} % of the points are too near to be drawn: {}", apart()));
         } else if self.covered < ENOUGH_CELLS {
             let percent = 100.0 * self.covered;
             warnings.push(format!("training views show points in only {percent:.1} % of their area: {}", apart()));

@@ -56,6 +56,7 @@ mod tests {
             cy: 2.0,
             rotation: DMat3::IDENTITY,
             translation: DVec3::new(0.0, 0.0, -z),
+            near: sgs_scene::NEAR,
         }
     }
 

@@ -15,7 +15,7 @@ use sgs_passes::pipeline::{
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
 use sgs_passes::shade::visibility::VisibilityField;
-use sgs_scene::{Image, Splats, linear_to_srgb, read_environment, srgb_to_linear};
+use sgs_scene::{Image, Splats, Unit, linear_to_srgb, read_environment, srgb_to_linear};
 use std::path::Path;
 
 /// An environment as texels of a cube: its size along an edge, and `[6 * size * size * 3]` numbers.
@@ -60,12 +60,16 @@ pub fn shaded_scene(
     if splats.normals.is_none() {
         return Err(missing("normals"));
     }
+    // Scenes that are small in their own unit would lie within the least distance of a light.
+    let unit = Unit::of_splats(splats);
+    let scaled = (unit != Unit::OWN).then(|| splats.clone().in_unit(unit));
+    let splats = scaled.as_ref().unwrap_or(splats);
     let model = Model { sh_degree: 0, normals: true, semantics: false };
     let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     let lights = match lights {
         Some(file) => {
-            let (model, positions, lobes, gains) = file.raw();
+            let (model, positions, lobes, gains) = file.in_unit(unit).raw();
             Some(ShadedLights {
                 model,
                 normalizer: file.normalizer,
@@ -84,7 +88,7 @@ pub fn shaded_scene(
         Visibility::Learned(file) => {
             let field = VisibilityField::new(device, file.config, 0, false, 32)?;
             field.upload(device, &file.tables, &file.mlp)?;
-            Some(ShadedVisibility::Field { field, place: field_box(file.low, file.high) })
+            Some(ShadedVisibility::Field { field, place: field_box(unit.place(file.low), unit.place(file.high)) })
         }
         Visibility::Traced(rays) => {
             let (memory, shape) = traced(device, splats, *rays)?;
@@ -93,6 +97,7 @@ pub fn shaded_scene(
         Visibility::None => None,
     };
     Ok(ShadedScene {
+        unit: unit.length() as f32,
         gaussians,
         albedo: Trainable::new(device, "albedo", albedo.as_flattened(), false)?,
         roughness: Trainable::new(device, "roughness", roughness, false)?,
@@ -239,10 +244,12 @@ impl Shading {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn shade_centers(&mut self, splats: &Splats, from: [f32; 3]) -> Result<Vec<f32>> {
-        let unit = |n: &[f32; 3]| glam::Vec3::from(*n).normalize_or_zero().to_array();
-        let normals: Vec<[f32; 3]> = splats.normals.iter().flatten().map(unit).collect();
+        let length_one = |n: &[f32; 3]| glam::Vec3::from(*n).normalize_or_zero().to_array();
+        let normals: Vec<[f32; 3]> = splats.normals.iter().flatten().map(length_one).collect();
         let capacity = self.scene.gaussians.capacity;
-        let (points, normals) = (splats.means.as_flattened(), normals.as_flattened());
+        let unit = Unit::of_length(f64::from(self.scene.unit));
+        let points: Vec<[f32; 3]> = splats.means.iter().map(|mean| unit.place(*mean)).collect();
+        let (points, normals, from) = (points.as_flattened(), normals.as_flattened(), unit.place(from));
         let surface = Surface::of_gaussians(&self.device, points, normals, capacity)?;
         let shaded = self.shader.shade_centers(&self.scene, &surface, from)?;
         let mut light: Vec<f32> = shaded.direct.iter().zip(&shaded.ambient).map(|(d, a)| d + a).collect();
@@ -260,7 +267,9 @@ impl Shading {
             return Err(TrainError::Setting(format!("{} gains were given for {lights} lights.", gains.len())));
         }
         if let Some(l) = &self.scene.lights {
-            l.gains.upload(device, gains)?;
+            let by = self.scene.unit.powi(-2);
+            let gains: Vec<f32> = gains.iter().map(|gain| gain * by).collect();
+            l.gains.upload(device, &gains)?;
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 //! Promises: a camera that was taken over is given back as it was; the horizon stays as level as it was. Axes are OpenCV's.
 
 use glam::{DMat3, DVec2, DVec3};
-use sgs_scene::Camera;
+use sgs_scene::{Camera, NEAR};
 
 /// How steeply one may look, in radians.
 const STEEPEST: f64 = 1.553;
@@ -25,6 +25,8 @@ pub struct Eye {
     roll: f64,
     /// Focal lengths, in heights of the picture.
     focal: DVec2,
+    /// Depth below which nothing is drawn.
+    near: f64,
 }
 
 /// Two axes that are level: yaw turns from the first to the second.
@@ -38,7 +40,8 @@ impl Eye {
     pub fn of(camera: &Camera, up: DVec3, distance: f64) -> Eye {
         let height = f64::from(camera.height);
         let focal = DVec2::new(camera.fx, camera.fy) / height;
-        let mut eye = Eye { position: camera.position(), distance, up, yaw: 0.0, pitch: 0.0, roll: 0.0, focal };
+        let near = camera.near;
+        let mut eye = Eye { position: camera.position(), distance, up, yaw: 0.0, pitch: 0.0, roll: 0.0, focal, near };
         let forward = camera.forward().normalize_or(DVec3::Z);
         let [front, side] = level(up);
         eye.pitch = forward.dot(up).clamp(-1.0, 1.0).asin();
@@ -53,7 +56,8 @@ impl Eye {
     /// Looks at a place from so far away, a little from above.
     pub fn at(target: DVec3, up: DVec3, distance: f64) -> Eye {
         let focal = DVec2::splat(1.1);
-        let mut eye = Eye { position: target, distance, up, yaw: 0.0, pitch: -0.3, roll: 0.0, focal };
+        let near = NEAR.min(0.005 * distance);
+        let mut eye = Eye { position: target, distance, up, yaw: 0.0, pitch: -0.3, roll: 0.0, focal, near };
         eye.position = target - distance * eye.forward();
         eye
     }
@@ -127,6 +131,7 @@ impl Eye {
             cy: 0.5 * rows,
             rotation,
             translation: -(rotation * self.position),
+            near: self.near,
         }
     }
 }
@@ -140,7 +145,7 @@ mod tests {
         let translation = DVec3::new(0.3, -1.0, 2.0);
         let (width, height) = (160, 120);
         let name = "a".to_owned();
-        Camera { name, width, height, fx: 110.0, fy: 115.0, cx: 80.0, cy: 60.0, rotation, translation }
+        Camera { name, width, height, fx: 110.0, fy: 115.0, cx: 80.0, cy: 60.0, rotation, translation, near: NEAR }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::error::{Result, ViewerError};
 use crate::eye::Eye;
 use glam::DVec3;
-use sgs_scene::{Camera, Scene, Splats};
+use sgs_scene::{Camera, NEAR, Scene, Splats, Unit};
 use sgs_train::{Settings, source_of};
 use std::path::{Path, PathBuf};
 
@@ -35,10 +35,12 @@ impl Source {
         }
         let cameras = match cameras {
             Some(file) => {
-                let cameras = Camera::read_transforms(file)?;
+                let mut cameras = Camera::read_transforms(file)?;
                 if cameras.is_empty() {
                     return Err(ViewerError::NoCameras { path: file.to_owned() });
                 }
+                let near = NEAR * Unit::of_splats(&splats).length();
+                cameras.iter_mut().for_each(|camera| camera.near = near);
                 cameras
             }
             None => settings.as_ref().map_or_else(Vec::new, cameras_of),

@@ -122,7 +122,7 @@ pub struct LitFrame {
     pub exposure: f32,
 }
 
-/// Lights on the host, as many as there is room for: those that are not there have a gain of 0.
+/// Lights on the host, in the world's unit of length, as many as there is room for: those that are not there have a gain of 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
     /// Room for lights, and lobes of each.
@@ -139,4 +139,18 @@ pub struct Lighting {
     pub gains: Vec<f32>,
     /// Factors of the light of the surroundings.
     pub environment: [f32; 3],
+}
+
+impl Lighting {
+    /// The same lights in another unit of length; none where it is the world's.
+    fn in_unit(&self, unit: f32) -> Option<Lighting> {
+        (unit != 1.0).then(|| {
+            let (by, bright) = (1.0 / unit, 1.0 / (unit * unit));
+            Lighting {
+                positions: self.positions.iter().map(|v| v * by).collect(),
+                gains: self.gains.iter().map(|v| v * bright).collect(),
+                ..self.clone()
+            }
+        })
+    }
 }

@@ -133,7 +133,9 @@ impl LitView {
         bind(exec, built, scene)?;
         exec.bind_image(built.image, image)?;
         let tile = self.tuning.tile;
-        let mut camera = frame.camera;
+        let mut camera = scene.scene.camera(&frame.camera);
+        let scaled = lighting.in_unit(scene.scene.unit);
+        let lighting = scaled.as_ref().unwrap_or(lighting);
         camera.tiles = [view[0].div_ceil(tile[0]), view[1].div_ceil(tile[1])];
         let step = Step { camera, step: 1, ..Default::default() };
         let lit = LitStep { behind: frame.background, exposure: frame.exposure, environment: lighting.environment };

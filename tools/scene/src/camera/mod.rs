@@ -17,6 +17,9 @@ pub const MAX_IMAGE_SIDE: u32 = 65_536;
 /// of such numbers still fit a 32-bit float.
 pub const MAX_CAMERA_NUMBER: f64 = 1e15;
 
+/// [`Camera::near`] of a scene that is computed in its own unit.
+pub const NEAR: f64 = 0.01;
+
 /// A pinhole camera with its pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
@@ -38,6 +41,8 @@ pub struct Camera {
     pub rotation: DMat3,
     /// World-to-camera translation.
     pub translation: DVec3,
+    /// Depth below which nothing is drawn, in the scene's units.
+    pub near: f64,
 }
 
 impl Camera {
@@ -127,6 +132,7 @@ pub(crate) mod tests {
             cy: 62.5,
             rotation: DMat3::from_rotation_y(0.4) * DMat3::from_rotation_x(-0.2),
             translation: DVec3::new(0.3, -1.0, 2.0),
+            near: NEAR,
         }
     }
 

@@ -19,6 +19,7 @@ fn view(width: u32, height: u32, rotation: DMat3, lens: Distortion) -> View {
         cy: 0.5 * f64::from(height),
         rotation,
         translation: DVec3::ZERO,
+        near: crate::camera::NEAR,
     };
     View::new(Frame::new(camera, lens, "a.png".into(), "a.json".into()), 1.0)
 }

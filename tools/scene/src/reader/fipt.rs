@@ -130,7 +130,7 @@ pub(super) fn read_real(
         let [origin, target, up] = pose.rows.map(DVec3::from);
         let (rotation, translation) = pose::from_look_at(origin, target, up).map_err(fail)?;
         let name = stem_of(&image);
-        let camera = Camera { name, width, height, fx, fy, cx, cy, rotation, translation };
+        let camera = Camera { name, width, height, fx, fy, cx, cy, rotation, translation, near: crate::camera::NEAR };
         if let Some(problem) = camera.problem() {
             return Err(fail(problem));
         }

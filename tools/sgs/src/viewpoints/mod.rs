@@ -7,7 +7,7 @@ use crate::commands::train::open_scene;
 use crate::failure::{Kind, failure, refuse_usage};
 use anyhow::bail;
 use glam::{DMat3, DVec3};
-use sgs_scene::{Camera, Scene, Splats};
+use sgs_scene::{Camera, NEAR, Scene, Splats, Unit};
 use sgs_train::Settings;
 use std::path::{Path, PathBuf};
 
@@ -75,10 +75,12 @@ impl ViewpointArgs {
         scene: Option<&Scene>,
     ) -> anyhow::Result<Vec<Camera>> {
         if let Some(file) = &self.cameras {
-            let cameras = Camera::read_transforms(file)?;
+            let mut cameras = Camera::read_transforms(file)?;
             if cameras.is_empty() {
                 return Err(failure(Kind::Input, format!("\"{}\" holds no cameras.", file.display())));
             }
+            let near = NEAR * Unit::of_splats(splats).length();
+            cameras.iter_mut().for_each(|camera| camera.near = near);
             return Ok(cameras);
         }
         let opened;

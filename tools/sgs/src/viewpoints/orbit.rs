@@ -83,8 +83,18 @@ mod tests {
         let (width, height) = (40, 30);
         let rotation = DMat3::IDENTITY;
         let translation = DVec3::ZERO;
-        let like =
-            Camera { name: "a".into(), width, height, fx: 30.0, fy: 30.0, cx: 20.0, cy: 15.0, rotation, translation };
+        let like = Camera {
+            name: "a".into(),
+            width,
+            height,
+            fx: 30.0,
+            fy: 30.0,
+            cx: 20.0,
+            cy: 15.0,
+            rotation,
+            translation,
+            near: sgs_scene::NEAR,
+        };
         facing(&like, "a".into(), position, forward, DVec3::Y)
     }
 

@@ -150,6 +150,7 @@ mod tests {
                     cy: 3.0,
                     rotation,
                     translation: -(rotation * position),
+                    near: sgs_scene::NEAR,
                 }
             })
             .collect()

@@ -118,7 +118,7 @@ impl Watch {
             let mut renderer = Renderer::new(device, tuning, gaussians, [1, 1], Channels::default())?;
             let mut shots = Vec::new();
             for (camera, truth) in views {
-                let picture = render_view(&mut renderer, gaussians, camera, background)?;
+                let picture = render_view(&mut renderer, gaussians, &camera.in_unit(training.unit()), background)?;
                 let data = picture.image.chunks_exact(picture.channels as usize).flat_map(|p| [p[0], p[1], p[2]]);
                 let data = data.map(|v| v.clamp(0.0, 1.0)).collect();
                 let render = Image { width: picture.size[0], height: picture.size[1], channels: 3, data };

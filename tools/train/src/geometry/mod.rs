@@ -47,7 +47,7 @@ use sgs_passes::pipeline::{
 };
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::Channels;
-use sgs_scene::{Scene, Splats};
+use sgs_scene::{Scene, Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
 /// Replays in flight.
@@ -105,6 +105,8 @@ pub struct Geometry {
     roll_backs: Vec<RollBack>,
     /// Where the search for the degree of spherical harmonics is, if there is one.
     bands: Option<Bands>,
+    /// The unit, in the scene's, of lengths here.
+    unit: Unit,
     /// What was decided about the model.
     decisions: Vec<Decision>,
     /// Losses that cannot run.
@@ -125,10 +127,16 @@ impl Geometry {
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
-        match start {
-            Some(splats) => Geometry::of(device, &Given::Scene(scene), settings, splats),
+        let unit = scene.unit();
+        let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
+        let scene = scaled.as_ref().unwrap_or(scene);
+        let mut training = match start {
+            Some(splats) if unit == Unit::OWN => Geometry::of(device, &Given::Scene(scene), settings, splats),
+            Some(splats) => Geometry::of(device, &Given::Scene(scene), settings, &splats.clone().in_unit(unit)),
             None => Geometry::from_points(device, scene, settings),
-        }
+        }?;
+        training.unit = unit;
+        Ok(training)
     }
 
     /// Prepares training of given splats on a scene, or on pictures without one.
@@ -258,6 +266,7 @@ impl Geometry {
             watch,
             roll_backs: Vec::new(),
             bands: (g.sh_degree == ShDegree::Auto).then(Bands::default),
+            unit: Unit::OWN,
             decisions: Vec::new(),
             idle: Vec::new(),
             inputs,
@@ -293,9 +302,14 @@ impl Geometry {
         &self.device
     }
 
-    /// The Gaussians on the device.
+    /// The Gaussians on the device, in [`Geometry::unit`].
     pub fn gaussians(&self) -> &Gaussians {
         &self.gaussians
+    }
+
+    /// The unit, in the scene's, of lengths on the device.
+    pub fn unit(&self) -> Unit {
+        self.unit
     }
 
     /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
@@ -472,7 +486,8 @@ impl Geometry {
     /// # Errors
     /// If the device fails.
     pub fn splats(&self) -> Result<Splats> {
-        Ok(splats(&self.gaussians.download(&self.device)?, self.gaussians.model))
+        let splats = splats(&self.gaussians.download(&self.device)?, self.gaussians.model);
+        Ok(splats.in_unit(self.unit.inverse()))
     }
 
     /// Turns per-pass timestamps on or off.

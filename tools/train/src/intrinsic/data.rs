@@ -165,6 +165,7 @@ mod tests {
             cy: 2.0,
             rotation: DMat3::IDENTITY,
             translation: DVec3::new(-x, 0.0, 0.0),
+            near: sgs_scene::NEAR,
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::error::{Result, TrainError};
 use serde::{Deserialize, Serialize};
 use sgs_passes::shade::lights::{Axes, LightModel};
+use sgs_scene::Unit;
 use std::path::Path;
 
 /// What stands first in the file.
@@ -85,6 +86,17 @@ impl LightFile {
         };
         let lights = (0..model.lights as usize).map(light).collect();
         LightFile { format: FORMAT.to_owned(), normalizer, lights }
+    }
+
+    /// The same lights where lengths are in another unit.
+    pub(crate) fn in_unit(&self, unit: Unit) -> LightFile {
+        let mut file = self.clone();
+        let dimmer = unit.length().powi(-2) as f32;
+        for light in &mut file.lights {
+            light.position = unit.place(light.position);
+            light.gain *= dimmer;
+        }
+        file
     }
 
     /// Back to raw parameters with free axes: model, positions, lobes, gains. Lights with fewer lobes than others get dark

@@ -61,7 +61,7 @@ use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
 use sgs_passes::{Matrices, Tuning};
-use sgs_scene::{Scene, Splats};
+use sgs_scene::{Scene, Splats, Unit};
 use surfaces::Surfaces;
 use values::light_scale;
 
@@ -102,6 +102,8 @@ pub struct Intrinsic {
     light_model: LightModel,
     /// What the lights started in.
     bounds: [[f32; 3]; 2],
+    /// The unit, in the scene's, of lengths here.
+    unit: Unit,
     gains: DeviceBuffer,
     environment: Option<(Environment, EnvironmentMemory)>,
     /// Where its texels do not move with every step.
@@ -157,6 +159,9 @@ impl Intrinsic {
         let scene = smaller.as_ref().unwrap_or(scene);
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
+        let unit = scene.unit();
+        let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
+        let scene = scaled.as_ref().unwrap_or(scene);
         if splats.is_empty() {
             return Err(TrainError::Setting("There are no splats to find materials for.".into()));
         }
@@ -166,7 +171,7 @@ impl Intrinsic {
         }
         let budget = allowed(device, settings);
         let cameras: Vec<&sgs_scene::Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
-        let mut splats = splats.clone();
+        let mut splats = splats.clone().in_unit(unit);
         let without = splats.normals.as_ref().is_none_or(|n| n.iter().all(|n| *n == [0.0; 3]));
         if without {
             tracing::info!("the splats have no normals; the shortest axis of each stands in");
@@ -435,6 +440,7 @@ impl Intrinsic {
             parameters,
             light_model,
             bounds,
+            unit,
             gains,
             environment,
             seldom: None,
@@ -473,7 +479,7 @@ impl Intrinsic {
 
     /// The box that the lights started in: its lowest and highest corner.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
-        self.bounds
+        self.bounds.map(|corner| self.unit.inverse().place(corner))
     }
 
     /// How many splats.

@@ -248,6 +248,11 @@ impl Intrinsic {
     /// # Errors
     /// If the device fails.
     pub fn splats(&self) -> Result<Splats> {
+        Ok(self.scaled_splats()?.in_unit(self.unit.inverse()))
+    }
+
+    /// The same in the unit of the device.
+    pub(super) fn scaled_splats(&self) -> Result<Splats> {
         let mut splats = self.splats.clone();
         let albedo = self.parameters.albedo.download(&self.device)?;
         let albedo = in_range(albedo, self.options.albedo_range, ALBEDO_RANGE);
@@ -268,6 +273,11 @@ impl Intrinsic {
     /// # Errors
     /// If the device fails.
     pub fn lights(&self) -> Result<Option<LightFile>> {
+        Ok(self.scaled_lights()?.map(|lights| lights.in_unit(self.unit.inverse())))
+    }
+
+    /// The same in the unit of the device.
+    pub(super) fn scaled_lights(&self) -> Result<Option<LightFile>> {
         let Some([positions, lobes]) = &self.parameters.lights else { return Ok(None) };
         let normalizer = self.options.lights.map_or(0.0, |l| l.1);
         let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
@@ -280,7 +290,18 @@ impl Intrinsic {
     /// # Errors
     /// If the device fails.
     pub fn light(&self) -> Result<RunLight> {
-        let lights = self.lights()?;
+        let mut light = self.scaled_light()?;
+        let back = self.unit.inverse();
+        light.lights = light.lights.map(|lights| lights.in_unit(back));
+        if let Visibility::Learned(field) = &mut light.visibility {
+            (field.low, field.high) = (back.place(field.low), back.place(field.high));
+        }
+        Ok(light)
+    }
+
+    /// The same in the unit of the device.
+    pub(super) fn scaled_light(&self) -> Result<RunLight> {
+        let lights = self.scaled_lights()?;
         let environment = match (&self.parameters.environment, &self.environment) {
             (Some(texels), Some((e, _))) => Some(Texels { size: e.size(), data: texels.download(&self.device)? }),
             _ => None,
@@ -313,7 +334,7 @@ impl Intrinsic {
         match &self.parameters.visibility {
             Some(field) => {
                 let [tables, mlp] = field.download(&self.device)?;
-                let [low, high] = self.bounds;
+                let [low, high] = self.bounds();
                 VisibilityFile { config: *field.config(), low, high, tables, mlp }.save(&visibility)?;
             }
             None => remove(&visibility)?,

@@ -14,6 +14,7 @@ fn camera(name: &str, position: DVec3, turn: f64, width: u32) -> Camera {
         cy: 31.0,
         rotation,
         translation: -(rotation * position),
+        near: sgs_scene::NEAR,
     }
 }
 

@@ -123,6 +123,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
             cy,
             rotation,
             translation,
+            near: crate::camera::NEAR,
         };
         let problem = camera.problem();
         let problem = problem.or((!lens.is_finite()).then(|| "the distortion holds values that are not finite".into()));

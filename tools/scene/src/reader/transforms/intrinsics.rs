@@ -127,7 +127,7 @@ impl Entry {
         };
         let cx = self.cx.unwrap_or(0.5 * f64::from(width));
         let cy = self.cy.unwrap_or(0.5 * f64::from(height));
-        let camera = Camera { name, width, height, fx, fy, cx, cy, rotation, translation };
+        let camera = Camera { name, width, height, fx, fy, cx, cy, rotation, translation, near: crate::camera::NEAR };
         match camera.problem() {
             None => Ok(camera),
             Some(problem) => Err(problem),

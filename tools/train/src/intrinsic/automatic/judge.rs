@@ -142,7 +142,7 @@ impl Intrinsic {
 
     fn try_to_look(&self, watched: &mut Automatic) -> Result<()> {
         watched.own = Some(self.own(&watched.views)?);
-        self.pictures(&mut self.shading(&self.splats()?, &self.light()?)?, &watched.views)?;
+        self.pictures(&mut self.shading(&self.scaled_splats()?, &self.scaled_light()?)?, &watched.views)?;
         Ok(())
     }
 
@@ -192,7 +192,7 @@ impl Intrinsic {
         // As it is written, not as it is nearest to in binary.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
-        let (splats, light) = (self.splats()?, self.light()?);
+        let (splats, light) = (self.scaled_splats()?, self.scaled_light()?);
         let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
         let mut seen = Seen { step, gain, views, before, photos, splats, light, all, with: 0.0, decisions: Vec::new() };
         seen.with = seen.error(&seen.all.direct, &seen.all.ambient);

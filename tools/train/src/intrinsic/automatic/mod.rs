@@ -172,7 +172,9 @@ impl Intrinsic {
     /// moves would be as many times too long, until the mean of a thousand steps forgets it.
     fn merge_lobes(&mut self, most: u32) -> Result<()> {
         self.finish()?;
-        let (Some(mut file), Some([_, before])) = (self.lights()?, &self.parameters.lights) else { return Ok(()) };
+        let (Some(mut file), Some([_, before])) = (self.scaled_lights()?, &self.parameters.lights) else {
+            return Ok(());
+        };
         let (row, old) = (self.light_model.row() as usize, self.light_model.lobes as usize);
         let moments = before.download_moments(&self.device)?;
         file.lights.iter_mut().for_each(|l| *l = lobes::merged(l, most as usize));

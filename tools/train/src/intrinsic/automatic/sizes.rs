@@ -136,7 +136,7 @@ mod tests {
         let (width, height) = (100, 100);
         let [fx, fy, cx, cy] = [100.0, 100.0, 50.0, 50.0];
         let (rotation, translation) = (DMat3::IDENTITY, DVec3::ZERO);
-        Camera { name: "a".into(), width, height, fx, fy, cx, cy, rotation, translation }
+        Camera { name: "a".into(), width, height, fx, fy, cx, cy, rotation, translation, near: sgs_scene::NEAR }
     }
 
     #[test]

@@ -68,7 +68,7 @@ impl Intrinsic {
         gain: f64,
         mut loss: impl FnMut(&RunLight) -> Result<f64>,
     ) -> Result<Option<(u32, f64)>> {
-        let Some(fine) = self.light()?.environment else { return Ok(None) };
+        let Some(fine) = self.scaled_light()?.environment else { return Ok(None) };
         let mut tried = None;
         let smaller = std::iter::successors(Some(LEAST), |size| Some(2 * size)).take_while(|size| *size < fine.size);
         for size in smaller {
