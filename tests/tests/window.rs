@@ -18,7 +18,7 @@ fn camera() -> Camera {
     let [width, height] = SIZE;
     let (fx, fy, cx, cy) = (200.0, 200.0, 120.0, 80.0);
     let (rotation, translation) = (DMat3::from_rotation_y(0.1), DVec3::new(0.1, -0.1, 3.0));
-    Camera { name: "first".into(), width, height, fx, fy, cx, cy, rotation, translation }
+    Camera { name: "first".into(), width, height, fx, fy, cx, cy, rotation, translation, near: sgs_scene::NEAR }
 }
 
 /// A run with materials and lights, and cameras for it.

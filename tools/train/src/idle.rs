@@ -218,7 +218,8 @@ mod tests {
         );
         let all = FoundForGeometry { normals: true, semantics: true, regions: true };
         assert_eq!(of_geometry(&s, all), []);
-        let text = |s: &Settings| IdleLoss::warnings(&of_geometry(s, FoundForGeometry { regions: false, ..all })).remove(0);
+        let text =
+            |s: &Settings| IdleLoss::warnings(&of_geometry(s, FoundForGeometry { regions: false, ..all })).remove(0);
         assert!(text(&s).contains("no regions; add priors/masks, semantic priors or provider.command"), "{}", text(&s));
         s.provider.command = "ask".into();
         assert!(text(&s).contains("the provider of masks does not answer"), "{}", text(&s));
