@@ -17,6 +17,7 @@ layout(local_size_x_id = 0) in;
 #include "channels.glsl"
 #include "statistic.glsl"
 
+const uint PIECE = SUBGROUP <= 16u ? SUBGROUP : 1u;
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -71,59 +72,63 @@ void main() {
             Splat s = splats[v];
             FETCH_CHANNELS(f, features, v)
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                for (uint i = 0u; i < SUBGROUP; ++i) {
-                    float start = subgroupShuffle(T[k], i);
-                    if (start <= 0.0) continue;
-                    float debt = subgroupShuffle(R[k], i);
-                    float dx = corner.x + float(i % TILE_WIDTH) - s.mean.x;
-                    float dy = corner.y + float(i / TILE_WIDTH + k * tile.step_y) - s.mean.y;
-                    float p = s.factor.x * dx + s.factor.y * dy;
-                    float q = s.factor.z * dy;
-                    float raw = s.opacity * splat_exp2(-(p * p + q * q));
-                    float alpha = min(ALPHA_MAX, raw);
-                    alpha = alpha >= ALPHA_MIN && real ? alpha : 0.0;
-                    float before = start * subgroupExclusiveMul(1.0 - alpha);
-                    bool stop = alpha > 0.0 && before - alpha * before < TRANSMITTANCE_MIN;
-                    uvec4 stops = subgroupBallot(stop);
-                    bool stopped = any(notEqual(stops, uvec4(0u)));
-                    uint first = stopped ? subgroupBallotFindLSB(stops) : SUBGROUP;
-                    float w = lane < first || KEEP_LAST && lane == first ? alpha * before : 0.0;
-                    float s_dot_g = 0.0, statistic_dot = 0.0;
-                    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
-                        float gradient = subgroupShuffle(g[k * CHANNELS + c], i);
-                        total_color[c] += w * gradient;
-                        s_dot_g += f[c] * gradient;
-                        if (STATISTIC_FLOATS > 0u && in_statistic(c)) statistic_dot += f[c] * gradient;
-                    }
-                    if (WEIGHTS > 0u) total_weight += w;
-                    float after = debt - subgroupInclusiveAdd(w * s_dot_g);
-                    float h = w > 0.0 && raw <= ALPHA_MAX
-                        ? -0.69314718055994531 * alpha * (before * s_dot_g - after / (1.0 - alpha)) : 0.0;
-                    float hp = h * p;
-                    float hy = h * dy;
-                    total[0] += h;
-                    total[1] += hp;
-                    total[2] += hp * p;
-                    total[3] += hp * dy;
-                    total[4] += hy;
-                    total[5] += hy * dy;
-                    float statistic_owed = 0.0;
-                    if (STATISTIC_FLOATS > 0u) {
-                        float statistic_after =
-                            subgroupShuffle(statistic_R[k], i) - subgroupInclusiveAdd(w * statistic_dot);
-                        float owed = statistic_after / (1.0 - alpha);
-                        float of_statistic = w > 0.0 && raw <= ALPHA_MAX
-                            ? -0.69314718055994531 * alpha * (before * statistic_dot - owed) : 0.0;
-                        total_statistic += of_statistic * vec2(p, dy);
-                        statistic_owed = subgroupShuffle(statistic_after, SUBGROUP - 1u);
-                    }
-                    // The pixel goes on from where the last lane left it, or stops for good.
-                    float rest = subgroupShuffle(before - alpha * before, SUBGROUP - 1u);
-                    float owed = subgroupShuffle(after, SUBGROUP - 1u);
-                    if (lane == i) {
-                        T[k] = stopped ? -1.0 : rest;
-                        R[k] = owed;
-                        if (STATISTIC_FLOATS > 0u) statistic_R[k] = statistic_owed;
+                // llvmpipe ends loops that are not unrolled too early; its subgroups have at most 16 lanes.
+                for (uint piece = 0u; piece < SUBGROUP; piece += PIECE) {
+                    [[unroll]] for (uint j = 0u; j < PIECE; ++j) {
+                        uint i = piece + j;
+                        float start = subgroupShuffle(T[k], i);
+                        if (start <= 0.0) continue;
+                        float debt = subgroupShuffle(R[k], i);
+                        float dx = corner.x + float(i % TILE_WIDTH) - s.mean.x;
+                        float dy = corner.y + float(i / TILE_WIDTH + k * tile.step_y) - s.mean.y;
+                        float p = s.factor.x * dx + s.factor.y * dy;
+                        float q = s.factor.z * dy;
+                        float raw = s.opacity * splat_exp2(-(p * p + q * q));
+                        float alpha = min(ALPHA_MAX, raw);
+                        alpha = alpha >= ALPHA_MIN && real ? alpha : 0.0;
+                        float before = start * subgroupExclusiveMul(1.0 - alpha);
+                        bool stop = alpha > 0.0 && before - alpha * before < TRANSMITTANCE_MIN;
+                        uvec4 stops = subgroupBallot(stop);
+                        bool stopped = any(notEqual(stops, uvec4(0u)));
+                        uint first = stopped ? subgroupBallotFindLSB(stops) : SUBGROUP;
+                        float w = lane < first || KEEP_LAST && lane == first ? alpha * before : 0.0;
+                        float s_dot_g = 0.0, statistic_dot = 0.0;
+                        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
+                            float gradient = subgroupShuffle(g[k * CHANNELS + c], i);
+                            total_color[c] += w * gradient;
+                            s_dot_g += f[c] * gradient;
+                            if (STATISTIC_FLOATS > 0u && in_statistic(c)) statistic_dot += f[c] * gradient;
+                        }
+                        if (WEIGHTS > 0u) total_weight += w;
+                        float after = debt - subgroupInclusiveAdd(w * s_dot_g);
+                        float h = w > 0.0 && raw <= ALPHA_MAX
+                            ? -0.69314718055994531 * alpha * (before * s_dot_g - after / (1.0 - alpha)) : 0.0;
+                        float hp = h * p;
+                        float hy = h * dy;
+                        total[0] += h;
+                        total[1] += hp;
+                        total[2] += hp * p;
+                        total[3] += hp * dy;
+                        total[4] += hy;
+                        total[5] += hy * dy;
+                        float statistic_owed = 0.0;
+                        if (STATISTIC_FLOATS > 0u) {
+                            float statistic_after =
+                                subgroupShuffle(statistic_R[k], i) - subgroupInclusiveAdd(w * statistic_dot);
+                            float owed = statistic_after / (1.0 - alpha);
+                            float of_statistic = w > 0.0 && raw <= ALPHA_MAX
+                                ? -0.69314718055994531 * alpha * (before * statistic_dot - owed) : 0.0;
+                            total_statistic += of_statistic * vec2(p, dy);
+                            statistic_owed = subgroupShuffle(statistic_after, SUBGROUP - 1u);
+                        }
+                        // The pixel goes on from where the last lane left it, or stops for good.
+                        float rest = subgroupShuffle(before - alpha * before, SUBGROUP - 1u);
+                        float owed = subgroupShuffle(after, SUBGROUP - 1u);
+                        if (lane == i) {
+                            T[k] = stopped ? -1.0 : rest;
+                            R[k] = owed;
+                            if (STATISTIC_FLOATS > 0u) statistic_R[k] = statistic_owed;
+                        }
                     }
                 }
             }

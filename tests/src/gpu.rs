@@ -116,7 +116,7 @@ pub fn subgroup_faults(device: &Device) -> Vec<String> {
         // These multiply pieces of any size by ordinary instructions, without subgroup operations.
         let emulated = p.kernel.ends_with("_halves");
         let wrong = p.uses_subgroups && constant != p.subgroup_size && !emulated;
-        let partial = p.uses_subgroups && info.optional.full_subgroups && !p.full_subgroups;
+        let partial = p.uses_subgroups && info.optional.full_subgroups && !p.full_subgroups && !emulated;
         (wrong || partial || !(p.requested || fixed)).then(|| format!("{p:?}"))
     };
     device.pipelines().iter().filter_map(fault).collect()

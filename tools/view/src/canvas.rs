@@ -24,10 +24,10 @@ use std::time::{Duration, Instant};
 const FRAMES: usize = 2;
 /// Attempts to draw a frame whose buffers are too small. Each makes room for what the one before wanted.
 const ATTEMPTS: u32 = 6;
-/// A frame that takes longer is drawn at half of its resolution while the camera moves.
+/// A frame that takes longer is drawn at a lower resolution while the camera moves.
 const SLOW: Duration = Duration::from_millis(80);
 /// The most pixels of the window along a pixel of a frame.
-const MOST_FACTOR: u32 = 8;
+const MOST_FACTOR: u32 = 16;
 
 /// What draws.
 pub struct Canvas {
@@ -45,6 +45,12 @@ pub struct Canvas {
     is_coarse: bool,
     /// How long the last frame took.
     took: Duration,
+}
+
+/// Pixels of the window along a pixel of a frame, so that frames that took too long are fast enough: most of their time goes into pixels.
+fn coarser(factor: u32, took: Duration) -> u32 {
+    let by = (took.as_secs_f64() / SLOW.as_secs_f64()).sqrt();
+    ((f64::from(factor) * by).ceil() as u32).clamp(factor + 1, MOST_FACTOR.max(factor + 1))
 }
 
 /// What is made for one channel and size.
@@ -161,7 +167,7 @@ impl Canvas {
         *(if self.is_coarse { &mut self.coarse } else { &mut self.made }) = Some(made);
         self.took = begun.elapsed();
         if reused && picture.moving && self.took > SLOW && self.factor < MOST_FACTOR {
-            self.factor *= 2;
+            self.factor = coarser(self.factor, self.took);
         }
         shown
     }
@@ -257,5 +263,17 @@ impl Canvas {
     /// Buffers and images made so far.
     pub fn made(&self) -> u64 {
         self.device.activity().made
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_get_as_coarse_as_they_must() {
+        let of = |factor, millis| coarser(factor, Duration::from_millis(millis));
+        assert_eq!([of(1, 81), of(1, 300), of(1, 2000), of(5, 119), of(8, 100)], [2, 2, 5, 7, 9]);
+        assert_eq!([of(1, 1_000_000), of(15, 81), of(12, 500)], [16; 3]);
     }
 }
