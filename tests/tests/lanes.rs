@@ -13,7 +13,7 @@ use std::time::SystemTime;
 const WIDTH: &str = "512";
 
 /// Programs and tests of them that run by default: what sizes or strides anything by the subgroup.
-const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[])];
+const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[]), ("long_tiles", &[])];
 
 /// Programs that need no device, or start devices of their own.
 const WITHOUT_DEVICE: &[&str] = &["lanes", "layers", "presets"];
