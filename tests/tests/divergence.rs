@@ -107,8 +107,9 @@ fn it_goes_back_repeats_and_resumes() {
     let psnr = psnr(&place, "a");
     println!("{}{} times back, {psnr} dB", first.stderr, backs.len());
     assert!(!backs.is_empty() && first.stderr.matches("it goes on from step").count() == backs.len(), "{backs:?}");
-    // 18 and more with 8 lanes; such rates make much of little.
-    assert!(psnr > 15.0, "{psnr}");
+    // Such rates take another way at each width of subgroups: 16.9 dB at 16 lanes.
+    let least = if sgs_tests::Gpu::new().subgroup_size() == 8 { 18.0 } else { 16.0 };
+    assert!(psnr > least, "{psnr}");
     let files = |run: &str| std::fs::read_dir(place.path(run).join("checkpoint")).unwrap().count();
     assert_eq!(files("a"), 1, "what could be gone back to is left");
     let b = arguments(&place, "b", 400, &more);

@@ -128,10 +128,10 @@ fn logs_outlive_an_interruption() {
     s.intrinsic.losses.own_prior = OwnPrior::Weight(0.5);
     let logged = |training: &mut Intrinsic, until: u32, lines: &mut Vec<String>| {
         let runs = training.logged_losses();
-        let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+        let report = |r: &sgs_passes::pipeline::IntrinsicReport| {
             lines.push(serde_json::to_string(&IntrinsicLog::of(r, &runs, 1.0)).unwrap());
         };
-        training.train(until, heard, || true).unwrap();
+        training.train(until, report, || true).unwrap();
     };
     let mut whole = Vec::new();
     logged(&mut Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap(), 14, &mut whole);

@@ -167,7 +167,7 @@ fn left(until: Instant) -> Result<Duration> {
     if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left) }
 }
 
-/// The answer to what has come of a request so far, none if it is not whole. Bodies of requests are ignored.
+/// The answer to the received part of a request; none until its header is complete. Bodies of requests are ignored.
 pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) -> Option<Vec<u8>> {
     let mut headers = [EMPTY_HEADER; MOST_HEADERS];
     let mut asked = Request::new(&mut headers);

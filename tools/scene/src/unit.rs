@@ -55,7 +55,7 @@ impl Unit {
 }
 
 impl Unit {
-    /// The unit for splats of which nothing else is known, from the median distance from their middle. At most their own.
+    /// The unit for splats without a scene, from their median distance to their center. Only small scenes get another than their own.
     pub fn of_splats(splats: &Splats) -> Unit {
         let every = splats.len().div_ceil(SAMPLES).max(1);
         let places = || splats.means.iter().step_by(every).filter(|mean| mean.iter().all(|v| v.is_finite()));

@@ -112,7 +112,7 @@ impl Geometry {
         &self.idle
     }
 
-    /// What was decided about the model so far.
+    /// Decisions about the model.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions
     }

@@ -114,7 +114,7 @@ fn due(share: f64, steps: u32) -> u32 {
 }
 
 impl Intrinsic {
-    /// What was decided about the model so far, in order.
+    /// Decisions about the model, in order.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions
     }
