@@ -4,12 +4,13 @@ use anyhow::{Context, ensure};
 use sgs_scene::{Camera, Scene, Splats};
 use sgs_train::Settings;
 use std::path::Path;
+use std::sync::Arc;
 use tempfile::TempDir;
 
 /// A scene with its surfaces.
 pub struct LitScene {
     /// Photographs and priors.
-    pub scene: Scene,
+    pub scene: Arc<Scene>,
     /// Geometry.
     pub splats: Splats,
     /// A room that was made is there for as long as this.
@@ -52,7 +53,7 @@ impl LitScene {
                 splats
             }
         };
-        Ok(LitScene { scene, splats, _made: made })
+        Ok(LitScene { scene: Arc::new(scene), splats, _made: made })
     }
 
     /// That of the first training view.

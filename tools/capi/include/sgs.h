@@ -56,6 +56,12 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // One minus the transmittance.
 #define SGS_LAYER_ALPHA 3
 
+// Stage of training: Gaussians from photographs.
+#define SGS_STAGE_GEOMETRY 1
+
+// Stage of training: materials, lights and visibility on fixed geometry.
+#define SGS_STAGE_INTRINSIC 2
+
 // Of relightings: all light, over the background.
 #define SGS_LAYER_SHADED 16
 
@@ -437,14 +443,19 @@ typedef struct {
 typedef struct {
   // sizeof(SgsTrainerInfo)
   uint32_t struct_size;
-  // Not 0: go on from the checkpoint in `run`.
+  // Not 0: continue the run in `run`. Settings that are null are then those of the run.
   uint32_t resume;
   // The scene directory.
   const char *dataset;
   // Settings as TOML text, as in config.toml of a run; null for the defaults.
   const char *settings;
-  // The run directory to resume; null if there is none.
+  // Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
+  // divergence is then an error.
   const char *run;
+  // Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
+  const char *start;
+  // Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
+  uint32_t stages;
 } SgsTrainerInfo;
 
 // A training under way.
@@ -454,16 +465,20 @@ typedef uint64_t SgsTrainer;
 typedef struct {
   // sizeof(SgsTrainStatus)
   uint32_t struct_size;
-  // Steps that are done.
+  // Finished steps of the stage.
   uint32_t step;
-  // Steps that there will be.
+  // Steps of the stage in all.
   uint32_t steps;
-  // Not 0 once all are done.
+  // Not 0 once all stages are finished.
   uint32_t finished;
   // Gaussians after the last step.
   uint32_t gaussians;
   // The loss of the last step, or 0 before the first.
   float loss;
+  // The stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+  uint32_t stage;
+  // Rollbacks of the stage after divergence.
+  uint32_t roll_backs;
 } SgsTrainStatus;
 
 #ifdef __cplusplus
@@ -681,8 +696,10 @@ SgsResult sgs_train_step(const SgsContext *context,
                          double budget_seconds,
                          SgsTrainStatus *status);
 
-// Writes the run directory: settings, checkpoint, and the Gaussians as they are.
-SgsResult sgs_trainer_save(const SgsContext *context, SgsTrainer trainer, const char *run);
+// Writes settings, a checkpoint and the current state of the stage into a run directory, from which training can continue.
+SgsResult sgs_trainer_save(const SgsContext *context,
+                           SgsTrainer trainer,
+                           const char *run);
 
 // Writes the Gaussians as they are as a PLY file.
 SgsResult sgs_trainer_export(const SgsContext *context, SgsTrainer trainer, const char *path);

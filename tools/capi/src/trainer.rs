@@ -5,7 +5,10 @@ use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
 use crate::scene::SceneObject;
 use crate::types::*;
 use sgs_scene::Scene;
-use sgs_train::{Geometry, Progress, RunDirectory, Settings};
+use sgs_train::{
+    Contents, DirectoryLock, Event, Observer, RunDirectory, Settings, Stage, StageKind, StartGeometry, Trainer,
+    TrainerOptions,
+};
 use std::ffi::c_char;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,10 +16,21 @@ use std::time::{Duration, Instant};
 
 /// A training under way.
 pub(crate) struct TrainerObject {
-    training: Geometry,
-    steps: u32,
+    trainer: Trainer,
     loss: f32,
     gaussians: u32,
+    /// Of the run directory.
+    _lock: Option<DirectoryLock>,
+}
+
+/// What `SgsTrainerInfo` says, in Rust's types.
+struct Request<'a> {
+    dataset: &'a str,
+    settings: Option<&'a str>,
+    run: Option<&'a Path>,
+    resume: bool,
+    start: Option<&'a Path>,
+    stages: u32,
 }
 
 fn settings(text: Option<&str>, dataset: &str) -> Outcome<Settings> {
@@ -37,24 +51,71 @@ fn settings(text: Option<&str>, dataset: &str) -> Outcome<Settings> {
     Ok(settings)
 }
 
-fn open(inner: &Inner, dataset: &str, text: Option<&str>, run: Option<&str>) -> Outcome<TrainerObject> {
-    let mut settings = match (run, text) {
-        (Some(run), None) => {
-            let mut settings = RunDirectory::open(Path::new(run))?.settings()?;
-            settings.scene = std::path::absolute(dataset).unwrap_or_else(|_| dataset.into());
-            settings
-        }
-        _ => settings(text, dataset)?,
-    };
-    let scene = Scene::open(&settings.scene, &settings.scene_options())?;
-    // What was chosen for the scene belongs to the run.
-    settings.exposure = scene.exposure();
-    let mut training = Geometry::new(&inner.device, &scene, &settings, None)?;
-    if let Some(run) = run {
-        training.restore(&RunDirectory::open(Path::new(run))?.checkpoint())?;
+fn stages(flags: u32) -> Outcome<Vec<StageKind>> {
+    let all = [(SGS_STAGE_GEOMETRY, StageKind::Geometry), (SGS_STAGE_INTRINSIC, StageKind::Intrinsic)];
+    let known = SGS_STAGE_GEOMETRY | SGS_STAGE_INTRINSIC;
+    if flags & !known != 0 {
+        let text = format!(
+            "SgsTrainerInfo.stages is {flags}, but must be a sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC."
+        );
+        return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
     }
-    let gaussians = training.gaussians().count(&inner.device)?;
-    Ok(TrainerObject { training, steps: settings.geometry.steps, loss: 0.0, gaussians })
+    let flags = if flags == 0 { SGS_STAGE_GEOMETRY } else { flags };
+    Ok(all.into_iter().filter(|(flag, _)| flags & flag != 0).map(|(_, kind)| kind).collect())
+}
+
+/// Refuses a directory whose files a new run would destroy.
+fn check_new(run: &Path, stages: &[StageKind]) -> Outcome<()> {
+    let name = run.display();
+    match Contents::of(run) {
+        Contents::Nothing => Ok(()),
+        Contents::Run(there) if !there.is_trained() => Ok(()),
+        // Materials on the geometry that the run holds.
+        Contents::Run(there) if stages == [StageKind::Intrinsic] && !there.materials => Ok(()),
+        Contents::Run(_) => fail(
+            SgsResult::SGS_ERROR_FILE,
+            format!("\"{name}\" holds a run: set SgsTrainerInfo.resume, or name another directory."),
+        ),
+        _ => fail(
+            SgsResult::SGS_ERROR_FILE,
+            format!("\"{name}\" holds files that do not belong to a run: name a new or an empty directory."),
+        ),
+    }
+}
+
+fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
+    let stages = stages(request.stages)?;
+    let began = match request.run {
+        Some(run) if request.resume => Some(RunDirectory::open(run)?.settings()?),
+        Some(run) if stages == [StageKind::Intrinsic] => RunDirectory::open(run).and_then(|run| run.settings()).ok(),
+        _ => None,
+    };
+    let mut settings = match (began, request.settings) {
+        (Some(began), None) => began,
+        (_, text) => settings(text, request.dataset)?,
+    };
+    // Whoever opens a run may stand in another directory.
+    settings.scene = std::path::absolute(request.dataset).unwrap_or_else(|_| request.dataset.into());
+    let scene = Scene::open(&settings.scene, &settings.scene_options())?;
+    let lock = match request.run {
+        Some(run) => {
+            if !request.resume {
+                check_new(run, &stages)?;
+            }
+            Some(DirectoryLock::acquire(run)?)
+        }
+        None => None,
+    };
+    let options = TrainerOptions {
+        stages,
+        run: request.run.map(Path::to_owned),
+        resume: request.resume,
+        start: request.start.map(|path| StartGeometry::File(path.to_owned())),
+    };
+    let mut trainer = Trainer::new(&inner.device, Arc::new(scene), &settings, options)?;
+    trainer.prepare(&mut ())?;
+    let gaussians = trainer.stage().map_or(Ok(0), |stage| stage.count())?;
+    Ok(TrainerObject { trainer, loss: 0.0, gaussians, _lock: lock })
 }
 
 /// Opens a dataset for training.
@@ -72,11 +133,19 @@ pub unsafe extern "C" fn sgs_trainer_open(
             let dataset = string(info.dataset, "SgsTrainerInfo.dataset")?;
             let text = optional_string(info.settings, "SgsTrainerInfo.settings")?;
             let run = optional_string(info.run, "SgsTrainerInfo.run")?;
+            let start = optional_string(info.start, "SgsTrainerInfo.start")?;
             if info.resume != 0 && run.is_none() {
                 return fail(SgsResult::SGS_ERROR_NULL, "SgsTrainerInfo.run is null, but is to be resumed.");
             }
-            let run = run.filter(|_| info.resume != 0);
-            let object = open(inner, &dataset, text.as_deref(), run.as_deref())?;
+            let request = Request {
+                dataset: &dataset,
+                settings: text.as_deref(),
+                run: run.as_deref().map(Path::new),
+                resume: info.resume != 0,
+                start: start.as_deref().map(Path::new),
+                stages: info.stages,
+            };
+            let object = open(inner, &request)?;
             hand_over(inner, trainer, Thing::Trainer(Box::new(object)))
         })
     }
@@ -109,39 +178,77 @@ pub unsafe extern "C" fn sgs_train_step(
     }
 }
 
-impl TrainerObject {
-    fn train(&mut self, budget: Duration) -> Outcome<()> {
-        let first = self.training.step();
-        if first >= self.steps {
-            return Ok(());
+/// Trains for a time, and at least one step.
+struct Budget {
+    began: Instant,
+    seconds: Duration,
+    /// Whether a step was begun.
+    begun: bool,
+    loss: f32,
+    gaussians: u32,
+}
+
+impl Budget {
+    fn is_spent(&self) -> bool {
+        self.begun && self.began.elapsed() >= self.seconds
+    }
+}
+
+impl Observer for Budget {
+    fn notify(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Step { figures, .. } => (self.loss, self.gaussians) = (figures.loss(), figures.gaussians()),
+            Event::Densified { stats, .. } => self.gaussians = stats.after,
+            _ => {}
         }
-        let (loss, gaussians) = (&mut self.loss, &mut self.gaussians);
-        let heard = |p: &Progress| match p {
-            Progress::Step(r) => (*loss, *gaussians) = (r.losses.total, r.gaussians),
-            Progress::Densified { stats, .. } => *gaussians = stats.after,
-            Progress::Decided(_) => {}
-        };
-        let began = Instant::now();
+    }
+
+    fn should_pause(&mut self) -> bool {
+        let spent = self.is_spent();
         // The first question comes before the first step.
-        let mut asked = false;
-        let go_on = || !std::mem::replace(&mut asked, true) || began.elapsed() < budget;
-        Ok(self.training.train(self.steps, heard, go_on)?)
+        self.begun = true;
+        spent
+    }
+}
+
+impl TrainerObject {
+    fn train(&mut self, seconds: Duration) -> Outcome<()> {
+        let (loss, gaussians) = (self.loss, self.gaussians);
+        let mut budget = Budget { began: Instant::now(), seconds, begun: false, loss, gaussians };
+        let mut result = Ok(());
+        while !self.trainer.is_finished() && !budget.is_spent() && result.is_ok() {
+            result = self.trainer.advance(&mut budget).map(|_| ());
+        }
+        (self.loss, self.gaussians) = (budget.loss, budget.gaussians);
+        Ok(result?)
+    }
+
+    fn stage(&self) -> Outcome<&dyn Stage> {
+        match self.trainer.stage() {
+            Some(stage) => Ok(stage),
+            None => fail(SgsResult::SGS_ERROR_TRAINING, "The training has ended with an error."),
+        }
     }
 
     fn status(&self) -> SgsTrainStatus {
-        let step = self.training.step();
+        let stage = self.trainer.stage();
         SgsTrainStatus {
             struct_size: 0,
-            step,
-            steps: self.steps,
-            finished: u32::from(step >= self.steps),
+            step: stage.map_or(0, Stage::step),
+            steps: stage.map_or(0, Stage::steps),
+            finished: u32::from(self.trainer.is_finished()),
             gaussians: self.gaussians,
             loss: self.loss,
+            stage: match stage.map(Stage::kind) {
+                Some(StageKind::Intrinsic) => SGS_STAGE_INTRINSIC,
+                _ => SGS_STAGE_GEOMETRY,
+            },
+            roll_backs: stage.map_or(0, |stage| stage.roll_backs().len() as u32),
         }
     }
 }
 
-/// Writes the run directory: settings, checkpoint, and the Gaussians as they are.
+/// Writes settings, a checkpoint and the current state of the stage into a run directory, from which training can continue.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_save(
     context: *const SgsContext,
@@ -152,11 +259,7 @@ pub unsafe extern "C" fn sgs_trainer_save(
     unsafe {
         with(context, |inner| {
             let run = string(run, "run")?;
-            let training = &inner.trainer(trainer)?.training;
-            let run = RunDirectory::create(Path::new(&run))?;
-            run.write_settings(training.settings())?;
-            training.save(&run.checkpoint())?;
-            Ok(training.splats()?.write_ply(&run.path("scene.ply"))?)
+            Ok(inner.trainer(trainer)?.trainer.save(Path::new(&run))?)
         })
     }
 }
@@ -172,7 +275,7 @@ pub unsafe extern "C" fn sgs_trainer_export(
     unsafe {
         with(context, |inner| {
             let path = string(path, "path")?;
-            Ok(inner.trainer(trainer)?.training.splats()?.write_ply(Path::new(&path))?)
+            Ok(inner.trainer(trainer)?.stage()?.splats()?.write_ply(Path::new(&path))?)
         })
     }
 }
@@ -188,7 +291,7 @@ pub unsafe extern "C" fn sgs_trainer_scene(
     unsafe {
         with(context, |inner| {
             claim(scene)?;
-            let splats = inner.trainer(trainer)?.training.splats()?;
+            let splats = inner.trainer(trainer)?.stage()?.splats()?;
             let object = Thing::Scene(Arc::new(SceneObject::new(inner, &splats)?));
             hand_over(inner, scene, object)
         })

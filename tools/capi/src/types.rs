@@ -81,6 +81,11 @@ pub const SGS_LAYER_NORMAL: u32 = 2;
 /// One minus the transmittance.
 pub const SGS_LAYER_ALPHA: u32 = 3;
 
+/// Stage of training: Gaussians from photographs.
+pub const SGS_STAGE_GEOMETRY: u32 = 1;
+/// Stage of training: materials, lights and visibility on fixed geometry.
+pub const SGS_STAGE_INTRINSIC: u32 = 2;
+
 /// Of relightings: all light, over the background.
 pub const SGS_LAYER_SHADED: u32 = 16;
 /// Of relightings: linear albedo.
@@ -424,14 +429,19 @@ pub struct SgsRelitInfo {
 pub struct SgsTrainerInfo {
     /// sizeof(SgsTrainerInfo)
     pub struct_size: u32,
-    /// Not 0: go on from the checkpoint in `run`.
+    /// Not 0: continue the run in `run`. Settings that are null are then those of the run.
     pub resume: u32,
     /// The scene directory.
     pub dataset: *const c_char,
     /// Settings as TOML text, as in config.toml of a run; null for the defaults.
     pub settings: *const c_char,
-    /// The run directory to resume; null if there is none.
+    /// Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
+    /// divergence is then an error.
     pub run: *const c_char,
+    /// Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
+    pub start: *const c_char,
+    /// Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
+    pub stages: u32,
 }
 
 /// How far a training is.
@@ -440,14 +450,18 @@ pub struct SgsTrainerInfo {
 pub struct SgsTrainStatus {
     /// sizeof(SgsTrainStatus)
     pub struct_size: u32,
-    /// Steps that are done.
+    /// Finished steps of the stage.
     pub step: u32,
-    /// Steps that there will be.
+    /// Steps of the stage in all.
     pub steps: u32,
-    /// Not 0 once all are done.
+    /// Not 0 once all stages are finished.
     pub finished: u32,
     /// Gaussians after the last step.
     pub gaussians: u32,
     /// The loss of the last step, or 0 before the first.
     pub loss: f32,
+    /// The stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+    pub stage: u32,
+    /// Rollbacks of the stage after divergence.
+    pub roll_backs: u32,
 }

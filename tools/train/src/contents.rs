@@ -1,6 +1,7 @@
 //! What a directory holds that a command is about to write into.
 
 use crate::run::RunDirectory;
+use crate::trainer::StageKind;
 use sgs_scene::Layout;
 use std::path::Path;
 
@@ -51,8 +52,8 @@ impl RunContents {
     /// Inspects a directory; `None` if it is no run directory.
     pub fn of(root: &Path) -> Option<RunContents> {
         let run = RunDirectory::open(root).ok()?;
-        let geometry = run.checkpoint().is_file() || run.path("scene.ply").is_file();
-        let materials = run.intrinsic_checkpoint().is_file() || run.path("lights.json").is_file();
+        let geometry = run.checkpoint(StageKind::Geometry).is_file() || run.path("scene.ply").is_file();
+        let materials = run.checkpoint(StageKind::Intrinsic).is_file() || run.path("lights.json").is_file();
         // Other programs have files of this name, too.
         (geometry || materials || run.path("checkpoint").is_dir()).then_some(RunContents { geometry, materials })
     }

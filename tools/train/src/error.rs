@@ -43,16 +43,23 @@ pub enum TrainError {
         reason: String,
     },
     /// Training cannot go on.
-    #[error("Training stopped at step {step}: {reason}.")]
+    #[error("Training stopped at step {step}: {reason}.{advice}")]
     Diverged {
         /// The step.
         step: u32,
         /// Why.
         reason: String,
+        /// How to continue, after a space; empty where nothing is kept.
+        advice: String,
     },
 }
 
 impl TrainError {
+    /// Makes the error of a training that has diverged, before anything is kept of it.
+    pub(crate) fn diverged(step: u32, reason: impl Into<String>) -> TrainError {
+        TrainError::Diverged { step, reason: reason.into(), advice: String::new() }
+    }
+
     /// Whether the device's memory did not suffice.
     pub fn is_out_of_memory(&self) -> bool {
         match self {

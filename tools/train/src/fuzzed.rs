@@ -66,7 +66,7 @@ fn goes_on(course: &Course, from: u32) -> bool {
     for step in 1..200 {
         let step = from.saturating_add(step);
         watch.see(&Seen { step, view: step as usize % 2, loss: 0.1, l1: 0.1, skipped: 0, of: 1, rates: 1.0 });
-        watch.vouched_for();
+        watch.validate_candidate();
     }
     known
 }

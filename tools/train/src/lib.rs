@@ -23,7 +23,6 @@ mod geometry;
 mod head;
 mod idle;
 mod intrinsic;
-mod kept;
 mod limits;
 mod lock;
 mod memory;
@@ -39,6 +38,7 @@ mod settings;
 mod shaded;
 mod shadows;
 mod speed;
+mod trainer;
 mod visibility;
 
 pub use asked::Look;
@@ -58,11 +58,13 @@ pub use evaluate_shaded::{
 };
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
 pub use framing::Framing;
-pub use geometry::{Decision, Geometry, MANY_POINTS, MOST_THINNED, Progress, Sight};
+pub use geometry::{Decision, Geometry, Progress, Sight, StepLog};
 pub use head::SemanticHead;
 pub use idle::IdleLoss;
-pub use intrinsic::{Intrinsic, IntrinsicNeeds, LightFile, LightRow, LobeRow, Probe, read_lights, write_lights};
-pub use kept::Kept;
+pub use intrinsic::{
+    Intrinsic, IntrinsicLog, IntrinsicNeeds, LightFile, LightRow, LobeRow, LoggedLosses, Probe, read_lights,
+    write_lights,
+};
 pub use lock::{DirectoryLock, LockHolder};
 pub use memory::{Needs, parse_bytes};
 pub use pseudo::{Neighbors, Position, PseudoOptions, PseudoViews};
@@ -72,7 +74,7 @@ pub use relight::{
     NewLight, Region, Relighter, Relit, Selector, Turn, Where, bake, bake_cameras, baked_psnr, evaluate_relit,
     skip_relit, source_of,
 };
-pub use run::{IntrinsicLog, LoggedLosses, RunDirectory, StepLog};
+pub use run::RunDirectory;
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use settings::{
@@ -84,4 +86,8 @@ pub use settings::{
 pub use shaded::{RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_scene};
 pub use shadows::Rays;
 pub use speed::{Fps, render_fps, shade_fps};
+pub use trainer::{
+    Event, Observer, Outcome, Stage, StageEvent, StageKind, StageSummary, StartGeometry, StepFigures, Trainer,
+    TrainerOptions,
+};
 pub use visibility::VisibilityFile;

@@ -1,10 +1,10 @@
 //! The run directory: what training leaves, and where.
 
 use crate::error::{Result, TrainError};
-use crate::kept::Kept;
 use crate::settings::{Settings, one_line};
+use crate::trainer::{RollbackFiles, StageKind};
 use serde::Serialize;
-use sgs_passes::pipeline::{IntrinsicReport, StepReport};
+use sgs_scene::Splats;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -19,186 +19,6 @@ const DIVERGED: &str = "diverged.json";
 #[derive(Clone, Debug)]
 pub struct RunDirectory {
     root: PathBuf,
-}
-
-/// One line of `log.jsonl`.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct StepLog {
-    /// The step.
-    pub step: u32,
-    /// Weighted sum of all losses.
-    pub loss: f32,
-    /// Mean absolute difference.
-    pub l1: f32,
-    /// SSIM.
-    pub ssim: f32,
-    /// One minus the cosine to the normal prior.
-    pub normal: f32,
-    /// One minus the cosine to the semantic prior.
-    pub semantic: f32,
-    /// Cross-entropy of the classes.
-    pub semantic_class: f32,
-    /// Distance of a region's features between views.
-    pub correspondence: f32,
-    /// Cross-entropy of its class there.
-    pub correspondence_class: f32,
-    /// How many Gaussians.
-    pub gaussians: u32,
-    /// How many of them the view sees.
-    pub visible: u32,
-    /// Tile entries.
-    pub entries: u32,
-    /// Splats skipped so far because their gradients were not finite.
-    pub skipped: u32,
-    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
-    #[serde(skip_serializing_if = "is_one")]
-    pub rates: f64,
-}
-
-/// One line of `log.jsonl` of the intrinsic stage. A loss that does not run has no key. Losses that not each step has are those of
-/// the last step that had them.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct IntrinsicLog {
-    /// `intrinsic`.
-    pub stage: &'static str,
-    /// The step.
-    pub step: u32,
-    /// Weighted loss of the shaded image.
-    pub shaded: f32,
-    /// Its mean absolute difference.
-    pub l1: f32,
-    /// Its SSIM.
-    pub ssim: f32,
-    /// Weighted photometric loss of albedo against the prior.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub albedo: Option<f32>,
-    /// The same of roughness.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub roughness: Option<f32>,
-    /// The same of metallic.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub metallic: Option<f32>,
-    /// Multi-scale gradient loss of albedo against the prior; this and all below before their weights.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub albedo_gradients: Option<f32>,
-    /// The same of roughness.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub roughness_gradients: Option<f32>,
-    /// Edge-aware smoothness of albedo.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub albedo_smooth: Option<f32>,
-    /// The same of roughness.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub roughness_smooth: Option<f32>,
-    /// Smoothness of the environment map.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub environment_smooth: Option<f32>,
-    /// Nearness of lights to surfaces.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub light_position: Option<f32>,
-    /// Amplitudes of lights.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub light_value: Option<f32>,
-    /// Change of visibility under a jitter of points and lights, mean over pixels and lights.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub visibility_jitter: Option<f32>,
-    /// L_cross_semantic.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cross_view: Option<f32>,
-    /// L_relight.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub relight: Option<f32>,
-    /// Albedo of a region against the view's own prior.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub own_prior: Option<f32>,
-    /// Gradients skipped so far because they were not finite.
-    pub skipped: u32,
-    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
-    #[serde(skip_serializing_if = "is_one")]
-    pub rates: f64,
-}
-
-/// Losses of the intrinsic stage that run in each step; the weight of the last one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LoggedLosses {
-    /// Albedo against the prior.
-    pub albedo: bool,
-    /// Roughness against the prior.
-    pub roughness: bool,
-    /// Metallic against the prior.
-    pub metallic: bool,
-    /// Gradients of albedo.
-    pub albedo_gradients: bool,
-    /// Gradients of roughness.
-    pub roughness_gradients: bool,
-    /// Smoothness of albedo.
-    pub albedo_smooth: bool,
-    /// Smoothness of roughness.
-    pub roughness_smooth: bool,
-    /// Smoothness of the environment map.
-    pub environment_smooth: bool,
-    /// Nearness of lights to surfaces.
-    pub light_position: bool,
-    /// Amplitudes of lights.
-    pub light_value: bool,
-    /// Weight of the visibility field's jitter; 0 where it does not run.
-    pub visibility_jitter: f32,
-}
-
-impl IntrinsicLog {
-    /// The line of a step.
-    pub fn of(r: &IntrinsicReport, runs: &LoggedLosses, rates: f64) -> IntrinsicLog {
-        let m = &r.materials;
-        let seen = |value: f32| (value >= 0.0).then_some(value);
-        IntrinsicLog {
-            stage: "intrinsic",
-            step: r.step,
-            shaded: r.shaded,
-            l1: r.shaded_l1,
-            ssim: r.shaded_ssim,
-            albedo: runs.albedo.then_some(r.albedo),
-            roughness: runs.roughness.then_some(r.roughness),
-            metallic: runs.metallic.then_some(r.metallic),
-            albedo_gradients: runs.albedo_gradients.then_some(m.albedo_msg),
-            roughness_gradients: runs.roughness_gradients.then_some(m.roughness_msg),
-            albedo_smooth: runs.albedo_smooth.then_some(m.albedo_edge),
-            roughness_smooth: runs.roughness_smooth.then_some(m.roughness_edge),
-            environment_smooth: runs.environment_smooth.then_some(r.environment_smooth),
-            light_position: runs.light_position.then_some(r.light_position),
-            light_value: runs.light_value.then_some(r.light_value),
-            visibility_jitter: (runs.visibility_jitter > 0.0).then(|| r.visibility_jitter / runs.visibility_jitter),
-            cross_view: seen(r.recent_cross_view),
-            relight: seen(r.recent_relight),
-            own_prior: seen(r.recent_own_prior),
-            skipped: r.skipped,
-            rates,
-        }
-    }
-}
-
-impl From<&StepReport> for StepLog {
-    fn from(r: &StepReport) -> StepLog {
-        StepLog {
-            step: r.step,
-            loss: r.losses.total,
-            l1: r.losses.l1,
-            ssim: r.losses.ssim,
-            normal: r.losses.normal,
-            semantic: r.losses.semantic,
-            semantic_class: r.losses.semantic_class,
-            correspondence: r.losses.correspondence,
-            correspondence_class: r.losses.correspondence_class,
-            gaussians: r.gaussians,
-            visible: r.visible,
-            entries: r.entries,
-            skipped: r.skipped,
-            rates: 1.0,
-        }
-    }
-}
-
-fn is_one(rates: &f64) -> bool {
-    *rates == 1.0
 }
 
 impl RunDirectory {
@@ -234,24 +54,61 @@ impl RunDirectory {
         self.root.join(name)
     }
 
-    /// The resumable state.
-    pub fn checkpoint(&self) -> PathBuf {
-        self.root.join("checkpoint").join("geometry.safetensors")
+    /// The checkpoint of a stage.
+    pub fn checkpoint(&self, stage: StageKind) -> PathBuf {
+        self.root.join("checkpoint").join(format!("{stage}.safetensors"))
     }
 
-    /// The resumable state of the intrinsic stage.
-    pub fn intrinsic_checkpoint(&self) -> PathBuf {
-        self.root.join("checkpoint").join("intrinsic.safetensors")
+    /// The rollback checkpoints of a stage.
+    pub(crate) fn rollback_files(&self, stage: StageKind) -> RollbackFiles {
+        RollbackFiles::beside(self.checkpoint(stage))
     }
 
-    /// What the geometry stage may go back to.
-    pub fn kept(&self) -> Kept {
-        Kept::of(self.checkpoint())
+    /// The last step of a stage as a Chrome trace.
+    pub fn profile(&self, stage: StageKind) -> PathBuf {
+        self.path(match stage {
+            StageKind::Geometry => "profile.json",
+            StageKind::Intrinsic => "profile-intrinsic.json",
+        })
     }
 
-    /// What the intrinsic stage may go back to.
-    pub fn intrinsic_kept(&self) -> Kept {
-        Kept::of(self.intrinsic_checkpoint())
+    /// The graph of a stage as a page.
+    pub fn graph(&self, stage: StageKind) -> PathBuf {
+        self.path(match stage {
+            StageKind::Geometry => "graph.html",
+            StageKind::Intrinsic => "graph-intrinsic.html",
+        })
+    }
+
+    /// The stages whose steps are all finished, by the run's own summary.
+    pub fn complete(&self, settings: &Settings) -> Vec<StageKind> {
+        let summary = self.training_summary().unwrap_or_default();
+        if !self.path("scene.ply").is_file() || self.has_diverged() {
+            return Vec::new();
+        }
+        let wanted = [
+            (StageKind::Geometry, &summary, settings.geometry.steps),
+            (StageKind::Intrinsic, &summary["intrinsic"], settings.intrinsic.steps),
+        ];
+        let whole = wanted.into_iter().filter(|(_, of, steps)| of["steps"].as_u64() == Some(u64::from(*steps)));
+        whole.map(|(stage, ..)| stage).collect()
+    }
+
+    /// Refuses to train geometry further under materials: they belong to the geometry as it is.
+    ///
+    /// # Errors
+    /// If the run has materials.
+    pub fn check_without_materials(&self) -> Result<()> {
+        let scene = self.path("scene.ply");
+        let painted = || scene.is_file() && Splats::read_ply(&scene).is_ok_and(|s| s.albedo.is_some());
+        if self.checkpoint(StageKind::Intrinsic).is_file() || painted() {
+            return Err(TrainError::Setting(format!(
+                "\"{}\" has got to materials, which its geometry must not change under: resume it with --stage intrinsic, or \
+                 train geometry into another directory.",
+                self.root.display()
+            )));
+        }
+        Ok(())
     }
 
     /// Says that a stage has diverged: until it is resumed, with other learning rates if one likes.
@@ -302,8 +159,8 @@ impl RunDirectory {
         let names = ["scene.ply", SEMANTICS, "log.jsonl", DIVERGED, "profile.json", "graph.html"];
         // The checkpoint goes first: were it left with other settings, resuming would go on from it. A summary that is damaged is
         // in nobody's way.
-        self.remove([self.checkpoint(), self.path("training.json")])?;
-        self.kept().forget()?;
+        self.remove([self.checkpoint(StageKind::Geometry), self.path("training.json")])?;
+        self.rollback_files(StageKind::Geometry).remove()?;
         self.forget_intrinsic()?;
         self.remove(names.map(|n| self.path(n)))
     }
@@ -315,8 +172,8 @@ impl RunDirectory {
     pub fn forget_intrinsic(&self) -> Result<()> {
         let results = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
         let names = results.into_iter().chain(["profile-intrinsic.json", "graph-intrinsic.html"]);
-        self.remove(std::iter::once(self.intrinsic_checkpoint()).chain(names.map(|n| self.path(n))))?;
-        self.intrinsic_kept().forget()?;
+        self.remove(std::iter::once(self.checkpoint(StageKind::Intrinsic)).chain(names.map(|n| self.path(n))))?;
+        self.rollback_files(StageKind::Intrinsic).remove()?;
         // What the geometry came to stays known.
         let serde_json::Value::Object(mut all) = self.training_summary()? else { return Ok(()) };
         if all.remove("intrinsic").is_none() {
@@ -375,18 +232,21 @@ impl RunDirectory {
         }
     }
 
-    /// Puts what the intrinsic stage came to into `training.json`.
+    /// Writes the summary of a stage into `training.json`. A later stage keeps the summaries of earlier ones.
     ///
     /// # Errors
     /// If the file is damaged or cannot be written.
-    pub fn add_intrinsic_summary(&self, summary: &impl Serialize) -> Result<()> {
+    pub fn write_summary(&self, stage: StageKind, summary: &impl Serialize) -> Result<()> {
+        if stage == StageKind::Geometry {
+            return self.write_json("training.json", summary);
+        }
         let path = self.path("training.json");
         let mut all = match self.training_summary()? {
             serde_json::Value::Object(all) => all,
             _ => serde_json::Map::new(),
         };
         let value = serde_json::to_value(summary).map_err(|e| error(&path, e.to_string()))?;
-        all.insert("intrinsic".to_owned(), value);
+        all.insert(stage.name().to_owned(), value);
         self.write_json("training.json", &all)
     }
 
@@ -394,20 +254,16 @@ impl RunDirectory {
         Ok(sgs_scene::atomic_write(path, |f| f.write_all(bytes))?)
     }
 
-    /// Opens the log of the geometry stage; lines after `step` (of an interrupted run) and of later stages are dropped.
+    /// Opens `log.jsonl` for a stage that continues after `step`. Drops lines after that step, and lines of later stages.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn log(&self, step: u32) -> Result<File> {
-        self.log_of(|stage, s| stage.is_none() && s <= u64::from(step))
-    }
-
-    /// Opens the log of the intrinsic stage, whose lines say so; those of it after `step` are dropped.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn intrinsic_log(&self, step: u32) -> Result<File> {
-        self.log_of(|stage, s| stage.is_none() || s <= u64::from(step))
+    pub fn open_log(&self, stage: StageKind, step: u32) -> Result<File> {
+        let until = u64::from(step);
+        match stage {
+            StageKind::Geometry => self.log_of(|line, s| line.is_none() && s <= until),
+            StageKind::Intrinsic => self.log_of(|line, s| line.is_none() || s <= until),
+        }
     }
 
     fn log_of(&self, keep: impl Fn(Option<&str>, u64) -> bool) -> Result<File> {

@@ -29,6 +29,7 @@ use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_scene::{Scene, Splats};
 use sgs_train::{Backward, Settings, gaussian_data};
 use std::fmt::Write;
+use std::sync::Arc;
 
 /// What is known of one choice.
 #[derive(Clone, Debug)]
@@ -329,7 +330,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     }
     mark(&mut points);
     if let (Some(steps), Some(path)) = (a.quality, &a.scene) {
-        let scene = Scene::open(path, &workload.settings.scene_options())?;
+        let scene = Arc::new(Scene::open(path, &workload.settings.scene_options())?);
         for point in &mut points {
             let trained = quality::trained(device, &scene, &point.choice.settings(&base)?, steps, a.semantics)?;
             finite(&point.choice.name, "error after training", trained.psnr + trained.normals.unwrap_or(0.0))?;

@@ -22,10 +22,13 @@ use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
 use sgs_train::metrics::psnr;
-use sgs_train::{Intrinsic, Probe, Settings, Shading, displayed, shaded_scene};
+use sgs_train::{
+    Intrinsic, Probe, Settings, Shading, StageKind, StartGeometry, Trainer, TrainerOptions, displayed, shaded_scene,
+};
 use std::borrow::Cow;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Steps that are timed at once: as many as the slowest rhythm of a choice has, or a multiple of it.
@@ -375,11 +378,14 @@ struct Quality {
 }
 
 /// What a training with these settings comes to.
-fn trained(device: &Device, scene: &Scene, splats: &Splats, settings: &Settings) -> anyhow::Result<Quality> {
-    let mut training = Intrinsic::new(device, scene, settings, splats)?;
-    training.train(settings.intrinsic.steps, |_| {}, || true)?;
-    let (splats, light) = (training.splats()?, training.light()?);
-    drop(training);
+fn trained(device: &Device, scene: &Arc<Scene>, splats: &Splats, settings: &Settings) -> anyhow::Result<Quality> {
+    let start = Some(StartGeometry::Splats(Box::new(splats.clone())));
+    let options = TrainerOptions { stages: vec![StageKind::Intrinsic], start, ..Default::default() };
+    let mut trainer = Trainer::new(device, scene.clone(), settings, options)?;
+    trainer.run(&mut ())?;
+    let stage = trainer.stage().context("nothing was trained")?;
+    let (splats, light) = (stage.splats()?, stage.light()?.context("nothing lights the scene")?);
+    drop(trainer);
     let made = shaded_scene(device, &splats, light.lights.as_ref(), light.environment.as_ref(), &light.visibility)?;
     let mut shading = Shading::new(device, made)?;
     let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };

@@ -1,10 +1,12 @@
 //! What a scene's geometry comes to at its test views when it is trained with a choice. Measures are exact whatever it was
 //! trained with.
 
+use anyhow::Context;
 use sgs_engine::Device;
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_scene::Scene;
-use sgs_train::{Geometry, Settings, evaluate, gaussian_data};
+use sgs_train::{Settings, Trainer, TrainerOptions, evaluate, gaussian_data};
+use std::sync::Arc;
 
 /// Decibels of pictures, and degrees of normals if the truth is known; of the training views where there are no others.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,17 +18,17 @@ pub struct Quality {
 /// Trains from the scene's points by the settings of a choice, with classes or without.
 pub fn trained(
     device: &Device,
-    scene: &Scene,
+    scene: &Arc<Scene>,
     choice: &Settings,
     steps: u32,
     semantics: bool,
 ) -> anyhow::Result<Quality> {
     let mut settings = Settings { scene: scene.root.clone(), ..choice.clone() };
     (settings.geometry.steps, settings.geometry.semantics) = (steps, semantics);
-    let mut training = Geometry::new(device, scene, &settings, None)?;
-    training.train(steps, |_| {}, || true)?;
-    let splats = training.splats()?;
-    drop(training);
+    let mut trainer = Trainer::new(device, scene.clone(), &settings, TrainerOptions::default())?;
+    trainer.run(&mut ())?;
+    let splats = trainer.stage().context("nothing was trained")?.splats()?;
+    drop(trainer);
     let (degree, normals) = (splats.sh_degree() as u32, splats.normals.is_some());
     let model = Model { sh_degree: degree, normals, semantics: false };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false)?;

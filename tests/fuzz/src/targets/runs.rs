@@ -5,7 +5,7 @@ use crate::place::Place;
 use crate::seeds;
 use sgs_report::{chart, serve, table};
 use sgs_train::ablate::{Goal, Measures, State};
-use sgs_train::{RunDirectory, Settings, TrainError, overlay, parse_bytes};
+use sgs_train::{RunDirectory, Settings, StageKind, TrainError, overlay, parse_bytes};
 use std::io::Write;
 
 /// Settings as the command line and programs give them.
@@ -71,7 +71,7 @@ pub(crate) fn training(bytes: &[u8]) -> String {
     place.put("training.json", bytes);
     let mut words = state(&run);
     words += &said(run.training_summary(), |value| format!("{}", value.is_object()));
-    words += &said(run.add_intrinsic_summary(&serde_json::json!({"steps": 1})), |()| "added".into());
+    words += &said(run.write_summary(StageKind::Intrinsic, &serde_json::json!({"steps": 1})), |()| "added".into());
     words
 }
 
@@ -89,9 +89,9 @@ pub(crate) fn log(bytes: &[u8]) -> String {
     assert!(!curves.contains('\u{1b}'), "what files say is escaped");
     let kept =
         |log: Result<std::fs::File, TrainError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
-    let words = kept(run.log(3));
+    let words = kept(run.open_log(StageKind::Geometry, 3));
     place.put("log.jsonl", bytes);
-    words + &kept(run.intrinsic_log(3)) + &curves.matches("<svg").count().min(5).to_string()
+    words + &kept(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()
 }
 
 /// Sizes of memory on the command line.

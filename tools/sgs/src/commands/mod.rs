@@ -2,14 +2,12 @@
 
 pub mod ablate;
 pub mod devices;
-pub mod diverged;
 pub mod eval;
 pub mod export;
-pub mod geometry;
-pub mod intrinsic;
 pub mod plan;
 mod plan_intrinsic;
 pub mod priors;
+mod progress;
 pub mod pseudo;
 pub mod relight;
 pub mod render;

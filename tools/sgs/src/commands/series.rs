@@ -3,8 +3,7 @@
 //! Promises: what is done is recognized and not done again; the table is on the disk after every run.
 
 use super::eval::{Split, measure};
-use super::geometry::{Ended, train_into};
-use super::intrinsic::{IntrinsicEnded, intrinsic_into};
+use super::progress::Progress;
 use super::train::{Options, Stage, check_start, open_scene, settings, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
@@ -12,12 +11,16 @@ use crate::failure::refuse_usage;
 use crate::output;
 use crate::ui::Stop;
 use anyhow::bail;
+use sgs_engine::Device;
 use sgs_scene::Scene;
 use sgs_train::ablate::{Ablation, Entry, Goal, Measures, State};
 use sgs_train::metrics::Lpips;
-use sgs_train::{RunContents, RunDirectory, Settings, read_splats};
+use sgs_train::{
+    Outcome, RunContents, RunDirectory, Settings, StageKind, StartGeometry, Trainer, TrainerOptions, read_splats,
+};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 #[derive(clap::Args)]
@@ -214,11 +217,12 @@ impl Runs<'_> {
         let _lock = output::lock(root)?;
         // A device of its own, so that its memory's peak is that of this run.
         let device = self.common.open_device()?;
+        let scene = Arc::new(scene);
+        let name = format!("{}, seed {seed}", row.entry.name);
+        let train = |options: TrainerOptions| self.train(&device, &scene, &asked, &name, root, options);
         if row.start.is_none() && matches!(state, State::Absent | State::Begun) {
-            let what = format!("{}, seed {seed}", row.entry.name);
-            let begun = state == State::Begun;
-            let ended = train_into(self.common, &device, &scene, &asked, root, begun, self.stop, &what, None)?;
-            if let Ended::Stopped(_) = ended {
+            let resume = state == State::Begun;
+            if !train(TrainerOptions { stages: vec![StageKind::Geometry], resume, ..Default::default() })? {
                 return Ok(Came::Stopped);
             }
         }
@@ -227,13 +231,13 @@ impl Runs<'_> {
             if start.is_some() && state == State::Absent {
                 run.forget()?;
             }
-            let (begun, start) = (same && run.intrinsic_checkpoint().is_file(), start.as_deref());
-            if !self.common.quiet && start.is_some() {
-                eprintln!("{}, seed {seed}", row.entry.name);
-            }
-            let ended =
-                intrinsic_into(self.common, &device, &scene, &asked, root, start, begun, false, self.stop, None)?;
-            if let IntrinsicEnded::Stopped(_) = ended {
+            let resume = same && run.checkpoint(StageKind::Intrinsic).is_file();
+            if !train(TrainerOptions {
+                stages: vec![StageKind::Intrinsic],
+                resume,
+                start: start.map(StartGeometry::File),
+                run: None,
+            })? {
                 return Ok(Came::Stopped);
             }
         }
@@ -269,11 +273,28 @@ impl Runs<'_> {
         }
         self.check(&root, state == State::Absent, false)?;
         let _lock = output::lock(&root)?;
-        let (begun, what) = (state == State::Begun, format!("{}, seed {seed}", entry.name));
         let device = self.common.open_device()?;
-        let ended = train_into(self.common, &device, &scene, &asked, &root, begun, self.stop, &what, None)?;
+        let name = format!("{}, seed {seed}", entry.name);
+        let options = TrainerOptions { resume: state == State::Begun, ..Default::default() };
+        let finished = self.train(&device, &Arc::new(scene), &asked, &name, &root, options)?;
         validated(&device)?;
-        Ok(matches!(ended, Ended::Done(_)))
+        Ok(finished)
+    }
+
+    /// Trains a stage into a run directory. Returns whether it is finished.
+    fn train(
+        &self,
+        device: &Device,
+        scene: &Arc<Scene>,
+        settings: &Settings,
+        name: &str,
+        root: &Path,
+        options: TrainerOptions,
+    ) -> anyhow::Result<bool> {
+        let options = TrainerOptions { run: Some(root.to_owned()), ..options };
+        let mut trainer = Trainer::new(device, scene.clone(), settings, options)?;
+        let outcome = trainer.run(&mut Progress::of_series(self.common, self.stop, name.to_owned()))?;
+        Ok(outcome == Outcome::Finished)
     }
 }
 

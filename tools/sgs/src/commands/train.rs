@@ -1,7 +1,6 @@
 //! `sgs train`: from a scene directory to a run directory.
 
-use super::geometry::{Ended, train_into};
-use super::intrinsic::{IntrinsicEnded, intrinsic_into};
+use super::progress::Progress;
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
 use crate::output::{self, Begin, Permission};
@@ -11,13 +10,14 @@ use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
 use sgs_engine::Device;
-use sgs_scene::{Scene, Splats, SplitRule};
+use sgs_scene::{Scene, SplitRule};
 use sgs_train::{
-    Backward, Framing, Intrinsic, MANY_POINTS, MOST_THINNED, PRESETS, Preset, RunDirectory, Settings, accuracy_named,
-    overlay,
+    Backward, Framing, Outcome, PRESETS, Preset, RunDirectory, Settings, StageKind, StartGeometry, Trainer,
+    TrainerOptions, accuracy_named, overlay,
 };
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Names that shells complete; another name is refused where it is used, with a suggestion.
 #[derive(Clone)]
@@ -112,6 +112,17 @@ pub enum Stage {
     Geometry,
     Intrinsic,
     All,
+}
+
+impl Stage {
+    /// The stages that it names.
+    pub fn kinds(self) -> Vec<StageKind> {
+        match self {
+            Stage::Geometry => vec![StageKind::Geometry],
+            Stage::Intrinsic => vec![StageKind::Intrinsic],
+            Stage::All => vec![StageKind::Geometry, StageKind::Intrinsic],
+        }
+    }
 }
 
 /// Settings from preset, then from level of accuracy, then from file, then from `--set`, then from the options of their own.
@@ -319,35 +330,6 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
     })
 }
 
-/// What of a run is complete.
-#[derive(Clone, Copy, Default)]
-struct Complete {
-    geometry: bool,
-    materials: bool,
-}
-
-impl Complete {
-    /// Compares what a run says of itself with the steps that were asked for.
-    fn of(run: &RunDirectory, settings: &Settings) -> Complete {
-        let summary = run.training_summary().unwrap_or_default();
-        let whole = run.path("scene.ply").is_file() && !run.has_diverged();
-        let all = |value: &serde_json::Value, steps: u32| whole && value["steps"].as_u64() == Some(steps.into());
-        Complete {
-            geometry: all(&summary, settings.geometry.steps),
-            materials: all(&summary["intrinsic"], settings.intrinsic.steps),
-        }
-    }
-
-    /// Whether a stage has nothing left to train.
-    fn covers(self, stage: Stage) -> bool {
-        match stage {
-            Stage::Geometry => self.geometry,
-            Stage::Intrinsic => self.materials,
-            Stage::All => self.geometry && self.materials,
-        }
-    }
-}
-
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.start.is_some() && a.stage != Stage::Intrinsic {
         refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
@@ -363,9 +345,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
     if resuming && a.stage == Stage::Geometry {
-        untouched(&a.output)?;
+        RunDirectory::open(&a.output)?.check_without_materials()?;
     }
-    let mut settings = if resuming {
+    let settings = if resuming {
         resumed(a)?
     } else if begin == Begin::Materials && there {
         // The geometry is the run's, and so are the settings that it came from.
@@ -373,20 +355,19 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     } else {
         settings(&a.scene, &a.options)?
     };
-    let complete = match resuming {
-        true => Complete::of(&RunDirectory::open(&a.output)?, &settings),
-        false => Complete::default(),
-    };
-    if complete.covers(a.stage) {
-        if !common.quiet {
-            eprintln!("nothing to do: \"{}\" has all of its steps", a.output.display());
+    let kinds = a.stage.kinds();
+    if resuming {
+        let run = RunDirectory::open(&a.output)?;
+        let complete = run.complete(&settings);
+        if kinds.iter().all(|kind| complete.contains(kind)) {
+            if !common.quiet {
+                eprintln!("nothing to do: \"{}\" has all of its steps", a.output.display());
+            }
+            common.answer(&run.training_summary()?)?;
+            return Ok(());
         }
-        common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
-        return Ok(());
     }
     let scene = open_scene(&settings)?;
-    // What was chosen for the scene belongs to the run: it is measured and resumed alike.
-    settings.exposure = scene.exposure();
     if begin == Begin::Geometry && !resuming {
         check_start(&scene)?;
     }
@@ -407,8 +388,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let (scene, output) = (a.scene.display(), a.output.display());
         stop.failure(format!("stopped after step {step}; go on with: sgs train {scene} -o {output}{stage} --resume"))
     };
-    // What has got to its second stage is done with its first.
-    let second = resuming && RunDirectory::open(&a.output)?.intrinsic_checkpoint().is_file();
     let mut watch = match port {
         Some(port) => {
             if !common.quiet {
@@ -418,58 +397,21 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
         None => None,
     };
-    if a.stage == Stage::All && !resuming && settings.memory.budget > 0 {
-        // What the second stage would be refused for is said before the first.
-        // The first stage thins many points where memory does not suffice for all.
-        let all = scene.points.len();
-        let kept = if all > MANY_POINTS { scene.points.spread(all / MOST_THINNED) } else { scene.points.clone() };
-        let points = Splats::from_points(&kept, settings.geometry.sh_degree.start() as usize)?;
-        Intrinsic::planned(&device, &scene, &settings, &points)?;
-    }
-    let mut summary = serde_json::Value::Null;
-    if a.stage != Stage::Intrinsic && !(a.stage == Stage::All && (second || complete.geometry)) {
-        match train_into(common, &device, &scene, &settings, &a.output, resuming, &stop, "training", watch.as_mut())? {
-            Ended::Done(done) => {
-                if !common.quiet {
-                    eprintln!(
-                        "{} Gaussians after {} steps in {:.0} s; wrote {}",
-                        done.gaussians,
-                        done.steps,
-                        done.seconds,
-                        a.output.display()
-                    );
-                }
-                summary = serde_json::to_value(&done)?;
-            }
-            Ended::Stopped(step) => {
-                end_watch(&mut watch, &format!("stopped after step {step}"));
-                return Err(stopped(step));
-            }
-        }
-    }
-    if a.stage != Stage::Geometry {
-        let (start, all) = (a.start.as_deref(), a.stage == Stage::All);
-        let watched = watch.as_mut();
-        match intrinsic_into(common, &device, &scene, &settings, &a.output, start, second, all, &stop, watched)? {
-            IntrinsicEnded::Done(done) => {
-                if !common.quiet {
-                    eprintln!(
-                        "materials and lights after {} steps in {:.0} s; wrote {}",
-                        done.steps,
-                        done.seconds,
-                        a.output.display()
-                    );
-                }
-                summary = RunDirectory::open(&a.output)?.training_summary()?;
-            }
-            IntrinsicEnded::Stopped(step) => {
-                end_watch(&mut watch, &format!("stopped after step {step}"));
-                return Err(stopped(step));
-            }
-        }
+    let options = TrainerOptions {
+        stages: kinds,
+        run: Some(a.output.clone()),
+        resume: a.resume,
+        start: a.start.clone().map(StartGeometry::File),
+    };
+    let mut trainer = Trainer::new(&device, Arc::new(scene), &settings, options)?;
+    let outcome = trainer.run(&mut Progress::of_run(common, &stop, a.output.clone(), watch.as_mut()))?;
+    if let Outcome::Stopped { step, .. } = outcome {
+        end_watch(&mut watch, &format!("stopped after step {step}"));
+        return Err(stopped(step));
     }
     end_watch(&mut watch, "finished");
-    common.answer(&summary)?;
+    common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
+    drop(trainer);
     validated(&device)
 }
 
@@ -478,21 +420,6 @@ fn end_watch(watch: &mut Option<Watch>, how: &str) {
     if let Some(watch) = watch {
         watch.end(how);
     }
-}
-
-/// Refuses to go on with geometry on which there are materials: they would be lost, and belong to the geometry as it is.
-fn untouched(output: &Path) -> anyhow::Result<()> {
-    let run = RunDirectory::open(output)?;
-    let scene = run.path("scene.ply");
-    let painted = || scene.is_file() && Splats::read_ply(&scene).is_ok_and(|s| s.albedo.is_some());
-    if run.intrinsic_checkpoint().is_file() || painted() {
-        refuse_usage!(
-            "\"{}\" has got to materials, which its geometry must not change under: resume it with --stage intrinsic, or \
-             train geometry into another directory.",
-            output.display()
-        );
-    }
-    Ok(())
 }
 
 /// In validation mode any message is a failure.

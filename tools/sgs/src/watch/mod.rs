@@ -12,12 +12,10 @@ pub use server::Port;
 use board::{Board, Shot, WIDTH};
 use pace::Pace;
 use sgs_engine::Device;
-use sgs_passes::Tuning;
-use sgs_passes::pipeline::Renderer;
-use sgs_passes::splat::Channels;
 use sgs_report::serve::Serving;
 use sgs_scene::{Camera, Image, Scene, resize};
-use sgs_train::{Geometry, Intrinsic, Shading, displayed, render_view, shaded_scene};
+use sgs_train::{Stage, StepFigures};
+use std::fmt::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -82,11 +80,6 @@ impl Watch {
         })
     }
 
-    /// Where steps are told to.
-    pub fn teller(&self) -> Teller {
-        Teller(self.board.clone())
-    }
-
     /// Whether the training is to be stopped for pictures.
     pub fn is_due(&self) -> bool {
         self.pictures && !self.views.is_empty() && self.pace.is_due(Instant::now())
@@ -108,70 +101,36 @@ impl Watch {
         }
     }
 
-    /// Shows the geometry as it is now.
-    pub fn geometry(&mut self, training: &Geometry) {
-        let background = training.settings().geometry.background;
-        let step = training.step();
-        self.shots("geometry", step, |views| {
-            let (device, gaussians) = (training.device(), training.gaussians());
-            let tuning = Tuning::for_device(device.info());
-            let mut renderer = Renderer::new(device, tuning, gaussians, [1, 1], Channels::default())?;
-            let mut shots = Vec::new();
-            for (camera, truth) in views {
-                let picture = render_view(&mut renderer, gaussians, &camera.in_unit(training.unit()), background)?;
-                let data = picture.image.chunks_exact(picture.channels as usize).flat_map(|p| [p[0], p[1], p[2]]);
-                let data = data.map(|v| v.clamp(0.0, 1.0)).collect();
-                let render = Image { width: picture.size[0], height: picture.size[1], channels: 3, data };
-                shots.push(Shot { name: camera.name.clone(), truth: truth.clone(), render });
-            }
-            Ok(shots)
-        });
-    }
-
-    /// Shows what is shaded now.
-    pub fn intrinsic(&mut self, training: &Intrinsic) {
-        let background = training.settings().geometry.background;
-        self.shots("intrinsic", training.step(), |views| {
-            let (device, light) = (training.device(), training.light()?);
-            let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
-            let scene = shaded_scene(device, &training.splats()?, lights, environment, &light.visibility)?;
-            let mut shading = Shading::new(device, scene)?;
-            let mut shots = Vec::new();
-            for (camera, truth) in views {
-                let render = displayed(&shading.shade(camera)?.radiance(background));
-                shots.push(Shot { name: camera.name.clone(), truth: truth.clone(), render });
-            }
-            Ok(shots)
-        });
-    }
-
-    fn shots(&mut self, stage: &str, step: u32, make: impl FnOnce(&[(Camera, Image)]) -> sgs_train::Result<Vec<Shot>>) {
+    /// Shows the state of a stage in the held-back views.
+    pub fn show(&mut self, stage: &dyn Stage) {
         let begun = Instant::now();
-        match make(&self.views) {
-            Ok(shots) => {
+        let (name, step) = (stage.kind().name(), stage.step());
+        let cameras: Vec<&Camera> = self.views.iter().map(|(camera, _)| camera).collect();
+        match stage.preview(&cameras) {
+            Ok(images) => {
+                let shot = |((camera, truth), render): (&(Camera, Image), Image)| Shot {
+                    name: camera.name.clone(),
+                    truth: truth.clone(),
+                    render,
+                };
+                let shots = self.views.iter().zip(images).map(shot).collect();
                 self.pace.made(begun, Instant::now());
                 let share = 100.0 * self.pace.spent.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-9);
-                self.board.show(
-                    stage,
-                    step,
-                    shots,
-                    format!("After step {step} of {stage}. Pictures took {share:.1} % of the time."),
-                );
+                let text = format!("After step {step} of {name}. Images took {share:.1} % of the time.");
+                self.board.show(name, step, shots, text);
             }
             Err(error) => {
-                tracing::warn!("there will be no more pictures to watch: {error}");
+                tracing::warn!("--watch shows no more images: {error}");
                 self.pictures = false;
             }
         }
     }
-}
 
-/// Tells the page of steps.
-pub struct Teller(Arc<Board>);
-
-impl Teller {
-    /// So many steps of a stage are done.
-    pub fn step(&self, stage: &str, step: u32, steps: u32, text: impl FnOnce(&mut String)) {
-        self.0.step(stage, step, steps, text);
+    /// Reports a step to the page.
+    pub fn step(&self, stage: &str, step: u32, steps: u32, figures: &dyn StepFigures) {
+        self.board.step(stage, step, steps, |text| {
+            // Writing into memory does not fail.
+            let _ = write!(text, "{figures}");
+        });
     }
 }

@@ -85,7 +85,7 @@ pub(crate) struct Watch {
     /// The last step of the last block that was found good; 0 if there is none.
     good_until: u32,
     /// The step of the checkpoint that will be gone back to once it is known to be good; 0 if there is none.
-    proposed: u32,
+    candidate: u32,
     /// Losses of the state that others are compared with, by view, where they are known.
     reference: Vec<Option<f64>>,
     sums: Vec<Sum>,
@@ -103,7 +103,7 @@ impl Watch {
             block: (views * BLOCK.div_ceil(views)) as u32,
             begun: 0,
             good_until: 0,
-            proposed: 0,
+            candidate: 0,
             reference: vec![None; views],
             sums: vec![Sum::default(); views],
             bad: [0; 2],
@@ -112,26 +112,26 @@ impl Watch {
         }
     }
 
-    /// Whether training is known to have gone well from the proposed checkpoint on, for a whole block; then there may be another.
-    pub fn vouched_for(&mut self) -> bool {
-        let good = self.proposed > 0 && self.good_until >= self.proposed.saturating_add(self.block);
+    /// Returns true once when training has gone well for a whole block since the rollback candidate. Another candidate may follow.
+    pub fn validate_candidate(&mut self) -> bool {
+        let good = self.candidate > 0 && self.good_until >= self.candidate.saturating_add(self.block);
         if good {
-            self.proposed = 0;
+            self.candidate = 0;
         }
         good
     }
 
-    /// Proposes the checkpoint of a step, unless there is one; whether it is the one.
-    pub fn propose(&mut self, step: u32) -> bool {
-        if self.proposed == 0 {
-            self.proposed = step;
+    /// Marks the checkpoint of a step as the rollback candidate, unless another one waits for validation. Returns whether it is the one.
+    pub fn set_candidate(&mut self, step: u32) -> bool {
+        if self.candidate == 0 {
+            self.candidate = step;
         }
-        self.is_proposed(step)
+        self.is_candidate(step)
     }
 
-    /// Whether the checkpoint of a step is the proposed one.
-    pub fn is_proposed(&self, step: u32) -> bool {
-        step > 0 && self.proposed == step
+    /// Whether the checkpoint of a step is the rollback candidate.
+    pub fn is_candidate(&self, step: u32) -> bool {
+        step > 0 && self.candidate == step
     }
 
     /// After this step everything was made worse on purpose.
@@ -226,8 +226,13 @@ impl Watch {
 
     /// Its state as text, to the bit.
     pub fn save(&self) -> String {
-        let mut words =
-            vec![u64::from(self.begun), u64::from(self.good_until), self.bad[0], self.bad[1], u64::from(self.proposed)];
+        let mut words = vec![
+            u64::from(self.begun),
+            u64::from(self.good_until),
+            self.bad[0],
+            self.bad[1],
+            u64::from(self.candidate),
+        ];
         for (s, r) in self.sums.iter().zip(&self.reference) {
             words.extend([s.loss.to_bits(), s.l1.to_bits(), u64::from(s.times), r.map_or(u64::MAX, f64::to_bits)]);
         }
@@ -246,7 +251,7 @@ impl Watch {
         self.begun = head[0] as u32;
         self.good_until = head[1] as u32;
         self.bad = [head[2], head[3]];
-        self.proposed = head[4] as u32;
+        self.candidate = head[4] as u32;
         for (i, [loss, l1, times, reference]) in views.iter().enumerate() {
             self.sums[i] = Sum { loss: f64::from_bits(*loss), l1: f64::from_bits(*l1), times: *times as u32 };
             self.reference[i] = (*reference != u64::MAX).then_some(f64::from_bits(*reference));

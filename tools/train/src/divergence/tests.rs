@@ -46,13 +46,13 @@ fn what_is_proposed_waits_for_a_good_block() {
     let mut w = watch(6);
     let good = |_| (0.1, 0.1);
     assert_eq!(run(&mut w, 1..=150, good), None);
-    assert!(w.propose(150) && !w.vouched_for());
+    assert!(w.set_candidate(150) && !w.validate_candidate());
     assert_eq!(run(&mut w, 151..=200, good), None);
-    assert!(!w.propose(200) && w.is_proposed(150) && !w.vouched_for());
+    assert!(!w.set_candidate(200) && w.is_candidate(150) && !w.validate_candidate());
     assert_eq!(run(&mut w, 201..=240, good), None);
-    assert!(w.vouched_for() && !w.vouched_for() && w.propose(240));
+    assert!(w.validate_candidate() && !w.validate_candidate() && w.set_candidate(240));
     let (step, _) = run(&mut w, 241..=900, |_| (0.5, 0.5)).unwrap();
-    assert!(step == 300 && !w.vouched_for());
+    assert!(step == 300 && !w.validate_candidate());
 }
 
 #[test]
@@ -154,6 +154,6 @@ fn numbers_that_no_training_has_come_to_nothing_worse() {
     assert!(w.restore(&text));
     for step in [1, 2, 59, 60, u32::MAX - 1, u32::MAX] {
         w.see(&Seen { step, view: 0, loss: 0.1, l1: 0.1, skipped: 1, of: 1, rates: 1.0 });
-        w.vouched_for();
+        w.validate_candidate();
     }
 }

@@ -22,28 +22,13 @@ impl Geometry {
         self.schedule.set_rates(rates);
     }
 
-    /// Whether training is known to have gone well from the proposed checkpoint on, so that it is worth going back to. Says so once.
-    pub fn vouched_for(&mut self) -> bool {
-        self.watch.vouched_for()
-    }
-
-    /// Proposes the state as it is to be gone back to, unless one is proposed that nobody has vouched for. Whether it is the one.
-    pub fn propose(&mut self) -> bool {
-        self.watch.propose(self.done)
-    }
-
-    /// Whether the state as it is is the proposed one.
-    pub fn is_proposed(&self) -> bool {
-        self.watch.is_proposed(self.done)
-    }
-
     /// Looks at the reports up to a step that is known to be done. False if an overflow took steps back.
     pub(super) fn look(&mut self, until: u32, heard: &mut impl FnMut(&Progress)) -> Result<bool> {
         while self.done < until {
             let step = self.done + 1;
             let report = self.status.report(step)?;
             if report.step != step {
-                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+                return Err(TrainError::diverged(step, "the device did not report the step"));
             }
             if report.flags != 0 {
                 self.grow_entries(step, heard)?;
@@ -151,6 +136,6 @@ impl Geometry {
             reach: 2.0,
         });
         let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
-        Ok(TrainError::Diverged { step, reason: format!("it has diverged: {reason}{found}") })
+        Ok(TrainError::diverged(step, format!("it has diverged: {reason}{found}")))
     }
 }

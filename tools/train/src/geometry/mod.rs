@@ -11,8 +11,10 @@ mod expect;
 mod fit;
 mod given;
 mod grow;
+mod log;
 mod look;
 mod room;
+mod stage;
 mod state;
 mod thin;
 
@@ -37,6 +39,7 @@ pub use expect::Sight;
 pub(crate) use fit::Growth;
 use fit::{allowance, last_that};
 pub(crate) use given::Given;
+pub use log::StepLog;
 use room::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;

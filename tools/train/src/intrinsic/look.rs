@@ -7,21 +7,6 @@ use crate::settings::{IntrinsicRates, OnDivergence};
 use sgs_passes::pipeline::IntrinsicReport;
 
 impl Intrinsic {
-    /// Whether training is known to have gone well from the proposed checkpoint on, so that it is worth going back to. Says so once.
-    pub fn vouched_for(&mut self) -> bool {
-        self.watch.vouched_for()
-    }
-
-    /// Proposes the state as it is to be gone back to, unless one is proposed that nobody has vouched for. Whether it is the one.
-    pub fn propose(&mut self) -> bool {
-        self.watch.propose(self.done)
-    }
-
-    /// Whether the state as it is is the proposed one.
-    pub fn is_proposed(&self) -> bool {
-        self.watch.is_proposed(self.done)
-    }
-
     /// Returns to the last good state so far.
     pub fn roll_backs(&self) -> &[RollBack] {
         &self.roll_backs
@@ -64,7 +49,7 @@ impl Intrinsic {
             let step = self.done + 1;
             let mut report = self.status.report(step)?;
             if report.step != step {
-                return Err(TrainError::Diverged { step, reason: "the device did not report the step".into() });
+                return Err(TrainError::diverged(step, "the device did not report the step"));
             }
             let losses = [report.shaded, report.albedo, report.roughness, report.metallic];
             if losses.iter().any(|l| !l.is_finite()) {
@@ -156,6 +141,6 @@ impl Intrinsic {
             })
             .collect();
         let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
-        Ok(TrainError::Diverged { step, reason: format!("it has diverged: {reason}{found}") })
+        Ok(TrainError::diverged(step, format!("it has diverged: {reason}{found}")))
     }
 }

@@ -11,6 +11,7 @@ mod files;
 mod frames;
 mod given;
 mod graphs;
+mod log;
 mod look;
 mod modeled;
 mod needs;
@@ -18,6 +19,7 @@ mod probe;
 mod relit;
 mod saved;
 mod seldom;
+mod stage;
 mod start;
 mod state;
 mod surfaces;
@@ -26,6 +28,7 @@ mod values;
 
 pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
 pub(crate) use files::{MOST as MOST_LIGHTS, raw_lobe};
+pub use log::{IntrinsicLog, LoggedLosses};
 pub use needs::IntrinsicNeeds;
 pub use probe::Probe;
 pub(crate) use saved::Saved;
@@ -86,6 +89,8 @@ pub struct Intrinsic {
     automatic: Option<Automatic>,
     /// What was decided about the model.
     decisions: Vec<Decision>,
+    /// How many of the decisions were reported.
+    reported: usize,
     /// Losses that cannot run.
     idle: Vec<IdleLoss>,
     /// Of the last steps that compared with pseudo-views, with estimates under other lights, and with own priors; below 0 before.
@@ -428,6 +433,7 @@ impl Intrinsic {
             required: settings.clone(),
             automatic,
             decisions,
+            reported: 0,
             idle,
             recent: [-1.0; 3],
             schedule,

@@ -2,10 +2,9 @@
 
 use super::consistency::StepKind;
 use super::graphs::gone;
-use super::{Intrinsic, IntrinsicNeeds};
+use super::{Intrinsic, IntrinsicNeeds, LoggedLosses};
 use crate::error::Result;
 use crate::idle::IdleLoss;
-use crate::run::LoggedLosses;
 use crate::settings::IntrinsicSettings;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::cost::{Cost, Counts, of_plan};

@@ -129,6 +129,7 @@ impl Intrinsic {
         }
         self.submitted = saved.step;
         self.done = saved.step;
+        self.reported = self.decisions.len();
         self.watch.restore(&saved.course.watch);
         // What is counted on the device counts from the start again; graphs are made when they are due.
         self.status = IntrinsicStatus::new(&self.device)?;

@@ -1,0 +1,146 @@
+//! Training through the C interface: it is the training of `sgs train`, bit by bit, with both stages, resuming and rollback.
+
+#[macro_use]
+mod support;
+
+use sgs::*;
+use sgs_tests::Place;
+use sgs_tests::cli::sgs as run_sgs;
+use sgs_tests::intrinsic::place;
+use sgs_tests::rooms::Room;
+use std::ffi::CString;
+use std::ptr::null;
+use support::{Context, text};
+
+/// Trains `run` with both stages by the command line. Returns its settings.
+fn by_command(place: &Place, run: &str, more: &[&str]) -> CString {
+    let (scene, to) = (place.text("scene"), place.text(run));
+    let fixed = ["train", &scene, "-o", &to, "-q"];
+    run_sgs(&[&fixed, more].concat()).ok();
+    CString::new(place.read(&format!("{run}/config.toml"))).unwrap()
+}
+
+const SMALL: [&str; 18] = [
+    "--stage",
+    "all",
+    "--geometry-steps",
+    "20",
+    "--intrinsic-steps",
+    "12",
+    "--set",
+    "geometry.checkpoint_interval=8",
+    "--set",
+    "intrinsic.environment.resolution=16",
+    "--set",
+    "intrinsic.lights.grid=2",
+    "--set",
+    "intrinsic.visibility.levels=4",
+    "--set",
+    "intrinsic.visibility.log2_table=10",
+    "--set",
+    "intrinsic.visibility.finest=64",
+];
+
+#[test]
+fn both_stages_give_the_bits_of_the_command_line() {
+    let (place, _) = place();
+    let settings = by_command(&place, "command", &SMALL);
+    let context = Context::new();
+    let dataset = text(&place.path("scene"));
+    let both = SGS_STAGE_GEOMETRY | SGS_STAGE_INTRINSIC;
+    let same = |run: &str| {
+        for file in ["scene.ply", "lights.json", "environment.exr"] {
+            assert!(place.read(&format!("command/{file}")) == place.read(&format!("{run}/{file}")), "{run}: {file}");
+        }
+    };
+    let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr(), stages: both });
+    let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
+    // SAFETY: all pointers are real.
+    unsafe {
+        // In a directory, some steps one by one.
+        let run = text(&place.path("directory"));
+        info.run = run.as_ptr();
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        for step in 1..=9 {
+            context.ok(sgs_train_step(context.0, trainer, 0.0, &mut status));
+            assert_eq!((status.stage, status.step, status.steps), (SGS_STAGE_GEOMETRY, step, 20));
+        }
+        // The directory has one owner.
+        let mut other = 0;
+        let taken = sgs_trainer_open(context.0, &info, &mut other);
+        context.refused(taken, SgsResult::SGS_ERROR_FILE, "directory");
+        context.ok(sgs_destroy(context.0, trainer));
+        // It continues from the checkpoint after step 8.
+        info.resume = 1;
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 0.0, &mut status));
+        assert_eq!(status.step, 9);
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        assert_eq!((status.stage, status.step, status.finished), (SGS_STAGE_INTRINSIC, 12, 1));
+        context.ok(sgs_destroy(context.0, trainer));
+        same("directory");
+        assert_eq!(place.read("command/config.toml"), place.read("directory/config.toml"));
+        // A finished run is left as it is, and not replaced.
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        assert_eq!(status.finished, 1);
+        context.ok(sgs_destroy(context.0, trainer));
+        same("directory");
+        info.resume = 0;
+        let there = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(there, SgsResult::SGS_ERROR_FILE, "holds a run");
+        // In memory.
+        info.run = null();
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        assert_eq!((status.finished, status.roll_backs), (1, 0));
+        let saved = text(&place.path("memory"));
+        context.ok(sgs_trainer_save(context.0, trainer, saved.as_ptr()));
+        context.ok(sgs_destroy(context.0, trainer));
+        same("memory");
+        // The second stage alone, on the geometry of a file.
+        let geometry = by_command(&place, "geometry", &SMALL[2..]);
+        let start = text(&place.path("geometry/scene.ply"));
+        let alone = text(&place.path("alone"));
+        (info.settings, info.start) = (geometry.as_ptr(), start.as_ptr());
+        (info.run, info.stages) = (alone.as_ptr(), SGS_STAGE_INTRINSIC);
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        context.ok(sgs_destroy(context.0, trainer));
+        same("alone");
+        info.stages = 8;
+        let unknown = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(unknown, SgsResult::SGS_ERROR_ARGUMENT, "SgsTrainerInfo.stages is 8");
+    }
+}
+
+/// Learning rates with which training diverges.
+const WILD: [&str; 6] =
+    ["--geometry-steps", "400", "--set", "geometry.rates.factor=300", "--set", "geometry.checkpoint_interval=50"];
+
+#[test]
+fn divergence_is_rolled_back_as_by_the_command_line() {
+    let place = Place::new(Room::default());
+    let back = [&WILD[..], &["--set", "train.on_divergence=roll-back"]].concat();
+    let settings = by_command(&place, "command", &back);
+    let context = Context::new();
+    let (dataset, run) = (text(&place.path("scene")), text(&place.path("run")));
+    let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr(), run: run.as_ptr() });
+    let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
+    // SAFETY: all pointers are real.
+    unsafe {
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        context.ok(sgs_destroy(context.0, trainer));
+        assert!(status.finished == 1 && status.roll_backs > 0);
+        place.assert_same("command", "run");
+        // Without a directory to roll back to, it is an error, and the trainer is done.
+        info.run = null();
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        for words in ["it has diverged", "ended with an error"] {
+            let result = sgs_train_step(context.0, trainer, 1e6, &mut status);
+            assert_ne!(result, SgsResult::SGS_OK);
+            assert!(context.error().contains(words), "{}", context.error());
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! Progress of a training for people: a bar, messages, and the page of `--watch`.
+
+use crate::common::Common;
+use crate::ui::Bar;
+use crate::watch::Watch;
+use sgs_train::{Event, IdleLoss, Observer, RollBack, Stage, StageKind, TrainError};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Shows the progress of a training, and stops it when the flag is raised.
+pub struct Progress<'a> {
+    common: &'a Common,
+    stop: &'a AtomicBool,
+    /// Name of the run, where there are several.
+    name: Option<String>,
+    /// Where results go; said at the end of a stage where there is one run.
+    output: Option<PathBuf>,
+    watch: Option<&'a mut Watch>,
+    bar: Option<Bar>,
+}
+
+impl<'a> Progress<'a> {
+    /// Progress of one run into `output`.
+    pub fn of_run(
+        common: &'a Common,
+        stop: &'a AtomicBool,
+        output: PathBuf,
+        watch: Option<&'a mut Watch>,
+    ) -> Progress<'a> {
+        Progress { common, stop, name: None, output: Some(output), watch, bar: None }
+    }
+
+    /// Progress of one of several runs.
+    pub fn of_series(common: &'a Common, stop: &'a AtomicBool, name: String) -> Progress<'a> {
+        Progress { common, stop, name: Some(name), output: None, watch: None, bar: None }
+    }
+
+    fn finish_bar(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish();
+        }
+    }
+}
+
+impl Drop for Progress<'_> {
+    fn drop(&mut self) {
+        self.finish_bar();
+    }
+}
+
+impl Observer for Progress<'_> {
+    fn notify(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Started { stage, step, steps, idle } => {
+                IdleLoss::warnings(idle).iter().for_each(|warning| tracing::warn!("{warning}"));
+                self.finish_bar();
+                let what = self.name.as_ref().map_or_else(|| stage.to_string(), |name| format!("{name}, {stage}"));
+                self.bar = Some(Bar::new(self.common, &what, u64::from(*steps), u64::from(*step)));
+            }
+            Event::Step { stage, steps, figures } => {
+                if let Some(bar) = &mut self.bar {
+                    bar.set(u64::from(figures.step()), || figures.to_string());
+                }
+                if let Some(watch) = &self.watch {
+                    watch.step(stage.name(), figures.step(), *steps, *figures);
+                }
+            }
+            Event::Decision { decision, .. } => {
+                if let Some(bar) = &self.bar {
+                    bar.say(&decision.to_string());
+                }
+            }
+            Event::RolledBack { error, roll_back, .. } => {
+                let RollBack { to, rates, .. } = roll_back;
+                if let TrainError::Diverged { step, reason, .. } = error {
+                    tracing::warn!(
+                        "At step {step} {reason}; it goes on from step {to} with learning rates times {rates}."
+                    );
+                }
+            }
+            Event::Finished { stage, summary } => {
+                self.finish_bar();
+                if let Some(output) = self.output.as_ref().filter(|_| !self.common.quiet) {
+                    let what = match (stage, summary.gaussians) {
+                        (StageKind::Geometry, Some(count)) => format!("{count} Gaussians"),
+                        _ => "materials and lights".to_owned(),
+                    };
+                    let (steps, seconds) = (summary.steps, summary.seconds);
+                    eprintln!("{what} after {steps} steps in {seconds:.0} s; wrote {}", output.display());
+                }
+            }
+            Event::Densified { .. } => {}
+        }
+    }
+
+    fn should_stop(&mut self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+
+    fn should_pause(&mut self) -> bool {
+        self.watch.as_ref().is_some_and(|watch| watch.is_due())
+    }
+
+    fn paused(&mut self, stage: &dyn Stage, ended: bool) {
+        if let Some(watch) = self.watch.as_deref_mut()
+            && (watch.is_due() || ended && watch.shows_end())
+        {
+            watch.show(stage);
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! The intrinsic stage as the trainer sees it.
+
+use super::Intrinsic;
+use super::log::Figures;
+use crate::divergence::RollBack;
+use crate::error::Result;
+use crate::geometry::Decision;
+use crate::idle::IdleLoss;
+use crate::run::RunDirectory;
+use crate::settings::Settings;
+use crate::shaded::{RunLight, Shading, displayed, shaded_scene};
+use crate::trainer::{Stage, StageEvent, StageKind};
+use sgs_engine::graph::Plan;
+use sgs_engine::graph::exec::PassTime;
+use sgs_scene::{Camera, Image, Splats};
+use std::path::Path;
+
+impl Stage for Intrinsic {
+    fn kind(&self) -> StageKind {
+        StageKind::Intrinsic
+    }
+
+    fn step(&self) -> u32 {
+        self.done
+    }
+
+    fn steps(&self) -> u32 {
+        self.settings.intrinsic.steps
+    }
+
+    fn checkpoint_interval(&self) -> u32 {
+        self.settings.intrinsic.checkpoint_interval
+    }
+
+    fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    fn train(
+        &mut self,
+        last: u32,
+        events: &mut dyn FnMut(&StageEvent<'_>),
+        proceed: &mut dyn FnMut() -> bool,
+    ) -> Result<()> {
+        let (losses, gaussians) = (self.logged_losses(), self.splats.len() as u32);
+        let result = Intrinsic::train(
+            self,
+            last,
+            |report| events(&StageEvent::Step(&Figures { report, losses: &losses, gaussians })),
+            proceed,
+        );
+        for decision in &self.decisions[self.reported.min(self.decisions.len())..] {
+            events(&StageEvent::Decision(decision));
+        }
+        self.reported = self.decisions.len();
+        result
+    }
+
+    fn save(&self, path: &Path) -> Result<()> {
+        Intrinsic::save(self, path)
+    }
+
+    fn restore(&mut self, path: &Path) -> Result<()> {
+        Intrinsic::restore(self, path)
+    }
+
+    fn set_candidate(&mut self) -> bool {
+        self.watch.set_candidate(self.done)
+    }
+
+    fn is_candidate(&self) -> bool {
+        self.watch.is_candidate(self.done)
+    }
+
+    fn validate_candidate(&mut self) -> bool {
+        self.watch.validate_candidate()
+    }
+
+    fn roll_backs(&self) -> &[RollBack] {
+        &self.roll_backs
+    }
+
+    fn roll_back(&mut self, before: &[RollBack], step: u32) {
+        Intrinsic::roll_back(self, before, step);
+        // The log keeps the lines of decisions until this state; later ones are made again.
+        self.reported = self.decisions.len();
+    }
+
+    fn lower_rates(&self) -> String {
+        format!("--set intrinsic.rates.lights={:.5}", self.settings.intrinsic.rates.lights * 0.1)
+    }
+
+    fn decisions(&self) -> &[Decision] {
+        &self.decisions
+    }
+
+    fn idle_losses(&self) -> &[IdleLoss] {
+        &self.idle
+    }
+
+    fn count(&self) -> Result<u32> {
+        Ok(self.splats.len() as u32)
+    }
+
+    fn sh_degree(&self) -> Option<u32> {
+        None
+    }
+
+    fn splats(&self) -> Result<Splats> {
+        Intrinsic::splats(self)
+    }
+
+    fn light(&self) -> Result<Option<RunLight>> {
+        Intrinsic::light(self).map(Some)
+    }
+
+    fn preview(&self, cameras: &[&Camera]) -> Result<Vec<Image>> {
+        let background = self.settings.geometry.background;
+        let light = Intrinsic::light(self)?;
+        let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
+        let splats = Intrinsic::splats(self)?;
+        let scene = shaded_scene(&self.device, &splats, lights, environment, &light.visibility)?;
+        let mut shading = Shading::new(&self.device, scene)?;
+        cameras.iter().map(|camera| Ok(displayed(&shading.shade(camera)?.radiance(background)))).collect()
+    }
+
+    fn write_results(&self, run: &RunDirectory) -> Result<()> {
+        self.write(run)
+    }
+
+    fn set_timestamps(&mut self, on: bool) -> Result<()> {
+        Intrinsic::set_timestamps(self, on)
+    }
+
+    fn take_times(&mut self) -> Vec<PassTime> {
+        Intrinsic::take_times(self)
+    }
+
+    fn plan(&mut self) -> Result<&Plan> {
+        Ok(self.executor()?.executor().plan())
+    }
+}

@@ -1,0 +1,446 @@
+//! The trainer: the one loop that all training goes through.
+//!
+//! A [`Stage`] knows its graph, its state and its schedule. The trainer owns what all stages share: which stage comes next, checkpoints,
+//! rollback after divergence, the log, resuming, stopping, and the files of a trained stage. The command line, the C interface, the
+//! benchmarks, ablations and robustness tables all call [`Trainer::run`].
+//!
+//! Promises: the result depends on scene, settings and seed alone, not on pauses, stops, checkpoints or the caller.
+
+mod observer;
+mod record;
+mod rollback;
+mod stage;
+mod summary;
+
+pub use observer::{Event, Observer, Outcome};
+pub(crate) use rollback::RollbackFiles;
+pub use stage::{Stage, StageEvent, StageKind, StepFigures};
+pub use summary::StageSummary;
+
+use crate::error::{Result, TrainError};
+use crate::exchange::read_splats;
+use crate::geometry::{Geometry, MANY_POINTS, MOST_THINNED};
+use crate::intrinsic::Intrinsic;
+use crate::run::RunDirectory;
+use crate::settings::{OnDivergence, Settings};
+use record::Record;
+use sgs_engine::Device;
+use sgs_scene::{Scene, Splats};
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Steps at the end of a stage whose passes are timed for its profile.
+const TIMED: u32 = 4;
+
+/// What is trained, and where it goes.
+#[derive(Clone, Debug)]
+pub struct TrainerOptions {
+    /// The stages, in their order.
+    pub stages: Vec<StageKind>,
+    /// Run directory. Without one, training happens in memory: no checkpoints, and divergence is an error. The caller holds the
+    /// directory's lock ([`crate::DirectoryLock`]).
+    pub run: Option<PathBuf>,
+    /// Continue what the run directory holds.
+    pub resume: bool,
+    /// Geometry for an intrinsic stage that starts. That of the run, or of the geometry stage before it, by default.
+    pub start: Option<StartGeometry>,
+}
+
+/// Geometry for the intrinsic stage.
+#[derive(Clone, Debug)]
+pub enum StartGeometry {
+    /// A PLY or glTF file.
+    File(PathBuf),
+    /// Gaussians in memory.
+    Splats(Box<Splats>),
+}
+
+impl Default for TrainerOptions {
+    fn default() -> TrainerOptions {
+        TrainerOptions { stages: vec![StageKind::Geometry], run: None, resume: false, start: None }
+    }
+}
+
+/// A stage that waits for its turn.
+struct Next {
+    kind: StageKind,
+    /// Whether it continues from a checkpoint.
+    resume: bool,
+}
+
+/// The stage that trains, or has trained last.
+struct Active {
+    stage: Box<dyn Stage>,
+    record: Option<Record>,
+    /// The step that it started after.
+    first: u32,
+    /// Seconds of training so far.
+    seconds: f64,
+    /// Whether passes are timed.
+    timed: bool,
+    finished: bool,
+}
+
+/// Trains one or more stages of one scene.
+pub struct Trainer {
+    device: Device,
+    scene: Arc<Scene>,
+    settings: Settings,
+    options: TrainerOptions,
+    next: VecDeque<Next>,
+    /// Geometry that the intrinsic stage stands on.
+    splats: Option<Splats>,
+    active: Option<Active>,
+    /// Whether an error ended it.
+    failed: bool,
+}
+
+impl Trainer {
+    /// Prepares training. Touches neither the run directory nor, but for a check of the memory budget, the device.
+    ///
+    /// # Errors
+    /// If settings are wrong, the run cannot be resumed, or the stages cannot fit into the memory budget.
+    pub fn new(device: &Device, scene: Arc<Scene>, settings: &Settings, options: TrainerOptions) -> Result<Trainer> {
+        let mut settings = settings.clone();
+        // What was chosen for the scene belongs to the run: it is evaluated and resumed with the same exposure.
+        settings.exposure = scene.exposure();
+        settings.check()?;
+        let resumed = match (&options.run, options.resume) {
+            (Some(root), true) if root.join("config.toml").is_file() => Some(RunDirectory::open(root)?),
+            _ => None,
+        };
+        let complete = resumed.as_ref().map(|run| run.complete(&settings)).unwrap_or_default();
+        let second = resumed.as_ref().is_some_and(|run| run.checkpoint(StageKind::Intrinsic).is_file());
+        let wants_materials = options.stages.contains(&StageKind::Intrinsic);
+        let mut next = VecDeque::new();
+        for &kind in &options.stages {
+            match kind {
+                // A run that has reached its second stage has finished its first.
+                StageKind::Geometry if wants_materials && (second || complete.contains(&kind)) => {}
+                StageKind::Geometry => {
+                    resumed.as_ref().map_or(Ok(()), RunDirectory::check_without_materials)?;
+                    next.push_back(Next { kind, resume: resumed.is_some() });
+                }
+                StageKind::Intrinsic => next.push_back(Next { kind, resume: second }),
+            }
+        }
+        let trainer = Trainer {
+            device: device.clone(),
+            scene,
+            settings,
+            options,
+            next,
+            splats: None,
+            active: None,
+            failed: false,
+        };
+        if trainer.trains_both() && resumed.is_none() && trainer.settings.memory.budget > 0 {
+            trainer.check_budget()?;
+        }
+        Ok(trainer)
+    }
+
+    fn trains_both(&self) -> bool {
+        [StageKind::Geometry, StageKind::Intrinsic].iter().all(|kind| self.options.stages.contains(kind))
+    }
+
+    /// Refuses a budget that the second stage cannot keep, before the first one trains.
+    fn check_budget(&self) -> Result<()> {
+        // The first stage thins many points where memory does not suffice for all.
+        let all = &self.scene.points;
+        let kept = if all.len() > MANY_POINTS { all.spread(all.len() / MOST_THINNED) } else { all.clone() };
+        let points = Splats::from_points(&kept, self.settings.geometry.sh_degree.start() as usize)?;
+        Intrinsic::planned(&self.device, &self.scene, &self.settings, &points).map(|_| ())
+    }
+
+    /// Trains until all stages are finished or the observer stops it.
+    ///
+    /// # Errors
+    /// If the device fails, a file cannot be written, or training diverges for good.
+    pub fn run(&mut self, observer: &mut dyn Observer) -> Result<Outcome> {
+        loop {
+            if let Some(outcome) = self.advance(observer)? {
+                return Ok(outcome);
+            }
+        }
+    }
+
+    /// Trains until the next checkpoint, pause, stop or end of a stage. Returns the outcome when there is nothing more to do.
+    ///
+    /// # Errors
+    /// As [`Trainer::run`]; after an error the trainer cannot continue.
+    pub fn advance(&mut self, observer: &mut dyn Observer) -> Result<Option<Outcome>> {
+        if self.failed {
+            return Err(TrainError::Setting("The training has ended with an error and cannot continue.".into()));
+        }
+        let result = self.advance_once(observer);
+        self.failed = result.is_err();
+        result
+    }
+
+    fn advance_once(&mut self, observer: &mut dyn Observer) -> Result<Option<Outcome>> {
+        if self.active.as_ref().is_none_or(|active| active.finished) {
+            let Some(next) = self.next.pop_front() else { return Ok(Some(Outcome::Finished)) };
+            let kind = next.kind;
+            if observer.should_stop() || !self.start(next, observer)? {
+                return Ok(Some(Outcome::Stopped { stage: kind, step: 0 }));
+            }
+        }
+        self.train(observer)?;
+        let Some(active) = &self.active else { return Ok(None) };
+        let (kind, step) = (active.stage.kind(), active.stage.step());
+        if step == active.stage.steps() {
+            self.finish(observer)?;
+            return Ok(self.next.is_empty().then_some(Outcome::Finished));
+        }
+        Ok(observer.should_stop().then_some(Outcome::Stopped { stage: kind, step }))
+    }
+
+    /// Makes the first stage ready, so that its state can be read before the first step.
+    ///
+    /// # Errors
+    /// As [`Trainer::run`].
+    pub fn prepare(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        match self.next.pop_front().filter(|_| self.active.is_none()) {
+            Some(next) => {
+                let result = self.start(next, observer).map(|_| ());
+                self.failed = result.is_err();
+                result
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Makes the next stage. Returns false if the observer stopped it before anything was written.
+    fn start(&mut self, next: Next, observer: &mut dyn Observer) -> Result<bool> {
+        let Next { kind, resume } = next;
+        let mut shrunk = false;
+        let mut stage: Box<dyn Stage> = match kind {
+            StageKind::Geometry => self.build(kind, &self.settings)?,
+            StageKind::Intrinsic => {
+                let mut splats = self.take_geometry(resume)?;
+                let all = splats.len();
+                let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
+                // Only a training that made the geometry itself may leave Gaussians out.
+                let stage = match self.trains_both() && !resume {
+                    true => Intrinsic::within(device, scene, settings, &mut splats)?,
+                    false => Intrinsic::new(device, scene, settings, &splats)?,
+                };
+                shrunk = splats.len() < all;
+                self.splats = Some(splats);
+                Box::new(stage)
+            }
+        };
+        if observer.should_stop() {
+            return Ok(false);
+        }
+        // A training that was refused or stopped until here leaves nothing behind.
+        let record = match &self.options.run {
+            None => None,
+            Some(root) => {
+                let run = RunDirectory::create(root)?;
+                let checkpoint = run.checkpoint(kind);
+                match (kind, resume) {
+                    (StageKind::Geometry, false) => run.forget()?,
+                    (StageKind::Geometry, true) if !checkpoint.is_file() => {}
+                    (_, true) => stage.restore(&checkpoint)?,
+                    (StageKind::Intrinsic, false) => {
+                        run.forget_intrinsic()?;
+                        // Resuming needs nothing but the run.
+                        if let Some(splats) = self.splats.as_ref().filter(|_| shrunk || self.options.start.is_some()) {
+                            splats.write_ply(&run.path("scene.ply"))?;
+                        }
+                    }
+                }
+                Some(Record::open(run, &*stage, self.rolls_back())?)
+            }
+        };
+        let (step, steps) = (stage.step(), stage.steps());
+        observer.notify(&Event::Started { stage: kind, step, steps, idle: stage.idle_losses() });
+        self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: false });
+        Ok(true)
+    }
+
+    /// The geometry of the intrinsic stage. Its materials are dropped: the stage starts afresh or from its checkpoint.
+    fn take_geometry(&mut self, resume: bool) -> Result<Splats> {
+        let before = self.active.take();
+        let file = |path: &Path| if path.is_file() { read_splats(path) } else { Err(no_geometry(path)) };
+        let mut splats = match (&self.options.start, &self.options.run, before) {
+            (Some(StartGeometry::File(path)), ..) if !resume => file(path)?,
+            (Some(StartGeometry::Splats(splats)), ..) if !resume => (**splats).clone(),
+            (_, Some(root), _) => file(&root.join("scene.ply"))?,
+            (_, None, Some(before)) => before.stage.splats()?,
+            (_, None, None) => {
+                return Err(TrainError::Setting(
+                    "The intrinsic stage requires geometry; train the geometry stage first, or name a file.".into(),
+                ));
+            }
+        };
+        (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
+        Ok(splats)
+    }
+
+    fn build(&self, kind: StageKind, settings: &Settings) -> Result<Box<dyn Stage>> {
+        let (device, scene) = (&self.device, &self.scene);
+        Ok(match (kind, &self.splats) {
+            (StageKind::Intrinsic, Some(splats)) => Box::new(Intrinsic::new(device, scene, settings, splats)?),
+            _ => Box::new(Geometry::new(device, scene, settings, None)?),
+        })
+    }
+
+    /// Whether divergence leads to a rollback, or at least to a state that is kept.
+    fn rolls_back(&self) -> bool {
+        self.options.run.is_some() && self.settings.train.on_divergence != OnDivergence::GoOn
+    }
+
+    /// Trains the active stage until its next checkpoint, pause, stop or end.
+    fn train(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let watched = self.rolls_back();
+        let Some(active) = &mut self.active else { return Ok(()) };
+        let Active { stage, record, .. } = active;
+        let (kind, steps) = (stage.kind(), stage.steps());
+        let interval = match stage.checkpoint_interval() {
+            0 => steps.max(1),
+            n => n,
+        };
+        let mut last = steps;
+        if record.is_some() {
+            last = last.min((stage.step() / interval + 1) * interval);
+            let timed = steps.saturating_sub(TIMED);
+            if stage.step() < timed {
+                last = last.min(timed);
+            } else if !std::mem::replace(&mut active.timed, true) {
+                stage.set_timestamps(true)?;
+            }
+        }
+        let rates = stage.roll_backs().last().map_or(1.0, |r| r.rates);
+        let began = Instant::now();
+        let result = {
+            let observer = RefCell::new(&mut *observer);
+            let mut events = |event: &StageEvent<'_>| {
+                if let Some(record) = record {
+                    record.log(event, rates, steps);
+                }
+                observer.borrow_mut().notify(&match event {
+                    StageEvent::Step(figures) => Event::Step { stage: kind, steps, figures: *figures },
+                    StageEvent::Densified { step, stats } => Event::Densified { step: *step, stats },
+                    StageEvent::Decision(decision) => Event::Decision { stage: kind, decision },
+                });
+            };
+            let mut proceed = || {
+                let mut observer = observer.borrow_mut();
+                !observer.should_stop() && !observer.should_pause()
+            };
+            stage.train(last, &mut events, &mut proceed)
+        };
+        active.seconds += began.elapsed().as_secs_f64();
+        match result {
+            Err(error @ TrainError::Diverged { .. }) if watched => return self.recover(error, observer),
+            other => other?,
+        }
+        let step = stage.step();
+        observer.paused(&**stage, step == steps);
+        let stopped = observer.should_stop();
+        let Some(record) = record else { return Ok(()) };
+        // What was chosen by measurement belongs to the run.
+        record.run.write_settings(stage.settings())?;
+        let regular = step > 0 && step.is_multiple_of(interval);
+        if regular || step == steps || stopped {
+            record.save(&mut **stage, watched, step.is_multiple_of(interval))?;
+        }
+        Ok(())
+    }
+
+    /// Continues a stage that has diverged from its last validated checkpoint with half the learning rates, as often as settings allow.
+    fn recover(&mut self, error: TrainError, observer: &mut dyn Observer) -> Result<()> {
+        let (TrainError::Diverged { step, .. }, Some(active)) = (&error, self.active.take()) else { return Err(error) };
+        let Active { mut stage, record, first, seconds, .. } = active;
+        let Some(mut record) = record else { return Err(error) };
+        let (step, kind, chosen) = (*step, stage.kind(), stage.settings().clone());
+        let before = stage.roll_backs().to_vec();
+        record.validate(&mut *stage)?;
+        // Two would not fit into memory.
+        drop(stage);
+        let mut stage = self.build(kind, &chosen)?;
+        record.restore_validated(&mut *stage)?;
+        let train = &self.settings.train;
+        if train.on_divergence != OnDivergence::RollBack || before.len() as u64 >= u64::from(train.roll_backs) {
+            return Err(record.give_up(&mut *stage, &before, error)?);
+        }
+        stage.roll_back(&before, step);
+        if let Some(roll_back) = stage.roll_backs().last() {
+            observer.notify(&Event::RolledBack { stage: kind, error: &error, roll_back });
+        }
+        record.rewind_log(&*stage)?;
+        let record = Some(record);
+        self.active = Some(Active { stage, record, first, seconds, timed: false, finished: false });
+        Ok(())
+    }
+
+    /// Writes what the active stage leaves.
+    fn finish(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let Some(active) = &mut self.active else { return Ok(()) };
+        let Active { stage, record, first, seconds, .. } = active;
+        let (kind, steps) = (stage.kind(), stage.steps());
+        let geometry = kind == StageKind::Geometry;
+        let summary = StageSummary {
+            steps,
+            resumed_from: *first,
+            seconds: *seconds,
+            steps_per_second: f64::from(steps - *first) / seconds.max(1e-9),
+            gaussians: geometry.then(|| stage.count()).transpose()?,
+            peak_device_bytes: self.device.memory_use().1,
+            device: self.device.info().name.clone(),
+            roll_backs: stage.roll_backs().to_vec(),
+            sh_degree: stage.sh_degree(),
+            decisions: stage.decisions().to_vec(),
+            warnings: stage.idle_losses().to_vec(),
+        };
+        if let Some(record) = record {
+            record.finish(&mut **stage, &summary)?;
+        }
+        active.finished = true;
+        observer.notify(&Event::Finished { stage: kind, summary: &summary });
+        Ok(())
+    }
+
+    /// The stage that trains, or has trained last; none before the first step.
+    pub fn stage(&self) -> Option<&dyn Stage> {
+        self.active.as_ref().map(|active| &*active.stage)
+    }
+
+    /// The stages that have not started.
+    pub fn waiting(&self) -> impl Iterator<Item = StageKind> {
+        self.next.iter().map(|next| next.kind)
+    }
+
+    /// Whether all stages are finished.
+    pub fn is_finished(&self) -> bool {
+        self.next.is_empty() && self.active.as_ref().is_none_or(|active| active.finished)
+    }
+
+    /// Writes settings, a checkpoint and the current state of the active stage into a run directory, which can be resumed.
+    ///
+    /// # Errors
+    /// If no stage has started, or a file cannot be written.
+    pub fn save(&self, root: &Path) -> Result<()> {
+        let Some(active) = &self.active else {
+            return Err(TrainError::Setting("Nothing is trained yet: train a step before saving.".into()));
+        };
+        let stage = &active.stage;
+        let run = RunDirectory::create(root)?;
+        run.write_settings(stage.settings())?;
+        stage.save(&run.checkpoint(stage.kind()))?;
+        stage.write_results(&run)
+    }
+}
+
+fn no_geometry(path: &Path) -> TrainError {
+    TrainError::Setting(format!(
+        "\"{}\" holds no geometry: train it first with --stage geometry or all, or give it with --start.",
+        path.display()
+    ))
+}

@@ -1,0 +1,142 @@
+//! What a stage keeps in the run directory while it trains: checkpoints, rollback checkpoints, the log.
+
+use super::rollback::RollbackFiles;
+use super::stage::{Stage, StageEvent, StageKind};
+use super::summary::{DecisionLine, DensifyLine, StageSummary};
+use crate::divergence::RollBack;
+use crate::error::{Result, TrainError};
+use crate::run::RunDirectory;
+use serde_json::json;
+use sgs_engine::graph::dump::{Track, html, trace};
+use std::fs::File;
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Every so many steps, and of the first and the last one, the log has a line.
+const LOG_INTERVAL: u32 = 10;
+
+/// The record of one stage in a run directory.
+pub(super) struct Record {
+    pub run: RunDirectory,
+    kind: StageKind,
+    log: File,
+    /// The first failure to write the log. Training continues without it.
+    log_error: Option<std::io::Error>,
+    rollback: RollbackFiles,
+}
+
+impl Record {
+    /// Opens the record of a stage that starts, or was restored. `watched`: whether divergence leads to a rollback.
+    pub fn open(run: RunDirectory, stage: &dyn Stage, watched: bool) -> Result<Record> {
+        let kind = stage.kind();
+        run.write_settings(stage.settings())?;
+        let rollback = run.rollback_files(kind);
+        // The state that a diverged training stopped with is good. Otherwise a kill may have come between checkpoint and link.
+        if run.has_diverged() && stage.step() > 0 {
+            rollback.set_candidate()?;
+            rollback.validate()?;
+        } else if watched && stage.is_candidate() {
+            rollback.set_candidate()?;
+        }
+        run.forget_diverged()?;
+        let log = run.open_log(kind, stage.step())?;
+        Ok(Record { run, kind, log, log_error: None, rollback })
+    }
+
+    /// The checkpoint.
+    pub fn checkpoint(&self) -> PathBuf {
+        self.run.checkpoint(self.kind)
+    }
+
+    /// Appends an event to the log. `rates`: the factor of the rollbacks on learning rates.
+    pub fn log(&mut self, event: &StageEvent<'_>, rates: f64, steps: u32) {
+        let line = match event {
+            StageEvent::Step(figures) => {
+                let step = figures.step();
+                if !step.is_multiple_of(LOG_INTERVAL) && step != 1 && step != steps {
+                    return;
+                }
+                figures.log_line(rates)
+            }
+            StageEvent::Densified { step, stats } => serde_json::to_string(&DensifyLine::new(*step, stats)),
+            StageEvent::Decision(decision) => serde_json::to_string(&DecisionLine::new(self.kind, decision)),
+        };
+        if let Err(error) = writeln!(self.log, "{}", line.unwrap_or_default()) {
+            self.log_error.get_or_insert(error);
+        }
+    }
+
+    /// Writes a checkpoint. `regular`: whether it is at one of its own steps, and not where somebody stopped the training; a result that
+    /// depends on a rollback must not depend on stops.
+    pub fn save(&self, stage: &mut dyn Stage, watched: bool, regular: bool) -> Result<()> {
+        if watched && stage.validate_candidate() {
+            self.rollback.validate()?;
+        }
+        let candidate = watched && regular && stage.set_candidate();
+        stage.save(&self.checkpoint())?;
+        if candidate {
+            self.rollback.set_candidate()?;
+        }
+        Ok(())
+    }
+
+    /// Takes over what a stage that has diverged knows of its candidate.
+    pub fn validate(&self, stage: &mut dyn Stage) -> Result<()> {
+        if stage.validate_candidate() { self.rollback.validate() } else { Ok(()) }
+    }
+
+    /// Restores a fresh stage to the last validated checkpoint, if there is one.
+    pub fn restore_validated(&self, stage: &mut dyn Stage) -> Result<()> {
+        match self.rollback.last_validated()? {
+            Some(path) => stage.restore(path),
+            None => Ok(()),
+        }
+    }
+
+    /// Drops lines of the log after the stage's step.
+    pub fn rewind_log(&mut self, stage: &dyn Stage) -> Result<()> {
+        self.log = self.run.open_log(self.kind, stage.step())?;
+        Ok(())
+    }
+
+    /// Keeps the state of a stage that has diverged for good, and says in the error how to continue from it.
+    pub fn give_up(&self, stage: &mut dyn Stage, before: &[RollBack], error: TrainError) -> Result<TrainError> {
+        let TrainError::Diverged { step, reason, .. } = error else { return Ok(error) };
+        stage.save(&self.checkpoint())?;
+        stage.write_results(&self.run)?;
+        self.rollback.remove()?;
+        let times = match before.len() {
+            0 => String::new(),
+            n => format!(" It had gone back {n} times before."),
+        };
+        let (kept, lower) = (stage.step(), stage.lower_rates());
+        let about = TrainError::diverged(step, reason.as_str()).to_string();
+        let about =
+            json!({"stage": self.kind.name(), "step": step, "kept": kept, "reason": about, "roll_backs": before});
+        self.run.set_diverged(&about)?;
+        let advice = format!(
+            "{times} The state after step {kept} is kept: go on from it with --resume and lower learning rates (as {lower})."
+        );
+        Ok(TrainError::Diverged { step, reason, advice })
+    }
+
+    /// Writes what a trained stage leaves.
+    pub fn finish(&mut self, stage: &mut dyn Stage, summary: &StageSummary) -> Result<()> {
+        if let Some(error) = self.log_error.take() {
+            tracing::warn!("log.jsonl could not be written: {error}");
+        }
+        stage.write_results(&self.run)?;
+        let times = stage.take_times();
+        if !times.is_empty() {
+            let name = format!("{} step", self.kind);
+            let replay = times.iter().map(|t| t.start.len()).min().unwrap_or(0).saturating_sub(1);
+            let profile = trace(&[Track { name: &name, times: &times, replay }]);
+            let page = html(stage.plan()?, &times);
+            for (path, text) in [(self.run.profile(self.kind), profile), (self.run.graph(self.kind), page)] {
+                sgs_scene::atomic_write(&path, |f| f.write_all(text.as_bytes()))?;
+            }
+        }
+        self.run.write_summary(self.kind, summary)?;
+        self.rollback.remove()
+    }
+}
