@@ -1,7 +1,7 @@
 //! What tests of exchange with other programs write: splats and lights in which every number tells its place.
 
+use sgs_run::{LightFile, LightRow, LobeRow};
 use sgs_scene::Splats;
-use sgs_train::{LightFile, LightRow, LobeRow};
 
 /// Splats in which every number is another, before a camera of the room.
 pub fn sample(n: usize) -> Splats {

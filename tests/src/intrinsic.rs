@@ -2,7 +2,7 @@
 
 use crate::Place;
 use crate::rooms::Room;
-use sgs_train::Settings;
+use sgs_config::Settings;
 
 /// Settings of a stage that takes a second or two.
 pub fn settings(steps: u32) -> Settings {

@@ -2,12 +2,11 @@
 
 use crate::field;
 use crate::scenes::{self, Rng};
+use sgs_config::{Settings, VisibilityKind};
 use sgs_passes::scene::Model;
 use sgs_passes::shade::visibility::FieldConfig;
+use sgs_run::{LightFile, LightRow, LobeRow, RunDirectory, VisibilityFile, splats, write_lights};
 use sgs_scene::{Image, Splats, write_environment};
-use sgs_train::{
-    LightFile, LightRow, LobeRow, RunDirectory, Settings, VisibilityFile, VisibilityKind, splats, write_lights,
-};
 use std::path::Path;
 
 /// What a run has besides materials and lights.

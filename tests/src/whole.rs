@@ -1,13 +1,14 @@
 //! A picture, and whole training steps, of Gaussians that a test makes.
 
 use crate::{Gpu, scenes};
+use sgs_config::Settings;
 use sgs_engine::Location;
 use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Renderer, Status, StepReport};
 use sgs_passes::reference::project::{Camera, Gaussians as Twin};
 use sgs_passes::scene::{GaussianData, Gaussians, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
-use sgs_train::{Schedule, Settings};
+use sgs_train::Schedule;
 
 /// What is behind everything.
 pub const BACKGROUND: [f64; 3] = [0.2, 0.5, 0.8];

@@ -1,12 +1,13 @@
 //! As many bands of spherical harmonics as the pictures ask for: a band comes, is measured, and stays or goes; every decision is
 //! written down; and an interrupted training decides as one that was not.
 
+use sgs_config::{Settings, ShDegree};
 use sgs_scene::{Scene, SceneOptions};
 use sgs_tests::Gpu;
 use sgs_tests::cli::sgs;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
-use sgs_train::{Decision, Geometry, Progress, Settings, ShDegree};
+use sgs_train::{Decision, Geometry, Progress};
 
 const STEPS: u32 = 40;
 

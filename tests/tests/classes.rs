@@ -1,16 +1,17 @@
 //! Classes after training: rendered, asked about, and measured, from a run whose every class is known.
 
 use glam::{DVec2, DVec3, Vec3};
+use sgs_config::Settings;
 use sgs_passes::loss::normalize_embeddings;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, FEATURES};
+use sgs_run::{RunDirectory, SemanticHead};
 use sgs_scene::{
     GroundTruth, GroundTruthKind, Image, RegionMap, Scene, SceneOptions, Splats, TextEmbeddings, read_exr, write_ids,
 };
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
-use sgs_train::{RunDirectory, SemanticHead, Settings};
 use std::path::Path;
 
 /// By id; 0 is none.

@@ -1,10 +1,12 @@
 //! What the intrinsic stage makes smaller or slower while it trains: when, by how much, and that being stopped changes nothing.
 
+use sgs_config::Settings;
 use sgs_passes::shade::visibility::FieldConfig;
+use sgs_run::{Visibility, VisibilityFile};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::intrinsic::{place, settings};
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Intrinsic, Settings, Visibility, VisibilityFile};
+use sgs_train::Intrinsic;
 
 struct Bench {
     place: Place,

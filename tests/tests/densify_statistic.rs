@@ -1,11 +1,12 @@
 //! The statistic of densification: which losses' gradients enter it, and which do not.
 
+use sgs_config::{Backward, DensifyStatistic, Settings};
 use sgs_passes::reference::rng::Pcg;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place, Tolerance, assert_close};
-use sgs_train::{Backward, DensifyStatistic, Geometry, Settings};
+use sgs_train::Geometry;
 
 struct Bench {
     gpu: Gpu,

@@ -1,11 +1,11 @@
 //! Training that goes wrong: it is noticed, said in a sentence, and gone back from; training that does not is left alone.
 
 use serde_json::Value;
+use sgs_run::RunDirectory;
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
-use sgs_train::RunDirectory;
 
 /// A room with every kind of prior.
 fn everything() -> Place {

@@ -8,13 +8,14 @@ use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
 use proptest::prelude::*;
 use serde_json::{Value, json};
+use sgs_config::VisibilityKind;
+use sgs_run::{read_exchange, read_lights, read_splats, write_exchange, write_lights};
 use sgs_scene::{ALBEDO_RANGE, Camera, GltfScene, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, read_exr, write_exr};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, sgs_after};
 use sgs_tests::foreign::{lamps, sample};
 use sgs_tests::rooms::{Room, transforms, write_json};
 use sgs_tests::runs::{Parts, fabricate};
-use sgs_train::{VisibilityKind, read_exchange, read_lights, read_splats, write_exchange, write_lights};
 use std::path::Path;
 use std::process::Command;
 

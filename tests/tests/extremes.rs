@@ -545,7 +545,7 @@ const HAZARDS: &[Hazard] = &[
     (
         "angles between equal and opposite normals",
         "by arc tangent",
-        &[("tools/train/src/metrics/normal", "parallel_vectors_have_no_angle")],
+        &[("tools/evaluate/src/metrics/normal", "parallel_vectors_have_no_angle")],
     ),
 ];
 

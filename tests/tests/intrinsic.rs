@@ -1,14 +1,13 @@
 //! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
 
+use sgs_config::VisibilityKind;
 use sgs_passes::Accuracy;
+use sgs_run::{RunDirectory, Shading, VisibilityFile, displayed, light_of, read_lights, shaded_scene};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::Gpu;
 use sgs_tests::cli::sgs;
 use sgs_tests::intrinsic::{place, settings};
-use sgs_train::{
-    Geometry, Intrinsic, RunDirectory, Shading, VisibilityFile, VisibilityKind, displayed, light_of, read_lights,
-    shaded_scene,
-};
+use sgs_train::{Geometry, Intrinsic};
 
 fn geometry(gpu: &Gpu, scene: &Scene) -> Splats {
     let mut training = Geometry::new(gpu.device(), scene, &settings(1), None).unwrap();

@@ -1,13 +1,14 @@
 //! The log of the intrinsic stage names each loss that runs; warnings name each that has a weight and does not.
 
 use serde_json::Value;
+use sgs_config::{OwnPrior, Settings};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::intrinsic::{place, settings};
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Intrinsic, IntrinsicLog, OwnPrior, Settings};
+use sgs_train::{Intrinsic, IntrinsicLog};
 use std::collections::BTreeSet;
 
 /// Keys of every line, whatever runs.

@@ -1,17 +1,19 @@
 //! Normals that are learned through what lamps shade: gradients of the Gaussians' normals against differences of the reference,
 //! under lights that nothing hides, that a field dims and that Gaussians hide; and bent ones are pulled back.
 
+use sgs_config::{Settings, VisibilityKind};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{V3, unit};
 use sgs_passes::reference::lights as twin;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{Axes, LightModel, Lights, Shape, lights_normals_bwd, lights_prepare, lights_train};
 use sgs_passes::shade::{Weights, normals, normals_bwd};
+use sgs_run::{Shading, Visibility, displayed, shaded_scene};
 use sgs_scene::{Image, Scene, SceneOptions, write_png};
 use sgs_tests::lit::{Lit, narrow};
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place, Tolerance, assert_close, worst};
-use sgs_train::{Geometry, Intrinsic, Settings, Shading, Visibility, VisibilityKind, displayed, shaded_scene};
+use sgs_train::{Geometry, Intrinsic};
 
 const MODEL: LightModel = LightModel { lights: 4, lobes: 3, axes: Axes::Free };
 

@@ -1,5 +1,6 @@
 //! Limits of single buffers and kernels: what exceeds them is refused with figures, before anything is allocated.
 
+use sgs_config::Settings;
 use sgs_engine::device::Limits;
 use sgs_engine::graph::Graph;
 use sgs_engine::graph::exec::Executor;
@@ -8,7 +9,7 @@ use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::kernels::kernel;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Intrinsic, Settings, TrainError};
+use sgs_train::{Geometry, Intrinsic, TrainError};
 use std::sync::Arc;
 
 fn open(limits: Limits) -> Device {

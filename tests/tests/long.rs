@@ -2,11 +2,12 @@
 //!
 //! `SGS_TEST_LONG=1` asks for 100 000 steps of each stage, `SGS_TEST_LONG=N` for N.
 
+use sgs_config::{Metallic, Settings};
 use sgs_scene::{Scene, SceneOptions};
 use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Geometry, Intrinsic, Metallic, Progress, Settings};
+use sgs_train::{Geometry, Intrinsic, Progress};
 use std::sync::{Mutex, PoisonError};
 
 /// Steps of a stage: so many in the suite, and what is asked for otherwise.

@@ -4,11 +4,11 @@
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::{Value, json};
+use sgs_evaluate::metrics::{Lpips, LpipsRange, MetricError};
 use sgs_scene::Image;
 use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
-use sgs_train::metrics::{Lpips, LpipsRange, MetricError};
 use std::collections::HashMap;
 use std::path::Path;
 

@@ -2,7 +2,9 @@
 //! and seed alone.
 
 use half::f16;
+use sgs_config::Settings;
 use sgs_engine::{Device, DeviceOptions};
+use sgs_evaluate::evaluate_classes;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes, Masks, SemanticSizes};
 use sgs_passes::scene::{EMBEDDING, Group, Layout, Model};
@@ -14,7 +16,7 @@ use sgs_tests::meaning::{Meaning, WALLS};
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Geometry, Progress, Settings, evaluate_classes};
+use sgs_train::{Geometry, Progress};
 
 fn place(room: Room, meaning: Meaning) -> Place {
     let place = Place::new(room);

@@ -1,6 +1,7 @@
 //! The memory budget: the sum before the first step is what is taken, what does not fit is refused with the figures, and
 //! where growth is refused nothing that was reached is lost.
 
+use sgs_config::{Settings, ShDegree, VisibilityKind};
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::Gpu;
@@ -9,7 +10,7 @@ use sgs_tests::meaning::Meaning;
 use sgs_tests::place::Place;
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Intrinsic, Progress, Settings, ShDegree, TrainError, VisibilityKind};
+use sgs_train::{Geometry, Intrinsic, Progress, TrainError};
 
 fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
@@ -432,7 +433,7 @@ fn a_budget_just_above_the_start_is_enough() {
     let least = |s: &Settings| {
         let starts = |budget: u64| {
             let gpu = Gpu::new();
-            let s = Settings { memory: sgs_train::MemorySettings { budget }, ..s.clone() };
+            let s = Settings { memory: sgs_config::MemorySettings { budget }, ..s.clone() };
             // With less, training starts from fewer points.
             Geometry::new(gpu.device(), &scene, &s, None)
                 .is_ok_and(|t| t.gaussians().count(gpu.device()).unwrap() == most)

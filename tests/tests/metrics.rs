@@ -2,9 +2,9 @@
 //! scikit-image, scipy and flip-evaluator, and wrote what they say.
 
 use serde_json::{Value, json};
+use sgs_evaluate::metrics::{depth_rel, flip, mse, normal_mae_deg, psnr, psnr_scaled, ssim};
 use sgs_scene::{Image, LoadOptions, Scene, SceneOptions};
 use sgs_tests::rooms::{Room, write_json};
-use sgs_train::metrics::{depth_rel, flip, mse, normal_mae_deg, psnr, psnr_scaled, ssim};
 use std::path::{Path, PathBuf};
 
 /// How far apart they may be, in the unit of each measure.

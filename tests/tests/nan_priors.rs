@@ -1,13 +1,14 @@
 //! Priors of every kind that hold nothing but NaN: both stages are trained without them.
 
 use half::f16;
+use sgs_config::Metallic;
 use sgs_passes::scene::EMBEDDING;
 use sgs_scene::{Image, Scene, SceneOptions, write_exr, write_ids, write_npy_f16};
 use sgs_tests::intrinsic::settings;
 use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Geometry, Intrinsic, Metallic, Progress};
+use sgs_train::{Geometry, Intrinsic, Progress};
 
 /// A room whose priors are all there, and all NaN.
 fn place() -> Place {

@@ -1,10 +1,11 @@
 //! `--preset` and `--accuracy`: what runs record of them, what goes over them, what is refused; help and documents know all presets.
 
+use sgs_config::{LobeLayout, PRESETS, Settings};
 use sgs_passes::Accuracy;
+use sgs_run::RunDirectory;
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
-use sgs_train::{LobeLayout, PRESETS, RunDirectory, Settings};
 
 /// Trains for some steps.
 fn train(place: &Place, run: &str, more: &[&str]) -> Finished {

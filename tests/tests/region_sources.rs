@@ -1,5 +1,6 @@
 //! Regions of the intrinsic stage from each source: masks, classes, masks of pseudo-views, and a provider.
 
+use sgs_config::Settings;
 use sgs_passes::pipeline::IntrinsicReport;
 use sgs_provider::Fallback;
 use sgs_scene::{Scene, SceneOptions, Splats, write_ids};
@@ -8,7 +9,7 @@ use sgs_tests::meaning::Meaning;
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Intrinsic, PseudoViews, Settings};
+use sgs_train::{Intrinsic, PseudoViews};
 
 /// A room with priors of materials and of semantics, without masks, and splats of its points.
 fn stage() -> (Place, Room, Gpu) {

@@ -2,6 +2,7 @@
 //! pseudo-views as a file.
 
 use half::f16;
+use sgs_config::PseudoOptions;
 use sgs_engine::graph::Graph;
 use sgs_passes::loss::{pack_mask, region_mask};
 use sgs_passes::scene::EMBEDDING;
@@ -11,7 +12,7 @@ use sgs_shaders::structs::Step;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{PseudoMaps, PseudoOptions, PseudoViews, RegionMaps, RegionSource, SemanticData};
+use sgs_train::{PseudoMaps, PseudoViews, RegionMaps, RegionSource, SemanticData};
 
 const SIZE: [u32; 2] = [32, 24];
 /// Pixels of a view.

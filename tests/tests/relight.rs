@@ -1,11 +1,11 @@
 //! Pictures part by part, and under other light: what edits do to them, and what is refused.
 
 use serde_json::json;
+use sgs_run::read_lights;
 use sgs_scene::{Image, Splats, linear_to_srgb, read_exr, write_exr, write_ids};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
-use sgs_train::read_lights;
 
 /// A room, and a run of a few steps in `run`.
 fn place() -> Place {

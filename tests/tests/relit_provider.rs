@@ -1,17 +1,17 @@
 //! Albedo under other lights asked of a provider while training: what it is shown, what becomes of its answers, and what of
 //! its failures.
 
+use sgs_config::{Settings, VisibilityKind};
 use sgs_passes::pipeline::IntrinsicReport;
 use sgs_passes::reference::lights::{Raw, perturb};
 use sgs_passes::shade::lights::Perturbation;
 use sgs_provider::Fallback;
+use sgs_run::{LightFile, Shading, Visibility, camera, shaded_scene};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, srgb_to_linear, write_ids, write_png};
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{
-    Geometry, Intrinsic, LightFile, Schedule, Settings, Shading, Visibility, VisibilityKind, camera, shaded_scene,
-};
+use sgs_train::{Geometry, Intrinsic, Schedule};
 use std::path::Path;
 
 /// Albedo of each wall, sRGB.

@@ -1,11 +1,12 @@
 //! Two devices in one process, each training in a thread of its own: neither notices the other.
 
+use sgs_config::Settings;
 use sgs_engine::device::Objects;
 use sgs_engine::{Device, DeviceOptions};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Progress, Settings};
+use sgs_train::{Geometry, Progress};
 use std::sync::Barrier;
 
 const STEPS: u32 = 40;

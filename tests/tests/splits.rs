@@ -1,10 +1,10 @@
 //! `--split`: which views are held out, what the run records of it, and what is refused.
 
+use sgs_run::RunDirectory;
 use sgs_scene::SplitRule;
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, sgs_after};
 use sgs_tests::rooms::Room;
-use sgs_train::RunDirectory;
 
 /// The names of the views that `sgs eval` measures.
 fn measured(place: &Place, run: &str, split: &str) -> Vec<String> {

@@ -1,10 +1,10 @@
 //! Checks before the first step of a training: inputs that are refused, and warnings about a bad start.
 
+use sgs_run::read_lights;
 use sgs_scene::{Image, Splats, write_png};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::{Room, write_json};
-use sgs_train::read_lights;
 use std::path::Path;
 
 /// Changes the places of the cameras and of the points of a room.

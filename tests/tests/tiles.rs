@@ -1,11 +1,12 @@
 //! Tiles of every size that settings can ask for: other entries, the same training but for the order of sums.
 
+use sgs_config::{Backward, Settings};
 use sgs_passes::pipeline::IntrinsicReport;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place, intrinsic};
-use sgs_train::{Backward, Geometry, Intrinsic, Progress, Settings};
+use sgs_train::{Geometry, Intrinsic, Progress};
 
 const STEPS: u32 = 12;
 

@@ -1,11 +1,12 @@
 //! Traced shadows in training and in pictures, from settings to files.
 
 use serde_json::json;
+use sgs_config::{Settings, VisibilityKind};
 use sgs_scene::{Image, Scene, SceneOptions, read_exr};
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Geometry, Intrinsic, Settings, VisibilityKind};
+use sgs_train::{Geometry, Intrinsic};
 
 fn settings() -> Settings {
     let mut s = Settings::default();

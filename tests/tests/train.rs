@@ -1,11 +1,13 @@
 //! Training as a whole: that it learns, and that the result depends on scene, settings and seed alone.
 
+use sgs_config::Settings;
 use sgs_engine::{Device, DeviceOptions};
+use sgs_evaluate::{Evaluation, evaluate};
 use sgs_scene::{Scene, SceneOptions};
 use sgs_tests::cli::{sgs, sgs_after, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
-use sgs_train::{Evaluation, Geometry, Progress, Settings, evaluate};
+use sgs_train::{Geometry, Progress};
 
 fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
@@ -288,7 +290,7 @@ fn choosing_the_backward_kernel_changes_no_parameter() {
     training.train(6, |_| (), || true).unwrap();
     let before = training.splats().unwrap();
     training.choose_backward().unwrap();
-    assert_ne!(training.settings().geometry.backward, sgs_train::Backward::Auto);
+    assert_ne!(training.settings().geometry.backward, sgs_config::Backward::Auto);
     assert_eq!(training.splats().unwrap(), before);
     training.train(12, |_| (), || true).unwrap();
     assert_eq!(training.step(), 12);
@@ -300,7 +302,7 @@ fn choosing_the_backward_kernel_changes_no_parameter() {
 fn atomics_train_as_well_in_less_memory() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let (gpu, scene) = (device(), Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap());
-    let with = |backward: sgs_train::Backward| {
+    let with = |backward: sgs_config::Backward| {
         let mut s = settings(20);
         (s.geometry.backward, s.geometry.densify.enabled) = (backward, false);
         let mut training = Geometry::new(&gpu, &scene, &s, None)?;
@@ -313,16 +315,16 @@ fn atomics_train_as_well_in_less_memory() {
         training.train(20, heard, || true)?;
         Ok::<_, sgs_train::TrainError>((losses, training.needs().arena))
     };
-    let ordered = with(sgs_train::Backward::Pixel).unwrap();
+    let ordered = with(sgs_config::Backward::Pixel).unwrap();
     let run = sgs(&place.arguments("run", 10, &["--validate", "--set", "geometry.backward=atomic"]));
     if !gpu.info().optional.float_atomics {
-        let error = with(sgs_train::Backward::Atomic).err().unwrap().to_string();
+        let error = with(sgs_config::Backward::Atomic).err().unwrap().to_string();
         assert!(error.contains("shaderBufferFloat32AtomicAdd"), "{error}");
         run.refused(&["shaderBufferFloat32AtomicAdd"]);
         return;
     }
     run.ok();
-    let atomic = with(sgs_train::Backward::Atomic).unwrap();
+    let atomic = with(sgs_config::Backward::Atomic).unwrap();
     assert!(atomic.1 < ordered.1, "{} and {} bytes of transients", atomic.1, ordered.1);
     assert_eq!(atomic.0.len(), 20);
     for (step, (a, b)) in atomic.0.iter().zip(&ordered.0).enumerate() {

@@ -1,13 +1,14 @@
 //! Failure on purpose while training: typed errors, whole files, and the same end when training goes on from the last
 //! checkpoint on the same device.
 
+use sgs_config::Settings;
 use sgs_engine::device::{Fault, FaultKind, Faults, Objects};
 use sgs_engine::{Device, DeviceOptions, Error};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
-use sgs_train::{Geometry, Settings, TrainError};
+use sgs_train::{Geometry, TrainError};
 use std::collections::BTreeMap;
 
 const STEPS: u32 = 11;

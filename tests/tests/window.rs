@@ -2,13 +2,14 @@
 //! and pictures are those of the other commands, and what is refused.
 
 use glam::{DMat3, DVec3};
+use sgs_relight::Edit;
+use sgs_run::read_lights;
 use sgs_scene::{Camera, Image};
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, start_with, wait};
 use sgs_tests::rooms::Room;
 use sgs_tests::runs::{Parts, fabricate};
 use sgs_tests::screen::Screen;
-use sgs_train::{Edit, read_lights};
 use std::path::Path;
 
 const SIZE: [u32; 2] = [240, 160];

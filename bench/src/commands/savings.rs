@@ -13,6 +13,7 @@ use crate::report::Report;
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings};
 use anyhow::ensure;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::Tuning;
@@ -21,7 +22,7 @@ use sgs_passes::shade::lights::{LightModel, Lights, Shape, lights_prepare, light
 use sgs_passes::shade::visibility::{FieldConfig, View, VisibilityField, visibility};
 use sgs_shaders::lights_savings as kernel;
 use sgs_shaders::structs::FieldStep;
-use sgs_train::{Intrinsic, Settings};
+use sgs_train::Intrinsic;
 use std::time::Instant;
 
 /// Options of the command.

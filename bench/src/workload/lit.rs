@@ -1,8 +1,8 @@
 //! What the intrinsic stage is measured on: surfaces of a scene directory, or of a synthetic room that is made for it.
 
 use anyhow::{Context, ensure};
+use sgs_config::Settings;
 use sgs_scene::{Camera, Scene, Splats};
-use sgs_train::Settings;
 use std::path::Path;
 use std::sync::Arc;
 use tempfile::TempDir;

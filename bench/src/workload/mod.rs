@@ -7,12 +7,14 @@ mod synthetic;
 pub use lit::{LitScene, lit_settings, plain};
 pub use synthetic::{Synthetic, synthetic};
 
+use sgs_config::Settings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::{Camera, Inputs};
 use sgs_passes::reference::project as twin;
 use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
+use sgs_run::gaussian_data;
 use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_train::{Correspondence, SemanticData, Settings, TrainingData, gaussian_data};
+use sgs_train::{Correspondence, SemanticData, TrainingData};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 

@@ -9,8 +9,8 @@ use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::{Camera, Picture, Renderer};
 use sgs_passes::scene::{Gaussians, Group, Model};
 use sgs_passes::splat::Channels;
+use sgs_run::gaussian_data;
 use sgs_scene::{PointCloud, Splats};
-use sgs_train::gaussian_data;
 
 /// Views on the ring.
 const VIEWS: u32 = 12;

@@ -16,8 +16,9 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Frame, LitFrame, LitLayer, LitOptions, LitView, Renderer, View, ViewOptions};
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{Channels, Encoding, Layer, Presented, TexelFormat};
+use sgs_relight::{Edit, Relighter};
+use sgs_run::Shading;
 use sgs_tests::scenes;
-use sgs_train::{Edit, Relighter, Shading};
 use std::path::Path;
 use vk::ImageLayout as L;
 

@@ -51,7 +51,7 @@ fn flags(prefix: &Path, more: &[&str]) -> Vec<String> {
 fn scene(folder: &Path) -> PathBuf {
     let data = scenes::data(&scenes::ordinary(200, 2, false, 5));
     let path = folder.join("scene.ply");
-    sgs_train::splats(&data, Model { sh_degree: 2, normals: false, ..Default::default() }).write_ply(&path).unwrap();
+    sgs_run::splats(&data, Model { sh_degree: 2, normals: false, ..Default::default() }).write_ply(&path).unwrap();
     path
 }
 

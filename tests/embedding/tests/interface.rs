@@ -17,7 +17,7 @@ use tempfile::TempDir;
 fn scene(folder: &TempDir) -> std::path::PathBuf {
     let data = scenes::data(&scenes::ordinary(150, 1, true, 8));
     let path = folder.path().join("scene.ply");
-    sgs_train::splats(&data, Model { sh_degree: 1, normals: true, ..Default::default() }).write_ply(&path).unwrap();
+    sgs_run::splats(&data, Model { sh_degree: 1, normals: true, ..Default::default() }).write_ply(&path).unwrap();
     path
 }
 
@@ -135,7 +135,7 @@ fn cameras_come_from_transforms_files() {
         assert_eq!(count, 5);
         context.ok(sgs_cameras_get(context.0, cameras, 3, &mut camera));
         assert_eq!((camera.width, camera.height, camera.struct_size as usize), (20, 12, size_of::<SgsCamera>()));
-        let real = sgs_train::camera(&room.cameras()[3]);
+        let real = sgs_run::camera(&room.cameras()[3]);
         for (a, b) in camera.world_to_camera.iter().zip(real.world_to_camera.as_flattened()) {
             assert!((a - b).abs() < 1e-5);
         }

@@ -1,6 +1,7 @@
 //! Shaded views in a host's image, under lights that change between frames.
 
 use ash::vk;
+use sgs_config::VisibilityKind;
 use sgs_embedding::{Host, Owned};
 use sgs_engine::graph::ImageState;
 use sgs_engine::graph::exec::Recorded;
@@ -8,9 +9,10 @@ use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{LitFrame, LitLayer, LitOptions, LitView, ViewError};
 use sgs_passes::splat::{Encoding, TexelFormat};
+use sgs_relight::{Edit, Lamp, NewLight, Relighter, Relit};
+use sgs_run::{ShadedView, Shading};
 use sgs_tests::runs::{self, Parts};
 use sgs_tests::scenes;
-use sgs_train::{Edit, Lamp, NewLight, Relighter, Relit, ShadedView, Shading, VisibilityKind};
 use std::path::Path;
 use vk::ImageLayout as L;
 

@@ -61,9 +61,46 @@ impl From<sgs_train::TrainError> for Failure {
         match error {
             E::Engine(error) => error.into(),
             E::Scene(error) => error.into(),
+            E::Run(error) => error.into(),
+            E::Config(error) => error.into(),
             E::Setting(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
             E::File { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
             _ => Failure { code: SgsResult::SGS_ERROR_TRAINING, text: error.to_string() },
+        }
+    }
+}
+
+impl From<sgs_config::ConfigError> for Failure {
+    fn from(error: sgs_config::ConfigError) -> Failure {
+        Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text: error.to_string() }
+    }
+}
+
+impl From<sgs_run::RunError> for Failure {
+    fn from(error: sgs_run::RunError) -> Failure {
+        use sgs_run::RunError as E;
+        match error {
+            E::Engine(error) => error.into(),
+            E::Scene(error) => error.into(),
+            E::Config(error) => error.into(),
+            E::Refused(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
+            E::File { .. } | E::Locked { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
+        }
+    }
+}
+
+impl From<sgs_relight::RelightError> for Failure {
+    fn from(error: sgs_relight::RelightError) -> Failure {
+        use sgs_relight::RelightError as E;
+        match error {
+            E::Engine(error) => error.into(),
+            E::Scene(error) => error.into(),
+            E::Run(error) => error.into(),
+            E::Config(error) => error.into(),
+            E::Train(error) => error.into(),
+            E::Edit(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
+            E::File { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
+            E::Evaluate(_) | E::Metric(_) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text: error.to_string() },
         }
     }
 }

@@ -22,7 +22,7 @@ impl SceneObject {
         let model =
             Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
         let gaussians = Gaussians::new(&inner.device, model, splats.len() as u32, false)?;
-        gaussians.upload(&inner.device, &sgs_train::gaussian_data(splats, model))?;
+        gaussians.upload(&inner.device, &sgs_run::gaussian_data(splats, model))?;
         Ok(SceneObject { gaussians, renderer: Mutex::new(None) })
     }
 
@@ -127,7 +127,7 @@ pub unsafe extern "C" fn sgs_scene_export(
             let path = string(path, "path")?;
             let scene = inner.scene(scene)?.clone();
             let data = scene.gaussians.download(&inner.device)?;
-            Ok(sgs_train::splats(&data, scene.gaussians.model).write_ply(Path::new(&path))?)
+            Ok(sgs_run::splats(&data, scene.gaussians.model).write_ply(Path::new(&path))?)
         })
     }
 }
@@ -186,7 +186,7 @@ pub unsafe extern "C" fn sgs_cameras_get(
                 let text = format!("Camera {index} does not exist, there are {}.", all.len());
                 return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
             };
-            let c = sgs_train::camera(c);
+            let c = sgs_run::camera(c);
             let mut world_to_camera = [0.0; 12];
             world_to_camera.copy_from_slice(c.world_to_camera.as_flattened());
             let value = SgsCamera {

@@ -4,11 +4,10 @@ use crate::border::{Outcome, fail, optional_string, read, string, write};
 use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
 use crate::scene::SceneObject;
 use crate::types::*;
+use sgs_config::Settings;
+use sgs_run::{Contents, DirectoryLock, RunDirectory, StageKind};
 use sgs_scene::Scene;
-use sgs_train::{
-    Contents, DirectoryLock, Event, Observer, RunDirectory, Settings, Stage, StageKind, StartGeometry, Trainer,
-    TrainerOptions,
-};
+use sgs_train::{Event, Observer, Stage, StartGeometry, Trainer, TrainerOptions};
 use std::ffi::c_char;
 use std::path::Path;
 use std::sync::Arc;

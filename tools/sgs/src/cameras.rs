@@ -1,10 +1,11 @@
 //! Where Gaussians and cameras come from on the command line.
 
 use anyhow::{Context, bail};
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::scene::{Gaussians, Model};
+use sgs_run::{RunDirectory, gaussian_data, read_splats};
 use sgs_scene::Splats;
-use sgs_train::{RunDirectory, Settings, gaussian_data, read_splats};
 use std::path::Path;
 
 /// The Gaussians of a run directory or of a PLY or glTF file, and the run's settings if it is one.

@@ -3,8 +3,8 @@
 use crate::palette::{Color, colors, hex};
 use anyhow::bail;
 use sgs_passes::scene::FEATURES;
+use sgs_run::{NO_RELEVANCE, RunDirectory, SemanticHead};
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_train::{NO_RELEVANCE, RunDirectory, SemanticHead};
 use std::path::{Path, PathBuf};
 
 /// Whether a file was written.

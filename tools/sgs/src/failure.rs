@@ -1,7 +1,12 @@
 //! Why a command fails: the kind of a failure, its exit status, and how it is reported.
 
 use crate::common::Common;
+use sgs_config::ConfigError;
+use sgs_evaluate::EvaluateError;
+use sgs_relight::RelightError;
+use sgs_run::RunError;
 use sgs_scene::SceneError;
+use sgs_study::StudyError;
 use sgs_synth::SynthError;
 use sgs_train::TrainError;
 use std::fmt;
@@ -62,11 +67,21 @@ impl Kind {
             if let Some(failure) = cause.downcast_ref::<Failure>() {
                 return Some(failure.kind);
             }
-            let of_train = cause.downcast_ref::<TrainError>().and_then(of_train);
-            let of_scene = cause.downcast_ref::<SceneError>().and_then(of_scene);
-            let of_engine = cause.downcast_ref::<sgs_engine::Error>().and_then(of_engine);
-            let of_synth = cause.downcast_ref::<SynthError>().and_then(of_synth);
-            of_train.or(of_scene).or(of_engine).or(of_synth)
+            fn known<'a, E: std::error::Error + 'static>(
+                cause: &'a (dyn std::error::Error + 'static),
+                kind: fn(&'a E) -> Option<Kind>,
+            ) -> Option<Kind> {
+                cause.downcast_ref::<E>().and_then(kind)
+            }
+            known(cause, of_train)
+                .or_else(|| known(cause, of_run))
+                .or_else(|| known(cause, of_relight))
+                .or_else(|| known(cause, of_evaluate))
+                .or_else(|| known(cause, of_study))
+                .or_else(|| cause.is::<ConfigError>().then_some(Kind::Usage))
+                .or_else(|| known(cause, of_scene))
+                .or_else(|| known(cause, of_engine))
+                .or_else(|| known(cause, of_synth))
         };
         error.chain().find_map(known).unwrap_or(Kind::Failed)
     }
@@ -76,13 +91,52 @@ fn of_train(error: &TrainError) -> Option<Kind> {
     match error {
         TrainError::Engine(error) => of_engine(error),
         TrainError::Scene(error) => of_scene(error),
-        TrainError::Setting(_) => Some(Kind::Usage),
+        TrainError::Run(error) => of_run(error),
+        TrainError::Config(_) | TrainError::Setting(_) => Some(Kind::Usage),
         TrainError::Memory(_) => Some(Kind::OutOfMemory),
         // No later try has another device's limits.
         TrainError::Limit(_) => Some(Kind::Input),
-        TrainError::Locked { .. } => Some(Kind::Locked),
         TrainError::Diverged { .. } => Some(Kind::Diverged),
         _ => None,
+    }
+}
+
+fn of_run(error: &RunError) -> Option<Kind> {
+    match error {
+        RunError::Engine(error) => of_engine(error),
+        RunError::Scene(error) => of_scene(error),
+        RunError::Config(_) | RunError::Refused(_) => Some(Kind::Usage),
+        RunError::Locked { .. } => Some(Kind::Locked),
+        RunError::File { .. } => None,
+    }
+}
+
+fn of_evaluate(error: &EvaluateError) -> Option<Kind> {
+    match error {
+        EvaluateError::Engine(error) => of_engine(error),
+        EvaluateError::Scene(error) => of_scene(error),
+        EvaluateError::Run(error) => of_run(error),
+        EvaluateError::Metric(_) => None,
+    }
+}
+
+fn of_relight(error: &RelightError) -> Option<Kind> {
+    match error {
+        RelightError::Engine(error) => of_engine(error),
+        RelightError::Scene(error) => of_scene(error),
+        RelightError::Run(error) => of_run(error),
+        RelightError::Evaluate(error) => of_evaluate(error),
+        RelightError::Train(error) => of_train(error),
+        RelightError::Config(_) | RelightError::Edit(_) => Some(Kind::Usage),
+        RelightError::Metric(_) | RelightError::File { .. } => None,
+    }
+}
+
+fn of_study(error: &StudyError) -> Option<Kind> {
+    match error {
+        StudyError::Scene(error) => of_scene(error),
+        StudyError::Run(error) => of_run(error),
+        StudyError::Config(_) | StudyError::UnknownRow { .. } => Some(Kind::Usage),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Rules of the directories that commands write into: no result, scene or other program's file is lost to a wrong `-o`.
 
 use crate::failure::refuse_usage;
-use sgs_train::{Contents, DirectoryLock, RunContents, entries};
+use sgs_run::{Contents, DirectoryLock, RunContents, entries};
 use std::path::Path;
 
 /// What a command is about to write into a run directory.

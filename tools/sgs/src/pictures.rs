@@ -4,8 +4,9 @@
 
 use crate::failure::refuse_usage;
 use anyhow::bail;
+use sgs_config::Settings;
+use sgs_run::{RunDirectory, RunLight, ShadedView, displayed, light_of, read_light};
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_train::{RunDirectory, RunLight, Settings, ShadedView, displayed, light_of, read_light};
 use std::path::{Path, PathBuf};
 
 /// Formats of picture files.

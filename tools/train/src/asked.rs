@@ -5,11 +5,10 @@
 //! The frames show the Gaussians as they are before the step, so the step waits for all before it: asking costs what the
 //! network costs, and this. The point is drawn from seed and step.
 
-use crate::convert::camera;
 use crate::error::{Result, TrainError};
-use crate::memory::uniform;
 use crate::schedule::hash;
-use crate::settings::ProviderSettings;
+use crate::uniforms::uniform;
+use sgs_config::ProviderSettings;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::loss::pack_mask;
@@ -17,6 +16,7 @@ use sgs_passes::pipeline::Renderer;
 use sgs_passes::scene::{Gaussians, Layout};
 use sgs_passes::splat::{Channels, wanted_words};
 use sgs_provider::{Encoding, Helper, Picture, ProviderOptions};
+use sgs_run::camera;
 use sgs_scene::{Camera, Image};
 
 /// Frames of a question: a pseudo-view, the training view, the other pseudo-view.

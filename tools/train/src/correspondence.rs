@@ -3,15 +3,15 @@
 //! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
 
 use crate::asked::{Asked, Look};
-use crate::convert::camera;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
 use crate::regions::{RegionInputs, Regions};
 use crate::semantics::SemanticData;
-use crate::settings::Settings;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::pipeline::{Inputs, Masks, PSEUDO_VIEWS, Step};
 use sgs_passes::scene::{Gaussians, Layout};
+use sgs_run::camera;
 use sgs_scene::{Camera, Scene};
 
 /// Pseudo-views and regions of a scene, on the device.

@@ -1,10 +1,10 @@
 //! The training views on the GPU: photographs and normal priors packed one behind the other, and their cameras.
 
-use crate::convert::{camera, pack_image, pack_normals};
 use crate::error::{Result, TrainError};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::Camera;
+use sgs_run::{camera, pack_image, pack_normals};
 use sgs_scene::{Image, Scene};
 
 /// Training views in device memory.

@@ -1,6 +1,6 @@
 //! Errors of training: one sentence each, naming what to do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
@@ -14,10 +14,13 @@ pub enum TrainError {
     /// A network that was asked failed.
     #[error("{0}.")]
     Provider(#[from] sgs_provider::ProviderError),
-    /// Two images cannot be compared.
-    #[error(transparent)]
-    Metric(#[from] crate::metrics::MetricError),
     /// A setting is wrong.
+    #[error(transparent)]
+    Config(#[from] sgs_config::ConfigError),
+    /// The run directory cannot be used.
+    #[error(transparent)]
+    Run(#[from] sgs_run::RunError),
+    /// What settings ask for is impossible with this scene, run or provider.
     #[error("{0}")]
     Setting(String),
     /// The device's memory does not suffice.
@@ -32,14 +35,6 @@ pub enum TrainError {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        reason: String,
-    },
-    /// Another process writes into the directory.
-    #[error("\"{path}\" is locked: {reason}.", path = path.display())]
-    Locked {
-        /// The directory.
-        path: PathBuf,
-        /// Who holds it, and what to do.
         reason: String,
     },
     /// Training cannot go on.
@@ -64,6 +59,7 @@ impl TrainError {
     pub fn is_out_of_memory(&self) -> bool {
         match self {
             TrainError::Engine(error) => error.is_out_of_memory(),
+            TrainError::Run(error) => error.is_out_of_memory(),
             TrainError::Memory(_) => true,
             _ => false,
         }
@@ -72,3 +68,8 @@ impl TrainError {
 
 /// Result with this crate's error.
 pub type Result<T> = std::result::Result<T, TrainError>;
+
+/// Makes an error about a file.
+pub(crate) fn error(path: &Path, reason: String) -> TrainError {
+    TrainError::File { path: path.to_owned(), reason }
+}

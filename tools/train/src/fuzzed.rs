@@ -1,12 +1,11 @@
 //! Ways for damaged files to readers that otherwise need a device to come to (`tests/fuzz`). Nobody else has a use for them.
 
-use crate::checkpoint::{self, Course};
+use crate::course::Course;
 use crate::divergence::{Seen, Watch};
 use crate::error::Result;
-use crate::intrinsic::{LightFile, Saved};
-use crate::relight::{Edit, edited_light_of, true_edit_of, true_lights_of};
-use crate::run::error;
-use crate::shaded::Texels;
+use crate::error::error;
+use crate::geometry::checkpoint;
+use crate::intrinsic::Saved;
 use sgs_passes::scene::Model;
 use std::path::Path;
 
@@ -69,28 +68,4 @@ fn goes_on(course: &Course, from: u32) -> bool {
         watch.validate_candidate();
     }
     known
-}
-
-/// What an edit makes of lights, and of surroundings of one color.
-///
-/// # Errors
-/// If it names what is not there.
-pub fn edited_light(edit: &Edit, lights: LightFile) -> Result<(Option<LightFile>, Option<Texels>)> {
-    edited_light_of(edit, lights, Texels::uniform(4, [0.5; 3]))
-}
-
-/// The true lights of a scene (`gt/lights.json`) as lights of a run.
-///
-/// # Errors
-/// If the file is damaged.
-pub fn true_lights(path: &Path) -> Result<Option<LightFile>> {
-    true_lights_of(path)
-}
-
-/// Whether a file of a relit set says what became of materials.
-///
-/// # Errors
-/// If the file is damaged.
-pub fn true_edit(path: &Path) -> Result<bool> {
-    true_edit_of(path)
 }

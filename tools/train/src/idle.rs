@@ -3,8 +3,8 @@
 //! A switch that leaves a part of the model out (`geometry.normals = false`, no lights) leaves its losses out as well, without
 //! a warning.
 
-use crate::settings::{Metallic, Settings};
 use serde::Serialize;
+use sgs_config::{Metallic, Settings};
 
 /// Loss whose weight is not zero and that cannot run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -194,7 +194,7 @@ pub(crate) fn of_materials(s: &Settings, found: FoundForMaterials) -> Vec<IdleLo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{OwnPrior, Preset};
+    use sgs_config::{OwnPrior, Preset};
 
     fn names(idle: &[IdleLoss]) -> Vec<&str> {
         idle.iter().map(|i| i.setting.rsplit('.').next().unwrap_or_default()).collect()

@@ -5,12 +5,12 @@
 
 use crate::correspondence::Correspondence;
 use crate::error::{Result, TrainError};
-use crate::settings::Settings;
+use crate::uniforms::uniform;
 use serde::Serialize;
-use sgs_engine::graph::{BufferKind, Plan};
+use sgs_config::Settings;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status, Step};
+use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
 use sgs_passes::scene::{Decoder, Layout};
 
 /// Bytes of device memory by what they are for.
@@ -151,11 +151,6 @@ impl Needs {
     }
 }
 
-/// Bytes of what a view is told of its step.
-pub(crate) fn uniform(device: &Device) -> u64 {
-    (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16))
-}
-
 /// Refuses what does not fit, with the figures.
 pub(crate) fn refuse_beyond(
     budget: &Budget,
@@ -182,14 +177,6 @@ pub(crate) fn refuse_beyond(
     )))
 }
 
-/// Bytes of the uniforms of all replays of a plan that are in flight.
-pub(crate) fn uniform_bytes(device: &Device, plan: &Plan, frames: usize) -> u64 {
-    let info = device.info();
-    let alignment = info.uniform_alignment.max(info.storage_alignment).max(16);
-    let uniforms = plan.buffers.iter().filter(|b| b.kind == BufferKind::Uniform);
-    frames as u64 * uniforms.map(|b| b.bytes.next_multiple_of(alignment)).sum::<u64>()
-}
-
 /// The budget that settings and device allow together.
 pub(crate) fn allowed(device: &Device, settings: &Settings) -> Budget {
     let b = device.budget();
@@ -199,48 +186,10 @@ pub(crate) fn allowed(device: &Device, settings: &Settings) -> Budget {
     }
 }
 
-/// Bytes from text such as `500000000`, `512M`, `4G` or `1.5GiB`: powers of 1024.
-///
-/// # Errors
-/// A sentence that says what it should look like.
-pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
-    let wrong = || format!("\"{text}\" is no size; write bytes or a number with K, M or G, as 4G");
-    let upper = text.trim().to_ascii_uppercase();
-    let short = upper.strip_suffix("IB").or(upper.strip_suffix('B')).unwrap_or(&upper);
-    let (number, unit) = match short.strip_suffix(['K', 'M', 'G', 'T']) {
-        Some(number) => (number, 10 * (1 + "KMGT".find(&short[short.len() - 1..]).unwrap_or(0) as u32)),
-        None => (short, 0),
-    };
-    let value: f64 = number.trim().parse().map_err(|_| wrong())?;
-    let bytes = value * (1_u64 << unit) as f64;
-    // From here on, TOML has no numbers: the cast rounds up to 2^63.
-    if !(bytes >= 1.0 && bytes < i64::MAX as f64) {
-        return Err(wrong());
-    }
-    Ok(bytes as u64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use sgs_engine::BudgetSource;
-
-    #[test]
-    fn sizes_are_read() {
-        for (text, bytes) in [
-            ("500", 500),
-            ("4G", 4 << 30),
-            ("512m", 512 << 20),
-            ("1.5GiB", 3 << 29),
-            ("64 KB", 64 << 10),
-            ("1T", 1 << 40),
-        ] {
-            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
-        }
-        for text in ["", "G", "-1", "0", "4X", "nan", "1e30", "4GG", "9223372036854775807", "8388608T"] {
-            assert!(parse_bytes(text).is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn what_does_not_fit_is_refused_with_the_figures() {

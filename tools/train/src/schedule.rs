@@ -1,6 +1,6 @@
 //! What a step is made of, as a function of its number alone: resuming needs nothing but the number.
 
-use crate::settings::{DensifyStatistic, Rates, Settings, ShDegree};
+use sgs_config::{DensifyStatistic, Rates, Settings, ShDegree};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Schedules of a run.
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn every_preset_optimizes_for_an_interval_after_the_last_densification() {
-        for preset in crate::settings::PRESETS {
+        for preset in sgs_config::PRESETS {
             let mut settings = Settings::from_table(preset.table().unwrap()).unwrap();
             for steps in [settings.geometry.steps, 1000, 610, 601, 600] {
                 settings.geometry.steps = steps;

@@ -15,8 +15,9 @@ use sgs_passes::pipeline::{
 };
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{self, Encoding, Mark, TexelFormat};
+use sgs_relight::Relighter;
+use sgs_run::gaussian_data;
 use sgs_scene::{Camera, Splats};
-use sgs_train::{Relighter, gaussian_data};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -181,7 +182,7 @@ impl Canvas {
         write: impl FnOnce(&mut Page),
     ) -> Result<bool> {
         let [width, height] = display.picture().size();
-        let camera = sgs_train::camera(&picture.camera.scaled(width, height));
+        let camera = sgs_run::camera(&picture.camera.scaled(width, height));
         for _ in 0..ATTEMPTS {
             let before = view.report()?.incomplete;
             match (&mut *view, relighter) {

@@ -37,9 +37,12 @@ pub enum ViewerError {
         /// The file.
         path: PathBuf,
     },
-    /// The source cannot be opened or relit.
+    /// The run cannot be opened.
     #[error(transparent)]
-    Train(#[from] sgs_train::TrainError),
+    Run(#[from] sgs_run::RunError),
+    /// The source cannot be relit.
+    #[error(transparent)]
+    Relight(#[from] sgs_relight::RelightError),
     /// A file cannot be read or written.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),

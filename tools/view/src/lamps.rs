@@ -6,8 +6,8 @@
 use crate::error::Result;
 use glam::{DVec2, DVec3};
 use sgs_passes::splat::{MARK_HOLLOW, MARK_RINGED, Mark};
+use sgs_relight::{Edit, EnvironmentEdit, Lamp, LightChange, LightEdit, NewLight, Relighter};
 use sgs_scene::{Camera, linear_to_srgb};
-use sgs_train::{Edit, EnvironmentEdit, Lamp, LightChange, LightEdit, NewLight, Relighter};
 
 /// Handles that are drawn at most.
 pub const MOST: usize = 256;
@@ -47,7 +47,7 @@ pub struct Handles {
 impl Handles {
     /// Of a run as it was opened.
     pub fn new(relighter: &Relighter) -> Result<Handles> {
-        let before = (0..relighter.lights()).map(|i| relighter.light(i)).collect::<sgs_train::Result<Vec<_>>>()?;
+        let before = (0..relighter.lights()).map(|i| relighter.light(i)).collect::<sgs_relight::Result<Vec<_>>>()?;
         let marks = Vec::with_capacity(MOST);
         Ok(Handles { before, added: Vec::new(), sky: 1.0, chosen: None, held: None, marks })
     }
@@ -216,7 +216,7 @@ fn depth(lamp: &Lamp, camera: &Camera) -> f64 {
 
 /// Where a light's place is seen, if it is in front.
 fn seen(lamp: &Lamp, camera: &Camera) -> Option<DVec2> {
-    let near = f64::from(sgs_train::camera(camera).near);
+    let near = f64::from(sgs_run::camera(camera).near);
     (depth(lamp, camera) > near).then(|| camera.project(place(lamp))).flatten()
 }
 

@@ -1,8 +1,8 @@
 //! Files that are written from the window: pictures with their cameras, edits.
 
 use crate::error::Result;
+use sgs_relight::Edit;
 use sgs_scene::{Camera, Image, atomic_write, write_png};
-use sgs_train::Edit;
 use std::path::{Path, PathBuf};
 
 /// `DIR/WORD-000.EXTENSION`, with the first number that neither this nor a JSON file has.
@@ -61,7 +61,7 @@ fn said(value: serde_json::Value) -> serde_json::Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sgs_train::{LightChange, LightEdit};
+    use sgs_relight::{LightChange, LightEdit};
 
     #[test]
     fn an_edit_says_what_it_says_and_can_be_read() {

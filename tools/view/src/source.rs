@@ -3,8 +3,9 @@
 use crate::error::{Result, ViewerError};
 use crate::eye::Eye;
 use glam::DVec3;
+use sgs_config::Settings;
+use sgs_relight::source_of;
 use sgs_scene::{Camera, NEAR, Scene, Splats, Unit};
-use sgs_train::{Settings, source_of};
 use std::path::{Path, PathBuf};
 
 /// Gaussians that are looked at for how large a scene is.

@@ -9,9 +9,9 @@ use crate::report::{Report, set::ReportSet};
 use crate::stats::Summary;
 use crate::workload::lit_settings;
 use anyhow::{Context, bail, ensure};
+use sgs_config::Settings;
 use sgs_engine::MatrixShape;
 use sgs_passes::{Matrices, Tuning};
-use sgs_train::Settings;
 use std::path::{Path, PathBuf};
 
 /// Options of the command.

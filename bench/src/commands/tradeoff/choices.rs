@@ -1,8 +1,8 @@
 //! The choices of both stages, each as a user would ask for it: what is measured is what that comes to as settings.
 
 use anyhow::{Context, ensure};
+use sgs_config::{Settings, accuracy_named, overlay};
 use sgs_passes::Tuning;
-use sgs_train::{Settings, accuracy_named, overlay};
 
 /// By how much gradients may differ that are sums of the same in another order; tests hold gradients to as much of finite differences.
 const ROUNDING: f64 = 1e-3;
@@ -186,9 +186,9 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sgs_config::Backward;
     use sgs_engine::MatrixShape;
     use sgs_passes::{Accuracy, Matrices};
-    use sgs_train::Backward;
 
     /// All choices of a stage, on a device that has all there is.
     fn all() -> [Vec<Choice>; 2] {

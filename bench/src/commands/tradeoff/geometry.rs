@@ -20,14 +20,15 @@ use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
 use anyhow::Context;
+use sgs_config::{Backward, Settings};
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_run::gaussian_data;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Backward, Settings, gaussian_data};
 use std::fmt::Write;
 use std::sync::Arc;
 

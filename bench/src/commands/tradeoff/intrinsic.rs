@@ -18,13 +18,13 @@ use crate::report::{Report, standing};
 use crate::stats::Summary;
 use crate::workload::{LitScene, lit_settings, plain};
 use anyhow::{Context, ensure};
+use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_evaluate::metrics::psnr;
 use sgs_passes::Tuning;
+use sgs_run::{Shading, StageKind, displayed, shaded_scene};
 use sgs_scene::{GroundTruth, GroundTruthKind, Scene, Splats};
-use sgs_train::metrics::psnr;
-use sgs_train::{
-    Intrinsic, Probe, Settings, Shading, StageKind, StartGeometry, Trainer, TrainerOptions, displayed, shaded_scene,
-};
+use sgs_train::{Intrinsic, Probe, StartGeometry, Trainer, TrainerOptions};
 use std::borrow::Cow;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -14,8 +14,8 @@ use sgs_passes::reference::{blend, compose, project};
 use sgs_passes::scene::Model;
 use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
+use sgs_run::{RunLight, Visibility, gaussian_data};
 use sgs_scene::Splats;
-use sgs_train::{RunLight, Visibility, gaussian_data};
 
 type V3 = [f64; 3];
 
@@ -79,8 +79,8 @@ pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [
     Ok(compose::compose(&radiance, &surfaces.coverage, background).0)
 }
 
-fn lamp(l: &sgs_train::LightRow) -> Light {
-    let lobe = |k: &sgs_train::LobeRow| Lobe {
+fn lamp(l: &sgs_run::LightRow) -> Light {
+    let lobe = |k: &sgs_run::LobeRow| Lobe {
         axis: k.axis.map(f64::from),
         sharpness: f64::from(k.sharpness),
         amplitude: k.amplitude.map(|a| f64::from(a) * f64::from(l.gain)),

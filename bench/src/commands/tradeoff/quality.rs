@@ -2,10 +2,13 @@
 //! trained with.
 
 use anyhow::Context;
+use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_evaluate::evaluate;
 use sgs_passes::scene::{Gaussians, Model};
+use sgs_run::gaussian_data;
 use sgs_scene::Scene;
-use sgs_train::{Settings, Trainer, TrainerOptions, evaluate, gaussian_data};
+use sgs_train::{Trainer, TrainerOptions};
 use std::sync::Arc;
 
 /// Decibels of pictures, and degrees of normals if the truth is known; of the training views where there are no others.

@@ -3,7 +3,7 @@
 use super::Args;
 use super::choices::set;
 use crate::report::{FILTER, Report};
-use sgs_train::{Settings, overlay};
+use sgs_config::{Settings, overlay};
 
 /// Records it.
 ///

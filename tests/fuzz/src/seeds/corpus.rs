@@ -6,8 +6,8 @@ use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use sgs_provider::{Array, Kind, Message};
+use sgs_run::{LightFile, SemanticHead, VisibilityFile, write_exchange};
 use sgs_scene::Splats;
-use sgs_train::{LightFile, SemanticHead, VisibilityFile, write_exchange};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 

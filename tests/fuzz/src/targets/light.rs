@@ -3,8 +3,9 @@
 use super::said;
 use crate::place::Place;
 use crate::seeds;
+use sgs_relight::{Edit, fuzzed};
+use sgs_run::{LightFile, read_exchange, read_light, read_lights};
 use sgs_scene::read_environment;
-use sgs_train::{Edit, LightFile, fuzzed, read_exchange, read_light, read_lights};
 
 /// What holds for all lamps that are read.
 fn sound(lights: &LightFile) -> String {

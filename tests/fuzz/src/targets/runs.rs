@@ -3,9 +3,10 @@
 use super::said;
 use crate::place::Place;
 use crate::seeds;
+use sgs_config::{Settings, overlay, parse_bytes};
 use sgs_report::{chart, serve, table};
-use sgs_train::ablate::{Goal, Measures, State};
-use sgs_train::{RunDirectory, Settings, StageKind, TrainError, overlay, parse_bytes};
+use sgs_run::{RunDirectory, RunError, StageKind};
+use sgs_study::{Goal, Measures, State};
 use std::io::Write;
 
 /// Settings as the command line and programs give them.
@@ -87,8 +88,7 @@ pub(crate) fn log(bytes: &[u8]) -> String {
     place.put("log.jsonl", bytes);
     let curves = chart::log(&String::from_utf8_lossy(bytes));
     assert!(!curves.contains('\u{1b}'), "what files say is escaped");
-    let kept =
-        |log: Result<std::fs::File, TrainError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
+    let kept = |log: Result<std::fs::File, RunError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
     let words = kept(run.open_log(StageKind::Geometry, 3));
     place.put("log.jsonl", bytes);
     words + &kept(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()

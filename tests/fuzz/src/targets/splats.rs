@@ -2,8 +2,8 @@
 
 use super::said;
 use crate::place::Place;
+use sgs_run::{read_exchange, read_light, read_splats};
 use sgs_scene::{PointCloud, Splats};
-use sgs_train::{read_exchange, read_light, read_splats};
 
 /// What holds for all splats that are read.
 fn sound(splats: &Splats) -> String {

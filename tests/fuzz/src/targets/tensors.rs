@@ -2,8 +2,9 @@
 
 use super::said;
 use crate::place::Place;
-use sgs_train::metrics::{Lpips, LpipsRange};
-use sgs_train::{SemanticHead, VisibilityFile, fuzzed};
+use sgs_evaluate::metrics::{Lpips, LpipsRange};
+use sgs_run::{SemanticHead, VisibilityFile};
+use sgs_train::fuzzed;
 
 pub(crate) fn head(bytes: &[u8]) -> String {
     let place = Place::of("head", |_| ());

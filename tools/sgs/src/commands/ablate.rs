@@ -4,8 +4,8 @@ use super::series::{self, About, Row, Start};
 use super::train::Stage;
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use sgs_train::Settings;
-use sgs_train::ablate::{Entry, Scope, Variant};
+use sgs_config::Settings;
+use sgs_study::{Entry, Scope, Variant};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]

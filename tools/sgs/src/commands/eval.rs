@@ -6,13 +6,15 @@ use crate::classes::{Legend, head_of};
 use crate::common::Common;
 use crate::output;
 use anyhow::bail;
+use sgs_config::Settings;
 use sgs_engine::Device;
-use sgs_scene::{Image, Scene, Splats, write_png};
-use sgs_train::metrics::{Lpips, LpipsRange};
-use sgs_train::{
-    Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, RunDirectory, Settings, ShadedMetrics, Shading, displayed,
-    evaluate_classes, evaluate_relit, evaluate_shaded, light_of, render_fps, shade_fps, shaded_scene, skip_relit,
+use sgs_evaluate::metrics::{Lpips, LpipsRange};
+use sgs_evaluate::{
+    Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, ShadedMetrics, evaluate_classes, evaluate_shaded, render_fps, shade_fps,
 };
+use sgs_relight::{evaluate_relit, skip_relit};
+use sgs_run::{RunDirectory, Shading, displayed, light_of, shaded_scene};
+use sgs_scene::{Image, Scene, Splats, write_png};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]

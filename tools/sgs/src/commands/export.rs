@@ -3,8 +3,8 @@
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
+use sgs_run::{RunDirectory, read_exchange, read_lights, write_exchange};
 use sgs_scene::PlyDialect;
-use sgs_train::{RunDirectory, read_exchange, read_lights, write_exchange};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]

@@ -4,11 +4,12 @@ use super::plan_intrinsic::IntrinsicPlan;
 use super::train::{Options, Stage, check_start, open_scene, settings, warn_without_priors};
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
+use sgs_config::ShDegree;
 use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::Masks;
-use sgs_train::{Geometry, IdleLoss, ShDegree};
+use sgs_train::{Geometry, IdleLoss};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]

@@ -1,12 +1,14 @@
 //! What `sgs plan` says of the intrinsic stage.
 
 use super::plan::{counted, source_of};
+use sgs_config::Settings;
 use sgs_engine::graph::Plan;
 use sgs_engine::{Budget, Device};
 use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::IntrinsicOptions;
+use sgs_run::read_splats;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Decision, IdleLoss, Intrinsic, IntrinsicNeeds, Settings, read_splats};
+use sgs_train::{Decision, IdleLoss, Intrinsic, IntrinsicNeeds};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -3,7 +3,8 @@
 use crate::common::Common;
 use crate::ui::Bar;
 use crate::watch::Watch;
-use sgs_train::{Event, IdleLoss, Observer, RollBack, Stage, StageKind, TrainError};
+use sgs_run::StageKind;
+use sgs_train::{Event, IdleLoss, Observer, RollBack, Stage, TrainError};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -10,12 +10,11 @@ use crate::pictures::{self, Format, Part, background_of, check_materials, light_
 use crate::ui::Bar;
 use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
+use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_relight::{BakeOptions, Edit, Insert, RelightError, Relit, Selector, bake, bake_cameras, baked_psnr};
+use sgs_run::{Rays, Shading, Visibility};
 use sgs_scene::{Camera, Scene, Splats};
-use sgs_train::{
-    BakeOptions, Edit, Insert, Rays, Relit, Selector, Settings, Shading, TrainError, Visibility, bake, bake_cameras,
-    baked_psnr,
-};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -246,7 +245,7 @@ fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Resul
 }
 
 /// What an insertion names.
-fn loaded(insert: &Insert) -> sgs_train::Result<Splats> {
-    let (splats, _) = splats_of(&insert.source).map_err(|e| TrainError::Setting(e.to_string()))?;
+fn loaded(insert: &Insert) -> sgs_relight::Result<Splats> {
+    let (splats, _) = splats_of(&insert.source).map_err(|e| RelightError::Edit(e.to_string()))?;
     Ok(splats)
 }

@@ -11,12 +11,13 @@ use crate::pictures::{self, Format, Part, background_of, check_materials, light_
 use crate::ui::Bar;
 use crate::video::{Video, VideoArgs};
 use crate::viewpoints::ViewpointArgs;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::splat::Channels;
+use sgs_run::{Classes, Classifier, RunLight, SemanticHead, Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
-use sgs_train::{Classes, Classifier, RunLight, SemanticHead, Settings, Shading, Visibility, shaded_scene};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -135,7 +136,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     // Depth of a video has the scale of its first frame: otherwise it would flicker.
     let mut far = None;
     for (i, camera) in cameras.iter().enumerate() {
-        let c = sgs_train::camera(camera);
+        let c = sgs_run::camera(camera);
         let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, background)?;
         for channel in &a.channels {
             let Some(blended) = Blended::of(*channel, &picture, channels) else { continue };

@@ -8,10 +8,11 @@ use crate::report::lamps::{self, Lamps};
 use crate::report::views;
 use anyhow::{Context, bail};
 use serde_json::Value;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_report::{Page, chart, escape, figure, room, table};
+use sgs_run::{RunDirectory, displayed, light_of};
 use sgs_scene::{Scene, Splats, read_environment};
-use sgs_train::{RunDirectory, Settings, displayed, light_of};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]

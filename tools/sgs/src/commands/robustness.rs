@@ -4,7 +4,7 @@ use super::series::{self, About, Row};
 use super::train::Stage;
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use sgs_train::ablate::Case;
+use sgs_study::Case;
 
 #[derive(clap::Args)]
 pub struct Args {

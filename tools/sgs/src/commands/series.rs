@@ -11,13 +11,13 @@ use crate::failure::refuse_usage;
 use crate::output;
 use crate::ui::Stop;
 use anyhow::bail;
+use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_evaluate::metrics::Lpips;
+use sgs_run::{RunContents, RunDirectory, StageKind, read_splats};
 use sgs_scene::Scene;
-use sgs_train::ablate::{Ablation, Entry, Goal, Measures, State};
-use sgs_train::metrics::Lpips;
-use sgs_train::{
-    Outcome, RunContents, RunDirectory, Settings, StageKind, StartGeometry, Trainer, TrainerOptions, read_splats,
-};
+use sgs_study::{Ablation, Entry, Goal, Measures, State};
+use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -97,7 +97,7 @@ pub fn possible<T: Copy>(
     what: &str,
     all: Vec<T>,
     named: bool,
-    lacks: impl Fn(&T) -> sgs_train::Result<Option<(&'static str, String)>>,
+    lacks: impl Fn(&T) -> sgs_study::Result<Option<(&'static str, String)>>,
 ) -> anyhow::Result<Vec<T>> {
     let mut kept = Vec::new();
     for one in all {

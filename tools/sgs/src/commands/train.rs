@@ -9,12 +9,11 @@ use crate::watch::{Port, Watch};
 use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
+use sgs_config::{Backward, PRESETS, Preset, Settings, accuracy_named, overlay};
 use sgs_engine::Device;
+use sgs_run::{RunDirectory, StageKind};
 use sgs_scene::{Scene, SplitRule};
-use sgs_train::{
-    Backward, Framing, Outcome, PRESETS, Preset, RunDirectory, Settings, StageKind, StartGeometry, Trainer,
-    TrainerOptions, accuracy_named, overlay,
-};
+use sgs_train::{Framing, Outcome, StartGeometry, Trainer, TrainerOptions};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -62,7 +61,7 @@ pub struct Options {
     pub seed: Option<u64>,
     /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml): growth is slowed to stay
     /// within, many points are thinned, and only a start that does not fit is refused.
-    #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_train::parse_bytes)]
+    #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_config::parse_bytes)]
     pub memory_budget: Option<u64>,
     /// Settings to begin with: "draft" (quick, on a processor), "balanced" (the defaults), "paper" (the paper's sizes and
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.

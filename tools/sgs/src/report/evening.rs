@@ -1,7 +1,7 @@
 //! The other light that a report shows a run under: warm lights at dusk.
 
+use sgs_run::RunLight;
 use sgs_scene::Image;
-use sgs_train::RunLight;
 
 /// Factors of the lights' red, green and blue.
 const WARM: [f32; 3] = [1.5, 0.9, 0.45];
@@ -43,7 +43,7 @@ pub fn mean(image: &Image) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sgs_train::{LightFile, LightRow, LobeRow, Visibility};
+    use sgs_run::{LightFile, LightRow, LobeRow, Visibility};
 
     #[test]
     fn evening_changes_colors_and_nothing_else() {

@@ -4,8 +4,8 @@ use glam::DVec3;
 use sgs_engine::Device;
 use sgs_report::room::{Eye, Lamp};
 use sgs_report::{escape, number};
+use sgs_run::{LightFile, RunLight, Shading, shaded_scene};
 use sgs_scene::{Camera, Scene, Splats, linear_to_srgb};
-use sgs_train::{LightFile, RunLight, Shading, shaded_scene};
 
 /// Width of the pictures by which lights are compared.
 const WIDTH: u32 = 64;
@@ -143,7 +143,7 @@ pub fn opaque(splats: &Splats) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sgs_train::LightRow;
+    use sgs_run::LightRow;
 
     #[test]
     fn the_brightest_come_first_and_the_rest_together() {

@@ -9,15 +9,14 @@ use crate::common::Common;
 use crate::palette::colors;
 use crate::ui::Bar;
 use serde_json::Value;
+use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_evaluate::{EvaluateError, Rendered, evaluate_classes, evaluate_shaded};
 use sgs_report::depth;
 use sgs_report::escape;
 use sgs_report::figure::{data_uri, picture, slider};
+use sgs_run::{RunDirectory, RunLight, ShadedView, Shading, displayed, shaded_scene};
 use sgs_scene::{GroundTruth, GroundTruthKind as Kind, Image, Scene, Splats};
-use sgs_train::{
-    Rendered, RunDirectory, RunLight, Settings, ShadedView, Shading, TrainError, displayed, evaluate_classes,
-    evaluate_shaded, shaded_scene,
-};
 use std::collections::BTreeMap;
 
 /// How they are shown.
@@ -171,7 +170,7 @@ struct Has {
     sky: bool,
 }
 
-type Figured = Result<String, TrainError>;
+type Figured = Result<String, EvaluateError>;
 
 fn one(name: &str, image: &Image, note: &str, shown: &Shown) -> Figured {
     Ok(picture(name, &data_uri(image, shown.width)?, [image.width, image.height], note))

@@ -7,8 +7,8 @@ use crate::commands::train::open_scene;
 use crate::failure::{Kind, failure, refuse_usage};
 use anyhow::bail;
 use glam::{DMat3, DVec3};
+use sgs_config::Settings;
 use sgs_scene::{Camera, NEAR, Scene, Splats, Unit};
-use sgs_train::Settings;
 use std::path::{Path, PathBuf};
 
 /// Options that choose cameras.

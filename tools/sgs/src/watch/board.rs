@@ -1,10 +1,10 @@
 //! What a page of a training that goes on shows, and the parts of that page.
 
 use serde_json::json;
+use sgs_evaluate::metrics::psnr;
 use sgs_report::figure::{data_uri, slider};
 use sgs_report::{Page, chart, escape, number, table};
 use sgs_scene::Image;
-use sgs_train::metrics::psnr;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};

@@ -2,7 +2,7 @@
 
 use super::Geometry;
 use crate::error::{Result, TrainError};
-use crate::settings::Backward;
+use sgs_config::Backward;
 use sgs_engine::Device;
 use sgs_passes::splat::BackwardKernel;
 

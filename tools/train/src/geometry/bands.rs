@@ -9,10 +9,10 @@
 
 use super::{Decision, Geometry, Progress};
 use crate::error::Result;
-use crate::run::error;
+use crate::error::error;
 use crate::schedule::hash;
-use crate::settings::MOST_BANDS;
 use serde::{Deserialize, Serialize};
+use sgs_config::MOST_BANDS;
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::scene::{Layout, Model};
 use sgs_passes::splat::Channels;

@@ -5,7 +5,7 @@
 use super::{Geometry, entries_with, last_that, next_room};
 use crate::error::Result;
 use crate::memory::Needs;
-use crate::settings::ShDegree;
+use sgs_config::ShDegree;
 use sgs_engine::STAGING_BYTES;
 use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes};

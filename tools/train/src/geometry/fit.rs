@@ -7,8 +7,8 @@
 use super::{Decision, Geometry, Progress, entries_of};
 use crate::error::{Result, TrainError};
 use crate::memory::Needs;
-use crate::settings::MOST_BANDS;
 use serde::{Deserialize, Serialize};
+use sgs_config::MOST_BANDS;
 use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::pipeline::{DensifyStats, GeometryOptions};
 use sgs_passes::scene::{GaussianData, Gaussians, Group, Layout, Model, STATISTICS};

@@ -4,7 +4,7 @@ use crate::correspondence::Correspondence;
 use crate::data::Packed;
 use crate::error::Result;
 use crate::semantics::{SemanticData, SemanticMaps};
-use crate::settings::Settings;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::scene::Decoder;
 use sgs_scene::{Camera, Image, Scene};

@@ -1,6 +1,6 @@
 //! The lines of the geometry stage in `log.jsonl`.
 
-use crate::trainer::StepFigures;
+use crate::stage::StepFigures;
 use serde::Serialize;
 use sgs_passes::pipeline::StepReport;
 use std::fmt;

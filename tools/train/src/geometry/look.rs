@@ -3,7 +3,7 @@
 use super::{Geometry, Progress};
 use crate::divergence::{Group, HALF, RollBack, Seen, worst};
 use crate::error::{Result, TrainError};
-use crate::settings::OnDivergence;
+use sgs_config::OnDivergence;
 use sgs_passes::pipeline::StepReport;
 use sgs_passes::scene::Group as Parameters;
 

@@ -6,6 +6,7 @@
 
 mod backward;
 mod bands;
+pub(crate) mod checkpoint;
 mod decision;
 mod expect;
 mod fit;
@@ -19,28 +20,26 @@ mod state;
 mod thin;
 
 use crate::asked::Look;
-use crate::convert::{gaussian_data, splats};
 use crate::correspondence::Correspondence;
 use crate::data::TrainingData;
+use crate::decision::Decision;
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
-use crate::head::SemanticHead;
 use crate::idle::{self, FoundForGeometry, IdleLoss};
 use crate::limits;
 use crate::memory::{Needs, allowed};
 use crate::normals::{Prior, initial_normals};
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
-use crate::settings::{Backward, Settings, ShDegree};
 use backward::kernel_of;
 pub(crate) use bands::Bands;
-pub use decision::Decision;
 pub use expect::Sight;
 pub(crate) use fit::Growth;
 use fit::{allowance, last_that};
-pub(crate) use given::Given;
+use given::Given;
 pub use log::StepLog;
 use room::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
+use sgs_config::{Backward, Settings, ShDegree};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
@@ -50,7 +49,8 @@ use sgs_passes::pipeline::{
 };
 use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
 use sgs_passes::splat::Channels;
-use sgs_scene::{Scene, Splats, Unit};
+use sgs_run::{SemanticHead, gaussian_data, splats};
+use sgs_scene::{Camera, Image, Scene, Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
 /// Replays in flight.
@@ -140,6 +140,19 @@ impl Geometry {
         }?;
         training.unit = unit;
         Ok(training)
+    }
+
+    /// Prepares training of Gaussians on display-referred images without a scene.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn on_images(
+        device: &Device,
+        images: &[(&Camera, Image)],
+        settings: &Settings,
+        start: &Splats,
+    ) -> Result<Geometry> {
+        Geometry::of(device, &Given::Pictures(images), settings, start)
     }
 
     /// Prepares training of given splats on a scene, or on pictures without one.

@@ -1,20 +1,19 @@
 //! The geometry stage as the trainer sees it.
 
 use super::log::Figures;
-use super::{Decision, Geometry, Progress};
+use super::{Geometry, Progress};
+use crate::decision::Decision;
 use crate::divergence::RollBack;
 use crate::error::Result;
-use crate::evaluate::render_view;
 use crate::idle::IdleLoss;
-use crate::run::RunDirectory;
-use crate::settings::Settings;
-use crate::shaded::RunLight;
-use crate::trainer::{Stage, StageEvent, StageKind};
+use crate::stage::{Stage, StageEvent};
+use sgs_config::Settings;
 use sgs_engine::graph::Plan;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::splat::Channels;
+use sgs_run::{RunDirectory, RunLight, StageKind, render_view};
 use sgs_scene::{Camera, Image, Splats};
 use std::path::Path;
 
@@ -125,10 +124,10 @@ impl Stage for Geometry {
 
     fn write_results(&self, run: &RunDirectory) -> Result<()> {
         Geometry::splats(self)?.write_ply(&run.path("scene.ply"))?;
-        match self.head()? {
-            Some(head) => head.save(&run.semantics()),
-            None => Ok(()),
+        if let Some(head) = self.head()? {
+            head.save(&run.semantics())?;
         }
+        Ok(())
     }
 
     fn set_timestamps(&mut self, on: bool) -> Result<()> {

@@ -1,7 +1,8 @@
 //! Checkpoints of the geometry stage.
 
+use super::checkpoint::{self, State};
 use super::{Geometry, first_entry_capacity, last_that};
-use crate::checkpoint::{self, Course, State};
+use crate::course::Course;
 use crate::divergence::HALF;
 use crate::error::Result;
 use sgs_passes::pipeline::Status;

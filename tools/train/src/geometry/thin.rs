@@ -2,7 +2,7 @@
 
 use super::{Geometry, Given};
 use crate::error::Result;
-use crate::settings::Settings;
+use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_scene::{PointCloud, Scene, Splats};
 

@@ -3,15 +3,15 @@
 //! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
 
 use crate::asked::Frames;
-use crate::convert::camera;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
 use crate::regions::{LEAST_PIXELS, RegionInputs, Regions};
 use crate::schedule::Schedule;
 use crate::semantics::SemanticMaps;
-use crate::settings::{IntrinsicSettings, Settings};
+use sgs_config::{IntrinsicSettings, Settings};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO_VIEWS, RelitOptions, Step};
+use sgs_run::camera;
 use sgs_scene::Scene;
 
 /// What a step does beside comparing its view with photograph and priors.

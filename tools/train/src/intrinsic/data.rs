@@ -1,10 +1,10 @@
 //! Priors of materials on the GPU, packed like the photographs, and normals for splats that came without.
 
-use crate::convert::pack_image;
 use crate::error::Result;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_run::pack_image;
 use sgs_scene::{Camera, Image, MaskedMap, Scene, Splats, linear_to_srgb};
 
 /// Priors of one kind, of all training views one behind the other as the photographs are; alpha is 0 where one says

@@ -2,9 +2,9 @@
 
 use super::Intrinsic;
 use super::consistency::StepKind;
+use crate::decision::Decision;
 use crate::error::Result;
-use crate::geometry::Decision;
-use crate::settings::{IntrinsicSettings, Metallic, Settings};
+use sgs_config::{IntrinsicSettings, Metallic, Settings};
 use sgs_engine::Device;
 use sgs_scene::{Scene, Splats};
 

@@ -3,7 +3,7 @@
 use super::Intrinsic;
 use crate::divergence::{Group, HALF, RollBack, Seen, worst};
 use crate::error::{Result, TrainError};
-use crate::settings::{IntrinsicRates, OnDivergence};
+use sgs_config::{IntrinsicRates, OnDivergence};
 use sgs_passes::pipeline::IntrinsicReport;
 
 impl Intrinsic {

@@ -7,7 +7,6 @@
 mod automatic;
 mod consistency;
 mod data;
-mod files;
 mod frames;
 mod given;
 mod graphs;
@@ -26,32 +25,27 @@ mod surfaces;
 mod train;
 mod values;
 
-pub use files::{LightFile, LightRow, LobeRow, read_lights, write_lights};
-pub(crate) use files::{MOST as MOST_LIGHTS, raw_lobe};
 pub use log::{IntrinsicLog, LoggedLosses};
 pub use needs::IntrinsicNeeds;
 pub use probe::Probe;
 pub(crate) use saved::Saved;
-pub(crate) use values::field_box;
 
-use crate::convert::gaussian_data;
 use crate::data::{Packed, TrainingData};
+use crate::decision::Decision;
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
-use crate::geometry::Decision;
 use crate::idle::{self, FoundForMaterials, IdleLoss};
 use crate::limits;
-use crate::memory::{allowed, uniform_bytes};
-use crate::relight::materials::{in_range, span};
+use crate::memory::allowed;
 use crate::schedule::Schedule;
-use crate::settings::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
-use crate::shadows::{Rays, traced};
+use crate::uniforms::uniform_bytes;
 use automatic::{Automatic, Found, required, tables};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use needs::Sizes;
 use relit::Relit;
 use seldom::Seldom;
+use sgs_config::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes, IntrinsicStatus,
@@ -64,6 +58,8 @@ use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
 use sgs_passes::shade::visibility::VisibilityField;
 use sgs_passes::{Matrices, Tuning};
+use sgs_run::materials::{in_range, span};
+use sgs_run::{Rays, gaussian_data, traced};
 use sgs_scene::{Scene, Splats, Unit};
 use surfaces::Surfaces;
 use values::light_scale;

@@ -5,7 +5,7 @@ use super::graphs::gone;
 use super::{Intrinsic, IntrinsicNeeds, LoggedLosses};
 use crate::error::Result;
 use crate::idle::IdleLoss;
-use crate::settings::IntrinsicSettings;
+use sgs_config::IntrinsicSettings;
 use sgs_engine::graph::exec::PassTime;
 use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};

@@ -7,7 +7,8 @@
 
 use super::consistency::{Consistency, StepKind};
 use crate::error::{Result, TrainError};
-use crate::memory::{refuse_beyond, uniform_bytes};
+use crate::memory::refuse_beyond;
+use crate::uniforms::uniform_bytes;
 use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;

@@ -10,8 +10,8 @@ use super::consistency::StepKind;
 use super::data::{Material, pack};
 use super::frames::shaded;
 use crate::error::{Result, TrainError};
-use crate::settings::Settings;
 use rayon::prelude::*;
+use sgs_config::Settings;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{

@@ -3,10 +3,10 @@
 //! Promises: no device has a part in it; what no stage could have written is refused.
 
 use super::automatic::Remembered;
-use crate::checkpoint::{Course, json, wrong_moments};
+use crate::course::{Course, json, wrong_moments};
+use crate::decision::Decision;
+use crate::error::error;
 use crate::error::{Result, TrainError};
-use crate::geometry::Decision;
-use crate::run::error;
 use safetensors::{Dtype, SafeTensors};
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
@@ -241,7 +241,7 @@ fn no_texels(path: &Path, size: &str) -> TrainError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::floats::{Floats, Numbers, serialize};
+    use sgs_run::{floats::Floats, floats::Numbers, floats::serialize};
 
     /// A file of a training of materials after 40 steps, with some of its metadata and tensors otherwise.
     fn bytes(meta: &[(&str, &str)], tensors: &[(&str, &[f32])]) -> Vec<u8> {

@@ -2,16 +2,15 @@
 
 use super::Intrinsic;
 use super::log::Figures;
+use crate::decision::Decision;
 use crate::divergence::RollBack;
 use crate::error::Result;
-use crate::geometry::Decision;
 use crate::idle::IdleLoss;
-use crate::run::RunDirectory;
-use crate::settings::Settings;
-use crate::shaded::{RunLight, Shading, displayed, shaded_scene};
-use crate::trainer::{Stage, StageEvent, StageKind};
+use crate::stage::{Stage, StageEvent};
+use sgs_config::Settings;
 use sgs_engine::graph::Plan;
 use sgs_engine::graph::exec::PassTime;
+use sgs_run::{RunDirectory, RunLight, Shading, StageKind, displayed, shaded_scene};
 use sgs_scene::{Camera, Image, Splats};
 use std::path::Path;
 

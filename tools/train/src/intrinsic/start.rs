@@ -7,11 +7,11 @@ use super::data::MaterialPriors;
 use super::surfaces::Surfaces;
 use crate::data::TrainingData;
 use crate::error::Result;
-use crate::relight::materials::{raw, raw_metallic, raw_roughness};
 use rayon::prelude::*;
 use sgs_engine::Device;
 use sgs_passes::pipeline::WeightColumns;
 use sgs_passes::scene::Gaussians;
+use sgs_run::materials::{raw, raw_metallic, raw_roughness};
 use sgs_scene::srgb_to_linear;
 
 /// Least sum of weights, in pixels, from which the priors' mean is taken.

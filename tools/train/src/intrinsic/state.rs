@@ -1,25 +1,24 @@
 //! Checkpoints of the intrinsic stage, and what it leaves.
 
+use super::Intrinsic;
 use super::automatic::Remembered;
 use super::saved::{
     ASKED_AT, BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, PACE, RECENT, Saved,
     TEXELS,
 };
-use super::{Intrinsic, LightFile, write_lights};
-use crate::checkpoint::Course;
+use crate::course::Course;
 use crate::divergence::HALF;
 use crate::error::Result;
-use crate::floats::{Floats, Numbers};
-use crate::relight::materials::in_range;
-use crate::run::{RunDirectory, error, remove};
-use crate::settings::VisibilityKind;
-use crate::shaded::{RunLight, Texels, Visibility};
-use crate::shadows::Rays;
-use crate::visibility::VisibilityFile;
+use crate::error::error;
+use sgs_config::VisibilityKind;
 use sgs_engine::DeviceBuffer;
 use sgs_passes::pipeline::IntrinsicStatus;
 use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::latlong;
+use sgs_run::floats::Floats;
+use sgs_run::floats::Numbers;
+use sgs_run::materials::in_range;
+use sgs_run::{LightFile, Rays, RunDirectory, RunLight, Texels, Visibility, VisibilityFile, remove, write_lights};
 use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
@@ -98,7 +97,7 @@ impl Intrinsic {
             meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
         }
         meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
-        let bytes = crate::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
+        let bytes = sgs_run::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use super::Intrinsic;
 use sgs_passes::pipeline::{FieldStep, IntrinsicStepValues, MaterialWeights, Step};
+use sgs_run::field_box;
 
 impl Intrinsic {
     /// The uniforms of a step: weights of photographs and priors, whose offsets are the same.
@@ -57,12 +58,6 @@ impl Intrinsic {
             ..field_box(low, high)
         }
     }
-}
-
-/// The box of a field in its uniform.
-pub(crate) fn field_box(low: [f32; 3], high: [f32; 3]) -> FieldStep {
-    let inverse = std::array::from_fn(|i| 1.0 / (high[i] - low[i]).max(1e-20));
-    FieldStep { box_min: low, box_max: high, box_inverse: inverse, ..FieldStep::default() }
 }
 
 /// By how much lights are brighter than the published start, which is for boxes of side 3: light falls off with the square

@@ -5,7 +5,7 @@ use crate::asked::Asked;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
 use crate::semantics::SemanticLabels;
-use crate::settings::ProviderSettings;
+use sgs_config::ProviderSettings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::Masks;
 use sgs_scene::Scene;

@@ -8,23 +8,19 @@
 
 mod observer;
 mod record;
-mod rollback;
-mod stage;
 mod summary;
 
 pub use observer::{Event, Observer, Outcome};
-pub(crate) use rollback::RollbackFiles;
-pub use stage::{Stage, StageEvent, StageKind, StepFigures};
 pub use summary::StageSummary;
 
 use crate::error::{Result, TrainError};
-use crate::exchange::read_splats;
 use crate::geometry::{Geometry, MANY_POINTS, MOST_THINNED};
 use crate::intrinsic::Intrinsic;
-use crate::run::RunDirectory;
-use crate::settings::{OnDivergence, Settings};
+use crate::stage::{Stage, StageEvent};
 use record::Record;
+use sgs_config::{OnDivergence, Settings};
 use sgs_engine::Device;
+use sgs_run::{RunDirectory, StageKind, read_splats};
 use sgs_scene::{Scene, Splats};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -267,7 +263,7 @@ impl Trainer {
     /// The geometry of the intrinsic stage. Its materials are dropped: the stage starts afresh or from its checkpoint.
     fn take_geometry(&mut self, resume: bool) -> Result<Splats> {
         let before = self.active.take();
-        let file = |path: &Path| if path.is_file() { read_splats(path) } else { Err(no_geometry(path)) };
+        let file = |path: &Path| if path.is_file() { Ok(read_splats(path)?) } else { Err(no_geometry(path)) };
         let mut splats = match (&self.options.start, &self.options.run, before) {
             (Some(StartGeometry::File(path)), ..) if !resume => file(path)?,
             (Some(StartGeometry::Splats(splats)), ..) if !resume => (**splats).clone(),

@@ -1,12 +1,13 @@
 //! Progress of a training, for whoever runs it.
 
-use super::stage::{Stage, StageKind, StepFigures};
 use super::summary::StageSummary;
+use crate::decision::Decision;
 use crate::divergence::RollBack;
 use crate::error::TrainError;
-use crate::geometry::Decision;
 use crate::idle::IdleLoss;
+use crate::stage::{Stage, StepFigures};
 use sgs_passes::pipeline::DensifyStats;
+use sgs_run::StageKind;
 
 /// What happens in a training.
 pub enum Event<'a> {

@@ -1,13 +1,12 @@
 //! What a stage keeps in the run directory while it trains: checkpoints, rollback checkpoints, the log.
 
-use super::rollback::RollbackFiles;
-use super::stage::{Stage, StageEvent, StageKind};
 use super::summary::{DecisionLine, DensifyLine, StageSummary};
 use crate::divergence::RollBack;
 use crate::error::{Result, TrainError};
-use crate::run::RunDirectory;
+use crate::stage::{Stage, StageEvent};
 use serde_json::json;
 use sgs_engine::graph::dump::{Track, html, trace};
+use sgs_run::{RollbackFiles, RunDirectory, StageKind};
 use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
@@ -82,7 +81,10 @@ impl Record {
 
     /// Takes over what a stage that has diverged knows of its candidate.
     pub fn validate(&self, stage: &mut dyn Stage) -> Result<()> {
-        if stage.validate_candidate() { self.rollback.validate() } else { Ok(()) }
+        if stage.validate_candidate() {
+            self.rollback.validate()?;
+        }
+        Ok(())
     }
 
     /// Restores a fresh stage to the last validated checkpoint, if there is one.
@@ -137,6 +139,6 @@ impl Record {
             }
         }
         self.run.write_summary(self.kind, summary)?;
-        self.rollback.remove()
+        Ok(self.rollback.remove()?)
     }
 }

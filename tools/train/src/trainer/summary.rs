@@ -1,11 +1,11 @@
 //! What a stage leaves in `training.json`, and lines of `log.jsonl` between those of steps.
 
-use super::stage::StageKind;
+use crate::decision::Decision;
 use crate::divergence::RollBack;
-use crate::geometry::Decision;
 use crate::idle::IdleLoss;
 use serde::Serialize;
 use sgs_passes::pipeline::DensifyStats;
+use sgs_run::StageKind;
 
 /// Summary of a finished stage.
 #[derive(Clone, Debug, Serialize)]

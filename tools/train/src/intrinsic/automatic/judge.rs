@@ -6,16 +6,15 @@
 use super::lobes::merged;
 use super::worth::{Light, Pictures, add, error, loss, needless};
 use super::{Automatic, PARTED, Part, Remembered, WHOLE, Watched};
-use crate::convert::gaussian_data;
+use crate::decision::Decision;
 use crate::error::Result;
-use crate::geometry::Decision;
 use crate::intrinsic::Intrinsic;
-use crate::settings::AutomaticSettings;
-use crate::shaded::{RunLight, Visibility};
+use sgs_config::AutomaticSettings;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::shade::lights::Axes;
 use sgs_passes::splat::Channels;
+use sgs_run::{RunLight, Visibility, gaussian_data};
 use sgs_scene::Splats;
 
 /// Numbers of lobes that are tried.

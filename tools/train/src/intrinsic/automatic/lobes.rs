@@ -4,7 +4,7 @@
 //! and their mean direction, whose length says how narrow it is (Banerjee et al. 2005 for the inverse). Pairs are taken by how much their directions
 //! spread around their mean, weighted by energy, the least first (Ward 1963), until few enough are left.
 
-use crate::intrinsic::{LightRow, LobeRow};
+use sgs_run::{LightRow, LobeRow};
 use std::f64::consts::PI;
 
 type V3 = [f64; 3];

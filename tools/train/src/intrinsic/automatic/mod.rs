@@ -17,9 +17,9 @@ pub(super) use texels::tables;
 
 use super::Intrinsic;
 use crate::data::Packed;
+use crate::decision::Decision;
 use crate::error::Result;
-use crate::geometry::Decision;
-use crate::settings::{AutomaticSettings, VisibilityKind};
+use sgs_config::{AutomaticSettings, VisibilityKind};
 use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::visibility::{FieldConfig, VisibilityField};

@@ -7,9 +7,10 @@
 use super::{LOOKS, WHOLE, due};
 use crate::error::Result;
 use crate::intrinsic::Intrinsic;
-use crate::memory::{allowed, uniform_bytes};
-use crate::shaded::{RunLight, Texels, Visibility};
+use crate::memory::allowed;
+use crate::uniforms::uniform_bytes;
 use sgs_passes::pipeline::{EnvironmentRefresh, IntrinsicOptions, KeptEnvironment};
+use sgs_run::{RunLight, Texels, Visibility};
 
 /// Ages in steps that are tried.
 const AGES: [u32; 3] = [8, 4, 2];

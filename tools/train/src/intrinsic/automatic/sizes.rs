@@ -1,8 +1,8 @@
 //! Sizes that are no larger than what cameras can tell apart, before the first step.
 
-use crate::geometry::Decision;
-use crate::settings::{IntrinsicSettings, Metallic, VisibilityKind};
+use crate::decision::Decision;
 use glam::DVec3;
+use sgs_config::{IntrinsicSettings, Metallic, VisibilityKind};
 use sgs_scene::{Camera, Splats};
 
 /// Least share of pixels that must be metallic for metallic to be modeled.

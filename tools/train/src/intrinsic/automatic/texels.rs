@@ -6,11 +6,11 @@
 
 use crate::error::{Result, TrainError};
 use crate::intrinsic::Intrinsic;
-use crate::settings::IntrinsicSettings;
-use crate::shaded::{RunLight, Texels, Visibility};
+use sgs_config::IntrinsicSettings;
 use sgs_passes::pipeline::EnvironmentMemory;
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, cube};
+use sgs_run::{RunLight, Texels, Visibility};
 
 /// The smallest cube.
 const LEAST: u32 = 16;

@@ -8,8 +8,8 @@
 use super::Watched;
 use crate::error::Result;
 use crate::intrinsic::Intrinsic;
-use crate::shaded::{RunLight, Shading, shaded_scene};
 use rayon::prelude::*;
+use sgs_run::{RunLight, Shading, shaded_scene};
 use sgs_scene::{Splats, linear_to_srgb, srgb_to_linear};
 
 /// Linear light of the chosen pixels of all views, one behind the other.

@@ -1,0 +1,117 @@
+//! Settings of densification.
+
+use crate::error::{ConfigError, Result};
+use serde::{Deserialize, Serialize};
+use sgs_passes::splat::Statistic;
+
+/// Which losses' gradients enter the statistic of densification.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DensifyStatistic {
+    /// Screen gradients of the photometric loss.
+    Photometric,
+    /// Screen gradients of the losses of normals and depth, or gradients by raw normals: the published statistic.
+    Geometric,
+    /// Screen gradients of every loss, semantic losses included if they move geometry.
+    Total,
+}
+
+impl DensifyStatistic {
+    /// What kernels gather.
+    pub fn gathered(self) -> Statistic {
+        match self {
+            DensifyStatistic::Photometric => Statistic::Photometric,
+            DensifyStatistic::Geometric => Statistic::Geometric,
+            DensifyStatistic::Total => Statistic::Total,
+        }
+    }
+}
+
+/// Densification (Kerbl et al. 2023, section 5.2).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensifyOptions {
+    /// Whether it happens at all.
+    pub enabled: bool,
+    /// First step after which it happens.
+    pub from: u32,
+    /// Fraction of the steps after which it ends. It always ends at least `interval` steps before the last step.
+    pub until: f64,
+    /// Steps between.
+    pub interval: u32,
+    /// Which losses' gradients count.
+    pub statistic: DensifyStatistic,
+    /// Mean screen gradient (NDC) from which a Gaussian is refined. The published value for "geometric" is 1e-4.
+    pub grad_threshold: f32,
+    /// Mean gradient by its raw normal from which a Gaussian is refined as well. Only "geometric" uses it; 0 for none.
+    pub normal_threshold: f32,
+    /// Largest scale that is cloned rather than split, as a fraction of the extent.
+    pub split_size: f64,
+    /// Fainter Gaussians are pruned.
+    pub prune_opacity: f32,
+    /// Gaussians that gathered less blending weight since the last time are pruned, if all views were seen since.
+    pub prune_weight: f32,
+    /// The last time those are pruned whose weights in all pixels of all views add up to less than so many of 255 gray levels; 0 for none.
+    pub final_prune: f32,
+    /// Larger Gaussians are pruned after the first opacity reset, as a fraction of the extent.
+    pub prune_size: f64,
+    /// Steps between opacity resets; 0 for none.
+    pub reset_interval: u32,
+    /// Most Gaussians.
+    pub max_gaussians: u32,
+    /// Most device memory in MiB that training may take, all in; 0 for what the device has.
+    pub max_mib: u64,
+}
+
+impl Default for DensifyOptions {
+    fn default() -> Self {
+        DensifyOptions {
+            enabled: true,
+            from: 500,
+            until: 0.8,
+            interval: 100,
+            statistic: DensifyStatistic::Total,
+            grad_threshold: 4e-4,
+            normal_threshold: 6e-8,
+            split_size: 0.01,
+            prune_opacity: 0.005,
+            prune_weight: 1e-4,
+            final_prune: 0.0,
+            prune_size: 0.5,
+            reset_interval: 3000,
+            max_gaussians: 2_000_000,
+            max_mib: 0,
+        }
+    }
+}
+
+impl DensifyOptions {
+    /// Checks what types cannot.
+    pub(super) fn check(&self) -> Result<()> {
+        let fail = |what: String| Err(ConfigError::new(what));
+        for (name, value) in [
+            ("grad_threshold", f64::from(self.grad_threshold)),
+            ("normal_threshold", f64::from(self.normal_threshold)),
+            ("split_size", self.split_size),
+            ("prune_opacity", f64::from(self.prune_opacity)),
+            ("prune_weight", f64::from(self.prune_weight)),
+            ("final_prune", f64::from(self.final_prune)),
+            ("prune_size", self.prune_size),
+        ] {
+            if !(value >= 0.0 && value.is_finite()) {
+                let must = "must be a finite number of at least 0";
+                return fail(format!("geometry.densify.{name} is {value}, but {must}."));
+            }
+        }
+        if !(0.0..=1.0).contains(&self.until) {
+            return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", self.until));
+        }
+        if self.enabled && self.interval == 0 {
+            return fail("geometry.densify.interval is 0, but must be at least 1.".into());
+        }
+        if self.max_gaussians == 0 {
+            return fail("geometry.densify.max_gaussians is 0, but must be at least 1.".into());
+        }
+        Ok(())
+    }
+}

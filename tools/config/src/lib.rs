@@ -1,0 +1,466 @@
+//! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
+
+mod accuracy;
+mod automatic;
+mod degree;
+mod densify;
+mod error;
+mod intrinsic;
+mod memory;
+mod names;
+mod noise;
+mod own_prior;
+mod presets;
+mod provider;
+mod pseudo;
+mod train;
+
+pub use accuracy::accuracy_named;
+pub use automatic::AutomaticSettings;
+pub use degree::{MOST_BANDS, ShDegree};
+pub use densify::{DensifyOptions, DensifyStatistic};
+pub use error::{ConfigError, Result};
+pub use intrinsic::{
+    EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
+    Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
+};
+pub use memory::{MemorySettings, parse_bytes};
+pub use names::{distance, one_line};
+pub use noise::NoiseSettings;
+pub use own_prior::OwnPrior;
+pub use presets::{PRESETS, Preset, overlay};
+pub use provider::ProviderSettings;
+pub use pseudo::{Neighbors, Position, PseudoOptions};
+pub use train::{OnDivergence, TrainSettings};
+
+use serde::{Deserialize, Serialize};
+use sgs_passes::Accuracy;
+use sgs_scene::SplitRule;
+use std::path::PathBuf;
+
+/// All settings of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The scene directory.
+    pub scene: PathBuf,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Which views are training views and which are test views: "auto", "every:N", "linspace:N" or a file like split.json.
+    pub split: SplitRule,
+    /// How many training views, spread evenly; 0 for all.
+    pub views: usize,
+    /// Factor on the images' size.
+    pub scale: f64,
+    /// Exposure of linear images; 0 chooses it from the training views.
+    pub exposure: f32,
+    /// Whether pixels that the data set marks as invalid are left out of training and of measures of color.
+    pub masks: bool,
+    /// Random points where the scene has none.
+    pub random_points: usize,
+    /// Memory of the device.
+    pub memory: MemorySettings,
+    /// What is traded for speed.
+    pub accuracy: Accuracy,
+    /// Noise on what training begins with.
+    pub noise: NoiseSettings,
+    /// A network that is asked while training.
+    pub provider: ProviderSettings,
+    /// What both stages have in common.
+    pub train: TrainSettings,
+    /// The geometry stage.
+    pub geometry: GeometrySettings,
+    /// The intrinsic stage.
+    pub intrinsic: IntrinsicSettings,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            scene: PathBuf::new(),
+            seed: 0,
+            split: SplitRule::Auto,
+            views: 0,
+            scale: 1.0,
+            exposure: 0.0,
+            masks: true,
+            random_points: 20_000,
+            memory: MemorySettings::default(),
+            accuracy: Accuracy::default(),
+            noise: NoiseSettings::default(),
+            provider: ProviderSettings::default(),
+            train: TrainSettings::default(),
+            geometry: GeometrySettings::default(),
+            intrinsic: IntrinsicSettings::default(),
+        }
+    }
+}
+
+/// The geometry stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GeometrySettings {
+    /// Training steps.
+    pub steps: u32,
+    /// Highest band of spherical harmonics, or "auto": training begins with none but the first; early on all are tried, and
+    /// those stay that are worth it.
+    pub sh_degree: ShDegree,
+    /// Steps after which the next band is switched on; 0 switches all on at once. Means nothing to "auto".
+    pub sh_interval: u32,
+    /// With "auto", what a band has to be worth in dB at views that were held back while bands were tried.
+    pub sh_gain: f64,
+    /// Color behind everything.
+    pub background: [f32; 3],
+    /// Whether priors of normals are used where there are any.
+    pub normals: bool,
+    /// Whether depth smoothness is a loss. It needs no priors.
+    pub depth_smooth: bool,
+    /// Whether depth variance along rays is a loss. It needs no priors.
+    pub depth_variance: bool,
+    /// Whether semantic priors are used where there are any.
+    pub semantics: bool,
+    /// Whether what is asked of semantic features also moves opacities, positions and shapes.
+    pub semantic_geometry: bool,
+    /// The classes' softmax divides its logits, which are cosines, by this.
+    pub temperature: f32,
+    /// Whether regions are compared with pseudo-views, where there are semantic priors.
+    pub correspondence: bool,
+    /// The first step that does.
+    pub correspondence_from: u32,
+    /// Where pseudo-views are.
+    pub pseudo: PseudoOptions,
+    /// Learning rates.
+    pub rates: Rates,
+    /// Whether Adam also moves Gaussians that a step did not see, by their moments, as 3DGS does. It costs time, and
+    /// results differ slightly.
+    pub dense_adam: bool,
+    /// Weights of the losses.
+    pub losses: LossWeights,
+    /// Densification.
+    pub densify: DensifyOptions,
+    /// Which kernel takes the picture's gradients to the splats.
+    pub backward: Backward,
+    /// Steps between checkpoints; 0 keeps only the last.
+    pub checkpoint_interval: u32,
+    /// Room for tile entries at first; 0 guesses. It grows where it is too small, and no result depends on it.
+    pub entry_capacity: u32,
+}
+
+impl Default for GeometrySettings {
+    fn default() -> Self {
+        GeometrySettings {
+            steps: 7000,
+            sh_degree: ShDegree::Fixed(3),
+            sh_interval: 0,
+            sh_gain: 0.02,
+            background: [0.0; 3],
+            normals: true,
+            depth_smooth: true,
+            depth_variance: true,
+            semantics: true,
+            semantic_geometry: true,
+            temperature: 1.0,
+            correspondence: true,
+            correspondence_from: 2000,
+            pseudo: PseudoOptions::default(),
+            rates: Rates::default(),
+            dense_adam: false,
+            losses: LossWeights::default(),
+            densify: DensifyOptions::default(),
+            backward: Backward::Auto,
+            checkpoint_interval: 1000,
+            entry_capacity: 0,
+        }
+    }
+}
+
+/// The backward kernel of blending; all give the same gradients up to rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backward {
+    /// Measured on the device after a few steps; the outcome is written into the run's settings.
+    Auto,
+    /// Lanes are pixels.
+    Pixel,
+    /// Lanes are splats.
+    Splat,
+    /// Lanes are pixels, and tiles' sums are added by atomics: less memory, and not the same bits from run to run.
+    Atomic,
+}
+
+/// Learning rates of Adam by group (Kerbl et al. 2023).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rates {
+    /// Factor on all of them; 0 chooses it by the number of steps: short runs take larger steps.
+    pub factor: f64,
+    /// Of means at the first step, times the scene's extent.
+    pub means: f64,
+    /// Of means at the last step, times the scene's extent; log-linear between.
+    pub means_final: f64,
+    /// Of log scales.
+    pub scales: f64,
+    /// Of quaternions.
+    pub rotations: f64,
+    /// Of opacity logits.
+    pub opacities: f64,
+    /// Of band 0.
+    pub sh0: f64,
+    /// Of the other bands.
+    pub sh_rest: f64,
+    /// Of normals.
+    pub normals: f64,
+    /// Of semantic features.
+    pub semantics: f64,
+    /// Of the decoder from features to the wide vectors of a network.
+    pub decoder: f64,
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        Rates {
+            factor: 0.0,
+            means: 1.6e-4,
+            means_final: 1.6e-6,
+            scales: 5e-3,
+            rotations: 1e-3,
+            opacities: 0.05,
+            sh0: 2.5e-3,
+            sh_rest: 1.25e-4,
+            normals: 0.01,
+            semantics: 1e-3,
+            decoder: 1e-4,
+        }
+    }
+}
+
+/// Weights of the losses (SGS-Intrinsic, stage I).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossWeights {
+    /// Mean absolute difference.
+    pub l1: f32,
+    /// One minus SSIM.
+    pub dssim: f32,
+    /// One minus the cosine to the normal prior.
+    pub normal: f32,
+    /// Edge-aware smoothness of the normals.
+    pub normal_smooth: f32,
+    /// Edge-aware smoothness of depth.
+    pub depth_smooth: f32,
+    /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps.
+    pub depth_variance: f32,
+    /// By how much that grows at most. Published: 100, which no run as long as the published ones reaches; in longer ones of a
+    /// toy room it outweighed photographs and normals, which got worse. 25 is what 7000 steps come to.
+    pub depth_variance_growth: f32,
+    /// One minus the cosine of decoded features to the semantic prior. Published: 1, which harms geometry. Features learn as fast
+    /// with any weight, since Adam divides by the size of gradients.
+    pub semantic: f32,
+    /// Cross-entropy of their class to that of the prior. Published: 1.
+    pub semantic_class: f32,
+    /// Difference of a region's features and classes between views. Published: 0.3.
+    pub correspondence: f32,
+}
+
+impl Default for LossWeights {
+    fn default() -> Self {
+        LossWeights {
+            l1: 0.8,
+            dssim: 0.2,
+            normal: 0.05,
+            normal_smooth: 0.01,
+            depth_smooth: 0.01,
+            depth_variance: 0.02,
+            depth_variance_growth: 25.0,
+            semantic: 0.02,
+            semantic_class: 0.02,
+            correspondence: 0.006,
+        }
+    }
+}
+
+impl GeometrySettings {
+    /// Weight of depth smoothness; 0 if it is switched off.
+    pub fn depth_smooth_weight(&self) -> f32 {
+        if self.depth_smooth { self.losses.depth_smooth } else { 0.0 }
+    }
+
+    /// Weight of depth variance at step 0; 0 if it is switched off.
+    pub fn depth_variance_weight(&self) -> f32 {
+        if self.depth_variance { self.losses.depth_variance } else { 0.0 }
+    }
+
+    /// Whether a depth term has a weight.
+    pub fn depth_terms(&self) -> bool {
+        self.depth_smooth_weight() > 0.0 || self.depth_variance_weight() > 0.0
+    }
+
+    /// The factor on the learning rates: the given one, or one that grows as runs get shorter than the 7000 steps that
+    /// the rates are made for.
+    pub fn rate_factor(&self) -> f64 {
+        if self.rates.factor > 0.0 {
+            return self.rates.factor;
+        }
+        (7000.0 / f64::from(self.steps.max(1))).sqrt().clamp(1.0, 3.0)
+    }
+}
+
+impl Settings {
+    /// How these settings open the scene.
+    pub fn scene_options(&self) -> sgs_scene::SceneOptions {
+        sgs_scene::SceneOptions {
+            split: self.split.clone(),
+            views: (self.views > 0).then_some(self.views),
+            scale: self.scale,
+            exposure: (self.exposure != 0.0).then_some(self.exposure),
+            background: self.geometry.background,
+            masks: self.masks,
+            random_points: self.random_points,
+            seed: self.seed,
+        }
+    }
+
+    /// Settings from a table in which any of them may be absent.
+    ///
+    /// # Errors
+    /// A sentence that names the setting that does not exist, or whose value is of another kind.
+    pub fn from_table(table: toml::Table) -> crate::Result<Settings> {
+        let known = Settings::default().to_table()?;
+        names::compare("", &table, &known, &known)?;
+        let wrong = |e: toml::de::Error| match names::word(&table, |t| t.try_into::<Settings>().err()) {
+            Some(sentence) => ConfigError::new(sentence),
+            None => ConfigError::new(format!("A setting is wrong: {}.", one_line(e.message()))),
+        };
+        toml::Value::Table(table.clone()).try_into().map_err(wrong)
+    }
+
+    /// All settings as a table.
+    ///
+    /// # Errors
+    /// If a value cannot be written as TOML.
+    pub fn to_table(&self) -> crate::Result<toml::Table> {
+        toml::Table::try_from(self).map_err(|e| ConfigError::new(format!("The settings cannot be written: {e}.")))
+    }
+
+    /// Checks what types cannot.
+    ///
+    /// # Errors
+    /// A sentence that names the setting, its value and what it may be.
+    pub fn check(&self) -> crate::Result<()> {
+        let fail = |what: String| Err(ConfigError::new(what));
+        let g = &self.geometry;
+        if i64::try_from(self.seed).is_err() {
+            return fail(format!(
+                "seed is {}, but must be at most {}, the largest number of TOML.",
+                self.seed,
+                i64::MAX
+            ));
+        }
+        if i64::try_from(self.memory.budget).is_err() {
+            return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
+        }
+        accuracy::check(&self.accuracy)?;
+        self.train.check()?;
+        self.provider.check()?;
+        self.noise.check()?;
+        if g.sh_degree.most() > MOST_BANDS {
+            return fail(format!("geometry.sh_degree is {}, but must be 0 to 3 or \"auto\".", g.sh_degree));
+        }
+        if !g.sh_gain.is_finite() {
+            return fail(format!("geometry.sh_gain is {}, but must be a finite number.", g.sh_gain));
+        }
+        if !(self.scale > 0.0 && self.scale <= 1.0) {
+            return fail(format!("scale is {}, but must be above 0 and at most 1.", self.scale));
+        }
+        if g.background.iter().any(|v| !v.is_finite()) {
+            return fail(format!("geometry.background is {:?}, but must be three finite numbers.", g.background));
+        }
+        let (r, l, d) = (&g.rates, &g.losses, &g.densify);
+        for (name, value) in [
+            ("rates.means", r.means),
+            ("rates.means_final", r.means_final),
+            ("rates.scales", r.scales),
+            ("rates.rotations", r.rotations),
+            ("rates.opacities", r.opacities),
+            ("rates.sh0", r.sh0),
+            ("rates.sh_rest", r.sh_rest),
+            ("rates.normals", r.normals),
+            ("rates.semantics", r.semantics),
+            ("rates.decoder", r.decoder),
+            ("losses.l1", f64::from(l.l1)),
+            ("losses.dssim", f64::from(l.dssim)),
+            ("losses.normal", f64::from(l.normal)),
+            ("losses.normal_smooth", f64::from(l.normal_smooth)),
+            ("losses.depth_smooth", f64::from(l.depth_smooth)),
+            ("losses.depth_variance", f64::from(l.depth_variance)),
+            ("losses.depth_variance_growth", f64::from(l.depth_variance_growth)),
+            ("losses.semantic", f64::from(l.semantic)),
+            ("losses.semantic_class", f64::from(l.semantic_class)),
+            ("losses.correspondence", f64::from(l.correspondence)),
+        ] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return fail(format!("geometry.{name} is {value}, but must be a finite number of at least 0."));
+            }
+        }
+        if !(g.temperature > 0.0 && g.temperature.is_finite()) {
+            return fail(format!("geometry.temperature is {}, but must be a finite number above 0.", g.temperature));
+        }
+        g.pseudo.check("geometry.pseudo.")?;
+        d.check()?;
+        let table = toml::Table::try_from(&self.intrinsic).unwrap_or_default();
+        self.intrinsic.check(&table)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fail(text: &str) -> String {
+        Settings::from_table(text.parse().unwrap()).and_then(|s| s.check()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn all_settings_round_trip() {
+        let mut s = Settings { seed: 7, ..Settings::default() };
+        s.geometry.rates.scales = 0.1;
+        s.geometry.background = [0.1, 0.2, 0.3];
+        assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
+        assert_eq!(Settings::from_table(toml::Table::new()).unwrap(), Settings::default());
+    }
+
+    #[test]
+    fn each_fault_has_its_sentence() {
+        assert_eq!(
+            fail("[geometry]\nstep = 1"),
+            "\"geometry.step\" is not a setting; did you mean \"geometry.steps\"?"
+        );
+        assert_eq!(
+            fail("[intrinsic.visibility]\nkind = \"trace\"\nlevels = 3"),
+            "\"intrinsic.visibility.kind\" is \"trace\", but must be one of \"field\", \"traced\", \"none\"; did you mean \"traced\"?"
+        );
+        assert_eq!(
+            fail("[geometry.pseudo]\nneighbors = \"everything\""),
+            "\"geometry.pseudo.neighbors\" is \"everything\", but must be one of \"training\", \"test\"."
+        );
+        assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
+        assert!(
+            fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.decoder, geometry.rates.factor")
+        );
+        assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
+        assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");
+        assert_eq!(fail("[geometry]\nsteps = -4"), "geometry.steps is -4, but must be at least 0.");
+        assert_eq!(fail("geometry = 3"), "geometry is 3, but must be a group of settings.");
+        assert!(fail("[geometry]\nbackground = [1, 2]").ends_with("but must be 3 numbers."));
+        assert!(fail("[geometry]\nbackground = [1, 2, nan]").contains("three finite numbers"));
+        assert!(fail("[geometry]\nnormals = 1").ends_with("but must be true or false."));
+        assert!(fail("[geometry.losses]\nl1 = nan").contains("geometry.losses.l1 is NaN"));
+        assert!(fail("[geometry.losses]\nl1 = 1e300").contains("geometry.losses.l1 is inf"));
+        assert!(fail("[geometry.densify]\nuntil = 2").contains("geometry.densify.until is 2"));
+    }
+
+    #[test]
+    fn distances() {
+        assert_eq!((distance("", "abc"), distance("abc", "abc"), distance("kitten", "sitting")), (3, 0, 3));
+    }
+}

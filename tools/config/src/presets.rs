@@ -1,0 +1,117 @@
+//! Presets: settings to begin with, by name. Files, `--set` and options go over them; a run records what came of it.
+
+use super::names::distance;
+use crate::error::ConfigError;
+
+/// Settings to begin with.
+#[derive(Clone, Copy, Debug)]
+pub struct Preset {
+    /// What it is called.
+    pub name: &'static str,
+    /// What it is for.
+    pub about: &'static str,
+    /// What it sets, as TOML.
+    pub text: &'static str,
+}
+
+/// All of them.
+pub const PRESETS: [Preset; 4] = [
+    Preset { name: "draft", about: "quick, on a processor", text: include_str!("presets/draft.toml") },
+    Preset { name: "balanced", about: "the defaults", text: "" },
+    Preset { name: "paper", about: "the paper's sizes and weights", text: include_str!("presets/paper.toml") },
+    Preset { name: "parity", about: "those of the published code", text: include_str!("presets/parity.toml") },
+];
+
+impl Preset {
+    /// By its name.
+    ///
+    /// # Errors
+    /// A sentence with the nearest name, and all of them, if there is none.
+    pub fn find(name: &str) -> crate::Result<&'static Preset> {
+        PRESETS.iter().find(|p| p.name == name).ok_or_else(|| {
+            let near = PRESETS.iter().map(|p| (distance(name, p.name), p.name)).min().filter(|(far, _)| *far <= 2);
+            let hint = near.map_or_else(String::new, |(_, n)| format!("did you mean \"{n}\"? "));
+            let all = PRESETS.map(|p| p.name).join(", ");
+            ConfigError::new(format!("\"{name}\" is not a preset; {hint}there are {all}."))
+        })
+    }
+
+    /// What it sets.
+    ///
+    /// # Errors
+    /// If its text is no TOML, which would be a defect.
+    pub fn table(&self) -> crate::Result<toml::Table> {
+        let wrong = |e: toml::de::Error| ConfigError::new(format!("The preset \"{}\": {e}.", self.name));
+        self.text.parse().map_err(wrong)
+    }
+}
+
+/// Puts what `over` says in place of what `table` does.
+pub fn overlay(table: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (table.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(value)) => overlay(inner, value),
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DensifyStatistic, LobeLayout, Settings};
+
+    fn of(name: &str) -> Settings {
+        let settings = Settings::from_table(Preset::find(name).unwrap().table().unwrap()).unwrap();
+        settings.check().unwrap();
+        settings
+    }
+
+    #[test]
+    fn each_preset_is_one() {
+        assert_eq!(of("balanced"), Settings::default());
+        let all = PRESETS.map(|p| of(p.name));
+        for (i, a) in all.iter().enumerate() {
+            assert!(all[..i].iter().all(|b| a != b), "{} is another one", PRESETS[i].name);
+        }
+        let (draft, paper, parity) = (of("draft"), of("paper"), of("parity"));
+        assert!(draft.geometry.steps < 7000 && draft.intrinsic.lights.grid == 3);
+        assert_eq!((paper.intrinsic.environment.resolution, paper.intrinsic.visibility.log2_table), (512, 19));
+        assert_eq!((paper.intrinsic.losses.albedo, parity.intrinsic.losses.albedo), (0.3, 0.3));
+        let semantic = |s: &Settings| {
+            let l = &s.geometry.losses;
+            [l.semantic, l.semantic_class, l.correspondence]
+        };
+        assert_eq!([semantic(&paper), semantic(&parity)], [[1.0, 1.0, 0.3]; 2]);
+        assert_eq!(semantic(&draft), [0.02, 0.02, 0.006]);
+        // Nothing makes the environment smaller, and its smoothness counts.
+        assert!(!paper.intrinsic.automatic.enabled && paper.intrinsic.losses.environment_smooth == 0.01);
+        assert_eq!([paper.intrinsic.albedo_range, parity.intrinsic.albedo_range], [[0.09, 0.99]; 2]);
+        assert_eq!(parity.geometry.densify.statistic, DensifyStatistic::Geometric);
+        assert_eq!((parity.intrinsic.lights.layout, parity.intrinsic.visibility.coarsest), (LobeLayout::Grid, 16));
+    }
+
+    #[test]
+    fn what_is_no_preset_is_named() {
+        let error = |name: &str| Preset::find(name).unwrap_err().to_string();
+        assert_eq!(
+            error("papr"),
+            "\"papr\" is not a preset; did you mean \"paper\"? there are draft, balanced, paper, parity."
+        );
+        assert_eq!(
+            error("fast and good"),
+            "\"fast and good\" is not a preset; there are draft, balanced, paper, parity."
+        );
+    }
+
+    #[test]
+    fn what_goes_over_it_wins() {
+        let mut table = Preset::find("parity").unwrap().table().unwrap();
+        overlay(&mut table, "seed = 3\n[intrinsic.visibility]\ncoarsest = 20".parse().unwrap());
+        let s = Settings::from_table(table).unwrap();
+        let v = s.intrinsic.visibility;
+        assert_eq!((s.seed, v.coarsest, v.log2_table, s.geometry.dense_adam), (3, 20, 18, true));
+    }
+}

@@ -1,0 +1,61 @@
+//! What both stages have in common: sizes of tiles, and what becomes of a training that goes wrong.
+
+use super::Settings;
+use crate::error::ConfigError;
+use serde::{Deserialize, Serialize};
+use sgs_engine::DeviceInfo;
+use sgs_passes::Tuning;
+
+/// What both stages have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainSettings {
+    /// What happens where training has diverged.
+    pub on_divergence: OnDivergence,
+    /// Most returns to the last good state, each of which halves the learning rates from there on.
+    pub roll_backs: u32,
+    /// Rows of pixels of the picture's tiles: 8, 16 or 32; 0 takes as many as suit the device. A pixel passes over every splat
+    /// of its tile, and a splat is sorted once for each tile. Tiles are 16 pixels wide, or 8 where subgroups are. Results are
+    /// the same but for the order of sums.
+    pub tile_rows: u32,
+}
+
+/// What happens where training has diverged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnDivergence {
+    /// It ends with an error; the last good state is kept.
+    #[default]
+    Stop,
+    /// It returns to the last good state and goes on with halved learning rates.
+    RollBack,
+    /// It goes on, as long as losses are numbers.
+    GoOn,
+}
+
+impl Default for TrainSettings {
+    fn default() -> Self {
+        TrainSettings { on_divergence: OnDivergence::default(), roll_backs: 8, tile_rows: 0 }
+    }
+}
+
+impl TrainSettings {
+    /// What cannot be meant.
+    pub(super) fn check(&self) -> crate::Result<()> {
+        if [0, 8, 16, 32].contains(&self.tile_rows) {
+            return Ok(());
+        }
+        Err(ConfigError::new(format!("train.tile_rows is {}, but must be 0, 8, 16 or 32.", self.tile_rows)))
+    }
+}
+
+impl Settings {
+    /// Sizes of kernels that suit a device, and what is asked of them.
+    pub fn tuning(&self, device: &DeviceInfo) -> Tuning {
+        let own = Tuning::for_device(device).with(self.accuracy);
+        match self.train.tile_rows {
+            0 => own,
+            rows => Tuning { tile: [own.tile[0], rows], ..own },
+        }
+    }
+}

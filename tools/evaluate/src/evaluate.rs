@@ -1,0 +1,205 @@
+//! What training came to, measured at the views of a split.
+
+use crate::error::Result;
+use crate::measures::{Evaluation, Means, Nvs, Semantic, ViewMetrics, known};
+use crate::metrics::{self, Lpips, NormalError};
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::loss::NO_LABEL;
+use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::scene::Gaussians;
+use sgs_passes::splat::Channels;
+use sgs_run::{Classifier, SemanticHead, render_view};
+use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
+
+/// Measures at some views; `look` sees every rendered picture.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate(
+    device: &Device,
+    scene: &Scene,
+    gaussians: &Gaussians,
+    views: &[usize],
+    background: [f32; 3],
+    look: impl FnMut(&str, &Rendered) -> Result<()>,
+) -> Result<Evaluation> {
+    evaluate_classes(device, scene, gaussians, views, background, None, None, look)
+}
+
+/// As [`evaluate`], and classifies every pixel by the head, if the Gaussians have features; measures LPIPS, if it is given.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate_classes(
+    device: &Device,
+    scene: &Scene,
+    gaussians: &Gaussians,
+    views: &[usize],
+    background: [f32; 3],
+    head: Option<&SemanticHead>,
+    lpips: Option<&Lpips>,
+    mut look: impl FnMut(&str, &Rendered) -> Result<()>,
+) -> Result<Evaluation> {
+    let truth = GroundTruth::of(scene);
+    let channels = Channels { colors: true, normals: gaussians.model.normals, depth: true };
+    let head = head.filter(|_| gaussians.model.semantics);
+    let make = if head.is_some() { Renderer::with_features } else { Renderer::new };
+    let mut renderer = make(device, Tuning::for_device(device.info()), gaussians, [1, 1], channels)?;
+    let mut classifier = head.map(|head| Classifier::new(device, head, &[])).transpose()?;
+    let known_as = match head {
+        Some(head) => ids_of(&head.text.labels, truth.semantic_labels()?.as_deref()),
+        None => Vec::new(),
+    };
+    let mut out = Vec::new();
+    for &i in views {
+        let view = &scene.views[i];
+        let picture = render_view(&mut renderer, gaussians, &view.camera, background)?;
+        let mut rendered = Rendered::from_picture(&picture, channels);
+        if let Some(classifier) = &mut classifier {
+            rendered.labels = Some(classifier.classify(&renderer, &picture)?.labels);
+        }
+        let photo = scene.load_image(i)?;
+        // What was not trained on is not measured. Ground truth has a mask of its own, which also leaves out lamps and
+        // windows where only materials mean nothing.
+        let counts = scene.load_mask(i)?;
+        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let mask = mask.as_ref();
+        let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
+        // Without normals of their own the Gaussians still have a surface: its normals come from depth.
+        let surface;
+        let shown = match &rendered.normal {
+            Some(n) => n,
+            None => {
+                surface = normals_from_depth(&rendered.depth, &view.camera);
+                &surface
+            }
+        };
+        let normal = match (Some(shown), truth.load(GroundTruthKind::Normal, i)?) {
+            (Some(n), Some(t)) => known(metrics::normal_error(n, &t, mask))?,
+            _ => None,
+        };
+        let depth = match truth.load(GroundTruthKind::Depth, i)? {
+            Some(t) => known(metrics::depth_rel(&rendered.depth, &t, mask))?,
+            None => None,
+        };
+        let semantic = match (&rendered.labels, truth.semantic(i)?) {
+            (Some(labels), Some(t)) => {
+                let id = |label: &Option<u32>| label.map_or(NO_LABEL, |l| known_as[l as usize]);
+                let ids: Vec<u32> = labels.iter().map(id).collect();
+                known(metrics::label_accuracy(&ids, picture.size, &t, mask))?
+            }
+            _ => None,
+        };
+        let semantic = semantic.map(|accuracy| Semantic { accuracy });
+        look(&view.camera.name, &rendered)?;
+        let name = view.camera.name.clone();
+        let (normal_mae_deg, normal_coverage) =
+            normal.map(|NormalError { mae_deg, coverage }| (mae_deg, coverage)).unzip();
+        out.push(ViewMetrics { name, nvs, normal_mae_deg, normal_coverage, depth_rel: depth, semantic, shaded: None });
+    }
+    let n = out.len().max(1) as f64;
+    let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
+    let some = |f: &dyn Fn(&ViewMetrics) -> Option<f64>| {
+        let values: Vec<f64> = out.iter().filter_map(f).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let mean = Means {
+        nvs: Nvs {
+            psnr: mean(&|v| v.nvs.psnr),
+            ssim: mean(&|v| v.nvs.ssim),
+            flip: mean(&|v| v.nvs.flip),
+            lpips: some(&|v| v.nvs.lpips),
+        },
+        normal_mae_deg: some(&|v| v.normal_mae_deg),
+        normal_coverage: some(&|v| v.normal_coverage),
+        depth_rel: some(&|v| v.depth_rel),
+        semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
+        shaded: None,
+        fps: None,
+    };
+    Ok(Evaluation { mean, lpips: lpips.map(Lpips::about), views: out })
+}
+
+/// Under which id ground truth knows each class: its place in the list of ground truth, or in its own where there is no
+/// other. What ground truth has never heard of is always wrong.
+fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
+    let id = |(i, class): (usize, &String)| match truth {
+        Some(names) => names.iter().position(|n| n == class).map_or(NO_LABEL, |at| at as u32),
+        None => i as u32,
+    };
+    classes.iter().enumerate().map(id).collect()
+}
+
+/// World-space unit normals of a depth image, facing the camera: the cross product of central differences of the points.
+/// Zero where there is no depth.
+pub fn normals_from_depth(depth: &Image, camera: &sgs_scene::Camera) -> Image {
+    let (w, h) = (depth.width as usize, depth.height as usize);
+    let point = |x: usize, y: usize| {
+        let z = f64::from(depth.data[y * w + x]);
+        camera.unproject(glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5), z)
+    };
+    let mut data = Vec::with_capacity(3 * w * h);
+    for y in 0..h {
+        for x in 0..w {
+            let across = point((x + 1).min(w - 1), y) - point(x.saturating_sub(1), y);
+            let down = point(x, (y + 1).min(h - 1)) - point(x, y.saturating_sub(1));
+            let mut n = across.cross(down).normalize_or_zero();
+            if n.dot(point(x, y) - camera.position()) > 0.0 {
+                n = -n;
+            }
+            let known = depth.data[y * w + x] > 0.0 && n.is_finite();
+            data.extend(if known { n.as_vec3().to_array() } else { [0.0; 3] });
+        }
+    }
+    Image { width: depth.width, height: depth.height, channels: 3, data }
+}
+
+/// A rendered view as images.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// Display-referred color over the background, clipped to what a screen shows.
+    pub rgb: Image,
+    /// One minus transmittance.
+    pub alpha: Image,
+    /// Unit normals, world; zero where nothing is.
+    pub normal: Option<Image>,
+    /// Blended depth over alpha.
+    pub depth: Image,
+    /// By pixel: the place of its class in the head's list, where it shows anything; absent without a head.
+    pub labels: Option<Vec<Option<u32>>>,
+}
+
+impl Rendered {
+    fn from_picture(p: &Picture, channels: Channels) -> Rendered {
+        let [w, h] = p.size;
+        let c = p.channels as usize;
+        let pixel = |i: usize| &p.image[i * c..(i + 1) * c];
+        let pixels = (w * h) as usize;
+        let image = |channels: u32, data: Vec<f32>| Image { width: w, height: h, channels, data };
+        let rgb = (0..pixels).flat_map(|i| [0, 1, 2].map(|k| pixel(i)[k].clamp(0.0, 1.0))).collect();
+        let alpha: Vec<f32> = p.transmittance.iter().map(|t| 1.0 - t).collect();
+        let normal = channels.normals.then(|| {
+            let unit = |n: &[f32]| {
+                let l = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+                if l > 1e-6 { [n[0] / l, n[1] / l, n[2] / l] } else { [0.0; 3] }
+            };
+            image(3, (0..pixels).flat_map(|i| unit(&pixel(i)[3..6])).collect())
+        });
+        let depth = (0..pixels).map(|i| if alpha[i] > 1e-4 { pixel(i)[c - 2] / alpha[i] } else { 0.0 }).collect();
+        Rendered { rgb: image(3, rgb), alpha: image(1, alpha), normal, depth: image(1, depth), labels: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_are_known_by_their_names() {
+        let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let classes = names(&["sofa", "wall", "lamp"]);
+        assert_eq!(ids_of(&classes, None), [0, 1, 2]);
+        assert_eq!(ids_of(&classes, Some(&names(&["none", "wall", "floor", "sofa"]))), [3, 1, NO_LABEL]);
+    }
+}

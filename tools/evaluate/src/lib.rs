@@ -1,0 +1,16 @@
+//! Measures of images, and evaluation of a run against photographs and ground truth.
+
+mod error;
+mod evaluate;
+mod measures;
+pub mod metrics;
+mod shaded;
+mod speed;
+
+pub use error::{EvaluateError, Result};
+pub use evaluate::{Rendered, evaluate, evaluate_classes, normals_from_depth};
+pub use measures::{
+    AlbedoMetrics, Evaluation, Means, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, Semantic, ShadedMetrics, ViewMetrics,
+};
+pub use shaded::{evaluate_shaded, mean, measure_relit};
+pub use speed::{Fps, render_fps, shade_fps};

@@ -1,0 +1,232 @@
+//! Materials and shaded pictures against ground truth, measured at the views of a split.
+
+use crate::error::Result;
+use crate::measures::{AlbedoMetrics, Evaluation, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, ShadedMetrics, known};
+use crate::metrics::{self, GainFit, Lpips};
+use sgs_run::{ShadedView, Shading, displayed};
+use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
+use std::collections::BTreeMap;
+
+/// Measures what shading comes to, and puts it into an evaluation of the same views.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate_shaded(
+    shading: &mut Shading,
+    scene: &Scene,
+    views: &[usize],
+    background: [f32; 3],
+    lpips: Option<&Lpips>,
+    into: &mut Evaluation,
+    mut look: impl FnMut(&str, &ShadedView) -> Result<()>,
+) -> Result<()> {
+    let truth = GroundTruth::of(scene);
+    let mut fit = GainFit::new(3);
+    let mut albedos = Vec::with_capacity(views.len());
+    for (&i, metrics) in views.iter().zip(&mut into.views) {
+        let view = &scene.views[i];
+        let shaded = shading.shade(&view.camera)?;
+        let mut found = measure_materials(&shaded, &truth, i, lpips, &mut fit)?;
+        let picture = displayed(&shaded.radiance(background));
+        let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
+        found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref(), lpips)?);
+        look(&view.camera.name, &shaded)?;
+        albedos.push(found.albedo.map(|_| shaded.albedo()));
+        metrics.shaded = Some(found);
+    }
+    // The gain is that of all views, so it is known only after the last of them.
+    let gains = fit.per_channel();
+    for ((&i, metrics), ours) in views.iter().zip(&mut into.views).zip(&albedos) {
+        let found = metrics.shaded.as_mut().and_then(|s| s.albedo.as_mut());
+        let (Some(found), Some(ours), Some(theirs)) = (found, ours, truth.load(GroundTruthKind::Albedo, i)?) else {
+            continue;
+        };
+        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let ours = displayed(&metrics::scaled(ours, &gains));
+        found.psnr_scaled = metrics::psnr(&ours, &displayed(&theirs), mask.as_ref())?;
+    }
+    let all: Vec<&ShadedMetrics> = into.views.iter().filter_map(|v| v.shaded.as_ref()).collect();
+    into.mean.shaded = Some(mean(&all));
+    Ok(())
+}
+
+/// Measures the materials of a view and adds its albedo to the fit of the common gain; `psnr_scaled` is set later.
+fn measure_materials(
+    shaded: &ShadedView,
+    truth: &GroundTruth<'_>,
+    view: usize,
+    lpips: Option<&Lpips>,
+    fit: &mut GainFit,
+) -> Result<ShadedMetrics> {
+    let mask = truth.load(GroundTruthKind::Mask, view)?;
+    let mask = mask.as_ref();
+    let mut found = ShadedMetrics::default();
+    if let Some(albedo) = truth.load(GroundTruthKind::Albedo, view)? {
+        let linear = shaded.albedo();
+        let (ours, theirs) = (displayed(&linear), displayed(&albedo));
+        if let Some(psnr) = known(metrics::psnr(&ours, &theirs, mask))? {
+            fit.add_images(&linear, &albedo, mask)?;
+            found.albedo = Some(AlbedoMetrics {
+                psnr,
+                ssim: metrics::ssim(&ours, &theirs, mask)?,
+                psnr_scaled: psnr,
+                psnr_scaled_per_view: metrics::psnr_scaled(&ours, &theirs, mask)?,
+                lpips: lpips.map(|l| l.distance(&ours, &theirs, mask)).transpose()?,
+            });
+        }
+    }
+    if let Some(t) = truth.load(GroundTruthKind::Roughness, view)? {
+        found.roughness_mse = known(metrics::mse(&shaded.roughness(), &t, mask))?;
+    }
+    if let Some(t) = truth.load(GroundTruthKind::Metallic, view)? {
+        found.metallic_mse = known(metrics::mse(&shaded.metallic(), &t, mask))?;
+    }
+    Ok(found)
+}
+
+/// Compares the views of a relit set with ground truth, in pairs; all are linear.
+///
+/// # Errors
+/// If sizes differ.
+pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
+    let fit_of = |pairs: &[(&Image, &Image)]| {
+        let mut fit = GainFit::new(1);
+        for (a, b) in pairs.iter().flat_map(|(ours, theirs)| ours.data.iter().zip(&theirs.data)) {
+            // A value beyond white in either image is clipped and says nothing about the gain.
+            if *b < 1.0 && *a < 1.0 {
+                fit.add(0, *a, *b);
+            }
+        }
+        fit.common()
+    };
+    let common = fit_of(pairs);
+    let measure = |&(ours, theirs): &(&Image, &Image)| {
+        let (first, shown) = (displayed(ours), displayed(theirs));
+        let after = |gain: f64| {
+            let gains = vec![gain; ours.channels as usize];
+            metrics::psnr(&displayed(&metrics::scaled(ours, &gains)), &shown, None)
+        };
+        Ok(RelitMetrics {
+            psnr: metrics::psnr(&first, &shown, None)?,
+            ssim: metrics::ssim(&first, &shown, None)?,
+            psnr_gain: after(common)?,
+            psnr_gain_per_view: after(fit_of(&[(ours, theirs)]))?,
+        })
+    };
+    pairs.iter().map(measure).collect()
+}
+
+/// Mean over relit metrics; absent for none.
+fn mean_relit<'a>(all: impl Iterator<Item = &'a RelitMetrics>) -> Option<RelitMetrics> {
+    let all: Vec<&RelitMetrics> = all.collect();
+    let of = |f: fn(&RelitMetrics) -> f64| all.iter().map(|m| f(m)).sum::<f64>() / all.len() as f64;
+    (!all.is_empty()).then(|| RelitMetrics {
+        psnr: of(|m| m.psnr),
+        ssim: of(|m| m.ssim),
+        psnr_gain: of(|m| m.psnr_gain),
+        psnr_gain_per_view: of(|m| m.psnr_gain_per_view),
+    })
+}
+
+/// Means of what is known. Relit sets have a mean over their views each, and one over all of them ([`RELIT_MEAN`]).
+pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
+    let some = |f: &dyn Fn(&ShadedMetrics) -> Option<f64>| {
+        let values: Vec<f64> = all.iter().filter_map(|m| f(m)).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let pbr = || {
+        let of = |f: fn(&Nvs) -> f64| some(&|m| m.pbr.as_ref().map(f));
+        let lpips = some(&|m| m.pbr?.lpips);
+        Some(Nvs { psnr: of(|v| v.psnr)?, ssim: of(|v| v.ssim)?, flip: of(|v| v.flip)?, lpips })
+    };
+    let albedo = || {
+        let of = |f: fn(&AlbedoMetrics) -> f64| some(&|m| m.albedo.as_ref().map(f));
+        Some(AlbedoMetrics {
+            psnr: of(|v| v.psnr)?,
+            ssim: of(|v| v.ssim)?,
+            psnr_scaled: of(|v| v.psnr_scaled)?,
+            psnr_scaled_per_view: of(|v| v.psnr_scaled_per_view)?,
+            lpips: some(&|m| m.albedo?.lpips),
+        })
+    };
+    let mut names: Vec<&String> = all.iter().flat_map(|m| m.relit.keys()).collect();
+    names.sort();
+    names.dedup();
+    let of_views = |name: &String| mean_relit(all.iter().filter_map(|m| m.relit.get(name)?.metrics()));
+    let mut relit: BTreeMap<String, RelitSet> = BTreeMap::new();
+    relit.extend(names.into_iter().filter_map(|n| Some((n.clone(), RelitSet::Measured(of_views(n)?)))));
+    let over_sets = mean_relit(relit.values().filter_map(RelitSet::metrics));
+    relit.extend(over_sets.map(|m| (RELIT_MEAN.to_owned(), RelitSet::Measured(m))));
+    ShadedMetrics {
+        pbr: pbr(),
+        albedo: albedo(),
+        roughness_mse: some(&|m| m.roughness_mse),
+        metallic_mse: some(&|m| m.metallic_mse),
+        relit,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wide(v: &[f32]) -> Image {
+        Image { width: 4, height: 4, channels: 3, data: v.to_vec() }
+    }
+
+    #[test]
+    fn one_gain_makes_a_dimmer_picture_equal() {
+        let truth: Vec<f32> = (0..48).map(|i| 0.02 * i as f32).collect();
+        let half: Vec<f32> = truth.iter().map(|v| 0.5 * v).collect();
+        let m = measure_relit(&[(&wide(&half), &wide(&truth))]).unwrap()[0];
+        assert!(m.psnr < 20.0 && m.psnr_gain > 60.0 && m.psnr_gain_per_view > 60.0, "{m:?}");
+        assert!(measure_relit(&[(&Image::new(16, 1, 3), &wide(&truth))]).is_err());
+    }
+
+    /// Two gray views, 0.2 and 0.4 where the truth is 0.4 and 0.2. Alone, the gains 2 and 1/2 make them equal. Together, the gain is
+    /// (0.2·0.4 + 0.4·0.2) / (0.2² + 0.4²) = 0.8, which leaves 0.16 and 0.32 in place of 0.4 and 0.2.
+    #[test]
+    fn the_gain_of_a_relit_set_is_common_to_its_views() {
+        let gray = |v: f32| wide(&[v; 48]);
+        let (dark, bright) = (gray(0.2), gray(0.4));
+        let found = measure_relit(&[(&dark, &bright), (&bright, &dark)]).unwrap();
+        let shown = |v: f64| 1.055 * v.powf(1.0 / 2.4) - 0.055;
+        let decibels = |a: f64, b: f64| -20.0 * (shown(a) - shown(b)).abs().log10();
+        for (m, expected) in found.iter().zip([decibels(0.16, 0.4), decibels(0.32, 0.2)]) {
+            assert!((m.psnr_gain - expected).abs() < 1e-3 && m.psnr_gain_per_view > 100.0, "{m:?}, not {expected}");
+            assert!((m.psnr - decibels(0.2, 0.4)).abs() < 1e-3, "{m:?}");
+        }
+    }
+
+    #[test]
+    fn means_are_of_what_is_known() {
+        let one = |rough: Option<f64>| ShadedMetrics { roughness_mse: rough, ..Default::default() };
+        let m = mean(&[&one(Some(0.5)), &one(None), &one(Some(1.5))]);
+        assert_eq!((m.roughness_mse, m.metallic_mse), (Some(1.0), None));
+        assert!(m.pbr.is_none() && m.albedo.is_none() && m.relit.is_empty());
+    }
+
+    /// Views of one set are averaged before sets are.
+    #[test]
+    fn the_relit_mean_is_over_sets() {
+        let of =
+            |v: f64| RelitSet::Measured(RelitMetrics { psnr: v, ssim: v, psnr_gain: v + 1.0, psnr_gain_per_view: v });
+        let view = |sets: &[(&str, f64)]| ShadedMetrics {
+            relit: sets.iter().map(|(name, v)| ((*name).to_owned(), of(*v))).collect(),
+            ..Default::default()
+        };
+        let m = mean(&[&view(&[("day", 10.0), ("night", 30.0)]), &view(&[("day", 20.0)])]);
+        let psnr = |name: &str| m.relit[name].metrics().map(|m| (m.psnr, m.psnr_gain));
+        assert_eq!(
+            (psnr("day"), psnr("night"), psnr("mean")),
+            (Some((15.0, 16.0)), Some((30.0, 31.0)), Some((22.5, 23.5)))
+        );
+    }
+
+    #[test]
+    fn a_skipped_set_is_a_reason_in_json() {
+        let set = RelitSet::Skipped { reason: "No light.".into() };
+        assert_eq!(serde_json::to_value(&set).unwrap(), serde_json::json!({"reason": "No light."}));
+        assert!(set.metrics().is_none());
+    }
+}

@@ -1,0 +1,72 @@
+//! Surroundings after an edit.
+
+use super::edit::{EnvironmentEdit, Turn};
+use crate::error::{RelightError, Result};
+use glam::{DQuat, DVec3};
+use sgs_passes::shade::environment::cube::{Footprint, texel_direction};
+use sgs_run::Texels;
+
+/// Applies an edit to the surroundings of a run, of which there may be none. New ones have `size` texels along an edge.
+///
+/// # Errors
+/// If it changes what is not there, or its file is damaged.
+pub fn edit_environment(edit: &EnvironmentEdit, given: Option<Texels>, size: u32) -> Result<Option<Texels>> {
+    if edit.off {
+        return Ok(None);
+    }
+    let given = match &edit.file {
+        Some(file) => Some(Texels::read(file, size)?),
+        None => given,
+    };
+    let changed = edit.scale.is_some() || edit.color.is_some() || edit.rotate.is_some();
+    let Some(mut texels) = given else {
+        if changed {
+            let said = "The edit changes the environment, but the scene has none; name one with \"file\".";
+            return Err(RelightError::Edit(said.into()));
+        }
+        return Ok(None);
+    };
+    let factor = edit.color.unwrap_or([1.0; 3]).map(|c| c * edit.scale.unwrap_or(1.0));
+    texels.data.chunks_exact_mut(3).for_each(|t| t.iter_mut().zip(&factor).for_each(|(v, f)| *v *= f));
+    Ok(Some(match &edit.rotate {
+        Some(turn) => turned(&texels, turn),
+        None => texels,
+    }))
+}
+
+/// What lay in direction d lies in the turned direction afterwards.
+fn turned(texels: &Texels, turn: &Turn) -> Texels {
+    let q = DQuat::from_axis_angle(DVec3::from(turn.axis).normalize(), turn.degrees.to_radians()).inverse();
+    let n = texels.size;
+    let at = |t: u32| Footprint::of((q * DVec3::from(texel_direction(n, t))).to_array(), n).apply(&texels.data);
+    Texels { size: n, data: (0..6 * n * n).flat_map(at).map(|v| v as f32).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn surroundings_turn_and_change() {
+        let size = 16;
+        let of = |f: &dyn Fn(DVec3) -> f64| {
+            let at = |t| f(DVec3::from(texel_direction(size, t)).normalize()) as f32;
+            Texels { size, data: (0..6 * size * size).flat_map(|t| [at(t); 3]).collect() }
+        };
+        // Bright at +x; a quarter about +y brings that to -z.
+        let edit = EnvironmentEdit {
+            scale: Some(2.0),
+            color: Some([1.0, 0.5, 0.0]),
+            rotate: Some(Turn { axis: [0.0, 3.0, 0.0], degrees: 90.0 }),
+            ..Default::default()
+        };
+        let found = edit_environment(&edit, Some(of(&|d| 1.0 + d.x)), size).unwrap().unwrap();
+        let expected = of(&|d| 1.0 - d.z);
+        for (a, b) in found.data.chunks(3).zip(expected.data.chunks(3)) {
+            assert!((a[0] - 2.0 * b[0]).abs() < 0.02 && (a[1] - b[1]).abs() < 0.02 && a[2] == 0.0, "{a:?} {b:?}");
+        }
+        assert!(edit_environment(&edit, None, size).unwrap_err().to_string().contains("has none"));
+        let off = EnvironmentEdit { off: true, ..Default::default() };
+        assert!(edit_environment(&off, Some(expected), size).unwrap().is_none());
+    }
+}

@@ -1,0 +1,31 @@
+//! Ways for damaged files to readers that otherwise need a device (`tests/fuzz`).
+
+use crate::error::Result;
+use crate::truth::{true_edit_of, true_lights_of};
+use crate::{Edit, edited_light_of};
+use sgs_run::{LightFile, Texels};
+use std::path::Path;
+
+/// What an edit makes of lights, and of surroundings of one color.
+///
+/// # Errors
+/// If it names what is not there.
+pub fn edited_light(edit: &Edit, lights: LightFile) -> Result<(Option<LightFile>, Option<Texels>)> {
+    edited_light_of(edit, lights, Texels::uniform(4, [0.5; 3]))
+}
+
+/// The true lights of a scene (`gt/lights.json`) as lights of a run.
+///
+/// # Errors
+/// If the file is damaged.
+pub fn true_lights(path: &Path) -> Result<Option<LightFile>> {
+    true_lights_of(path)
+}
+
+/// Whether a file of a relit set says what became of materials.
+///
+/// # Errors
+/// If the file is damaged.
+pub fn true_edit(path: &Path) -> Result<bool> {
+    true_edit_of(path)
+}

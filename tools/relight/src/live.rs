@@ -1,0 +1,288 @@
+//! A run whose light changes from frame to frame, on a device: for programs that show it.
+//!
+//! Promises: what fails changes nothing; an edit starts from the run as it is on disk, single changes from what is there.
+//! Changes of lights touch numbers on the host alone, which each frame takes with it. Leaves frames to
+//! [`sgs_passes::pipeline::LitView`], and pictures on the host to [`Relighter::relit`].
+
+use super::edit::{Edit, Insert, NewLight};
+use super::environment::edit_environment;
+use super::lamps::{Lamp, Lamps};
+use super::lights::edit_lights;
+use super::{Relit, Selector};
+use crate::error::{RelightError, Result};
+use sgs_config::Settings;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene};
+use sgs_passes::scene::FEATURES;
+use sgs_passes::shade::environment::latlong;
+use sgs_run::{
+    RunDirectory, RunLight, SemanticHead, Texels, light_of, read_light, read_splats, shaded_environment, shaded_scene,
+};
+use sgs_scene::{Scene, Splats};
+use std::path::{Path, PathBuf};
+
+/// Lights that there is room for beyond those of a run, unless something else is asked for.
+const SPARE: u32 = 16;
+
+/// A run under changing light. What lamps see is found as the run has it, learned or traced, whatever becomes of its lamps;
+/// an edit of a run by [`Relit::edited`] traces once none of the run's own lamps is left at its place.
+pub struct Relighter {
+    device: Device,
+    tuning: Tuning,
+    source: PathBuf,
+    settings: Option<Settings>,
+    /// As it is on disk.
+    run: Relit,
+    /// Gaussians after an edit of materials or an insertion; else they are the run's.
+    altered: Option<Splats>,
+    environment: Option<Texels>,
+    lamps: Lamps,
+    scene: LitScene,
+}
+
+/// The Gaussians of a run directory, or of a PLY or glTF file, and the run's settings if it is one.
+///
+/// # Errors
+/// If it is neither, is damaged, or training has not finished.
+pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
+    let wrong = |reason: &str| RelightError::File { path: source.to_owned(), reason: reason.to_owned() };
+    if !source.is_dir() {
+        return match source.exists() {
+            true => Ok((read_splats(source)?, None)),
+            false => Err(wrong("there is no such run directory, PLY or glTF file")),
+        };
+    }
+    let run = RunDirectory::open(source)?;
+    let ply = run.path("scene.ply");
+    if !ply.is_file() {
+        return Err(wrong("it has no scene.ply yet: training was not finished"));
+    }
+    Ok((Splats::read_ply(&ply)?, Some(run.settings()?)))
+}
+
+impl Relighter {
+    /// Opens a run directory, or a PLY or glTF file with materials and the light in it or beside it. There is room for
+    /// `capacity` lights, or if that is 0 for a few more than there are.
+    ///
+    /// # Errors
+    /// If there are no materials, a file is damaged, or memory runs out.
+    pub fn open(device: &Device, source: &Path, capacity: u32) -> Result<Relighter> {
+        let (splats, settings) = source_of(source)?;
+        let missing = [
+            ("materials", splats.albedo.is_none() || splats.roughness.is_none()),
+            ("normals", splats.normals.is_none()),
+        ];
+        if let Some((what, _)) = missing.iter().find(|(_, missing)| *missing) {
+            let name = source.display();
+            let said = format!("\"{name}\" has no {what}; train its materials with --stage intrinsic.");
+            return Err(RelightError::Edit(said));
+        }
+        let light = match &settings {
+            Some(settings) => light_of(&RunDirectory::open(source)?, settings)?,
+            None => read_light(source, Settings::default().intrinsic.environment.resolution)?,
+        };
+        let run = Relit { splats, light };
+        let tuning = Tuning::for_device(device.info());
+        let scene = placed(device, &tuning, &run)?;
+        let lights = run.light.lights.as_ref();
+        let count = lights.map_or(0, |l| l.lights.len() as u32);
+        let lamps = Lamps::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
+        let environment = run.light.environment.clone();
+        let (device, source) = (device.clone(), source.to_owned());
+        Ok(Relighter { device, tuning, source, settings, run, altered: None, environment, lamps, scene })
+    }
+
+    /// What shades, for frames.
+    pub fn scene(&self) -> &LitScene {
+        &self.scene
+    }
+
+    /// The lights of a frame.
+    pub fn lighting(&self) -> &Lighting {
+        self.lamps.lighting()
+    }
+
+    /// How many lights there are.
+    pub fn lights(&self) -> usize {
+        self.lamps.len()
+    }
+
+    /// A light.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub fn light(&self, light: usize) -> Result<Lamp> {
+        self.lamps.get(light)
+    }
+
+    /// The color of a light's rays in all directions together, linear; its largest component is 1.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub fn light_color(&self, light: usize) -> Result<[f32; 3]> {
+        self.lamps.color(light)
+    }
+
+    /// Changes a light: nothing is made or waited for.
+    ///
+    /// # Errors
+    /// If it does not exist, or cannot be like that.
+    pub fn set_light(&mut self, light: usize, lamp: Lamp) -> Result<()> {
+        self.lamps.set(light, lamp)
+    }
+
+    /// Adds a light (or all patches of a rectangle), and gives its number (that of the first). Past the room for lights
+    /// there will be twice as much, for which views make their plans anew at their next frames.
+    ///
+    /// # Errors
+    /// If there cannot be such a light.
+    pub fn add_light(&mut self, new: &NewLight) -> Result<usize> {
+        self.lamps.add(new)
+    }
+
+    /// Removes a light; those after it move up by one.
+    ///
+    /// # Errors
+    /// If it does not exist.
+    pub fn remove_light(&mut self, light: usize) -> Result<()> {
+        self.lamps.remove(light)
+    }
+
+    /// Sets the factors of the light of the surroundings: nothing is made or waited for.
+    ///
+    /// # Errors
+    /// If they are no factors.
+    pub fn set_environment_gain(&mut self, gain: [f32; 3]) -> Result<()> {
+        self.lamps.set_environment(gain)
+    }
+
+    /// Puts other surroundings there: a latitude-longitude map, linear, three floats a pixel, negative ones counting as 0.
+    /// Takes memory and waits for the device; frames under way keep the surroundings they have.
+    ///
+    /// # Errors
+    /// If it is no such map, or memory runs out.
+    pub fn set_environment(&mut self, map: &[f32], size: [u32; 2]) -> Result<()> {
+        let [width, height] = size;
+        if height == 0 || u64::from(width) != 2 * u64::from(height) || width > 1 << 14 {
+            let said =
+                format!("An environment must be twice as wide as high, up to 16384, but this is {width}×{height}.");
+            return Err(RelightError::Edit(said));
+        }
+        if map.len() as u64 != 3 * u64::from(width) * u64::from(height) {
+            let said = format!("An environment of {width}×{height} has not {} floats.", map.len());
+            return Err(RelightError::Edit(said));
+        }
+        if map.iter().any(|v| !v.is_finite()) {
+            return Err(RelightError::Edit("An environment must not hold numbers that are not finite.".into()));
+        }
+        let map: Vec<f32> = map.iter().map(|v| v.max(0.0)).collect();
+        let cube = self.environment_size();
+        let texels = Texels { size: cube, data: latlong::to_cube(&map, size, cube) };
+        self.scene.environment = Some(self.filtered(&texels)?);
+        self.environment = Some(texels);
+        Ok(())
+    }
+
+    /// Texels along an edge of surroundings.
+    pub fn environment_size(&self) -> u32 {
+        let given = self.environment.as_ref().or(self.run.light.environment.as_ref()).map(|e| e.size);
+        given.unwrap_or_else(|| self.settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution))
+    }
+
+    fn filtered(&self, texels: &Texels) -> Result<LitEnvironment> {
+        Ok(LitEnvironment::new(&self.device, &self.tuning, shaded_environment(&self.device, texels)?)?)
+    }
+
+    /// Applies an edit to the run as it is on disk; what was changed before is gone. Lights alone take no memory, unless
+    /// there is no room for them.
+    ///
+    /// # Errors
+    /// If it names what is not there; then everything is as it was.
+    pub fn edit(&mut self, edit: &Edit) -> Result<()> {
+        edit.check().map_err(|reason| RelightError::Edit(format!("The edit cannot be applied: {reason}.")))?;
+        let size = self.run.light.environment.as_ref().map_or_else(|| self.environment_size(), |e| e.size);
+        let alters = !edit.materials.is_empty() || !edit.insert.is_empty();
+        let given = &self.run.light;
+        let (lights, environment, altered) = if alters {
+            let relit = self.altered(edit, size)?;
+            (relit.light.lights, relit.light.environment, Some(relit.splats))
+        } else {
+            let lights = edit_lights(&edit.lights, given.lights.clone())?;
+            (lights, edit_environment(&edit.environment, given.environment.clone(), size)?, None)
+        };
+        let mut scene = None;
+        let mut surroundings = None;
+        if alters || self.altered.is_some() {
+            let splats = altered.as_ref().unwrap_or(&self.run.splats);
+            scene = Some(with_light(&self.device, &self.tuning, splats, environment.as_ref(), given)?);
+        } else if environment != self.environment {
+            surroundings = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
+        }
+        let model = self.lamps.lighting().model;
+        // From here on nothing fails.
+        self.lamps = Lamps::new(lights.as_ref(), model.lights, model.lobes);
+        if let Some(scene) = scene {
+            self.scene = scene;
+        }
+        if let Some(surroundings) = surroundings {
+            self.scene.environment = surroundings;
+        }
+        self.environment = environment;
+        self.altered = altered;
+        Ok(())
+    }
+
+    /// Back to the run as it is on disk.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn reset(&mut self) -> Result<()> {
+        self.edit(&Edit::default())
+    }
+
+    fn altered(&self, edit: &Edit, size: u32) -> Result<Relit> {
+        let by_class = edit.materials.iter().any(|m| m.place.class.is_some());
+        let classes =
+            self.source.is_dir() && self.run.splats.semantic.as_ref().is_some_and(|(width, _)| *width == FEATURES);
+        let head = match by_class && classes {
+            true => Some(SemanticHead::load(&RunDirectory::open(&self.source)?.semantics())?),
+            false => None,
+        };
+        let by_region = edit.materials.iter().any(|m| m.place.region.is_some());
+        let scene = match (&self.settings, by_region) {
+            (Some(settings), true) => Some(Scene::open(&settings.scene, &settings.scene_options())?),
+            _ => None,
+        };
+        let mut select = Selector { device: &self.device, head, scene: scene.as_ref() };
+        let load = |insert: &Insert| source_of(&insert.source).map(|(splats, _)| splats);
+        self.run.clone().edited(edit, size, &mut select, load)
+    }
+
+    /// Everything as it is now, on the host: what `sgs relight` would shade.
+    pub fn relit(&self) -> Relit {
+        let splats = self.altered.as_ref().unwrap_or(&self.run.splats).clone();
+        let mut environment = self.environment.clone();
+        let gain = self.lighting().environment;
+        for texel in environment.iter_mut().flat_map(|e| e.data.chunks_exact_mut(3)) {
+            texel.iter_mut().zip(&gain).for_each(|(v, g)| *v *= g);
+        }
+        let visibility = self.run.light.visibility.clone();
+        Relit { splats, light: RunLight { lights: self.lamps.file(), environment, visibility } }
+    }
+}
+
+fn placed(device: &Device, tuning: &Tuning, run: &Relit) -> Result<LitScene> {
+    with_light(device, tuning, &run.splats, run.light.environment.as_ref(), &run.light)
+}
+
+fn with_light(
+    device: &Device,
+    tuning: &Tuning,
+    splats: &Splats,
+    environment: Option<&Texels>,
+    light: &RunLight,
+) -> Result<LitScene> {
+    let scene = shaded_scene(device, splats, None, environment, &light.visibility)?;
+    Ok(LitScene::new(device, tuning, scene)?)
+}

@@ -1,0 +1,302 @@
+//! Relit pictures against ground truth: the true lights in place of the learned ones, no surroundings, and nothing in the way:
+//! a visibility field knows what the learned lights see from their places, and says nothing sensible about others, and where
+//! rays find shadow the truth still has light that bounced, which is not modeled.
+//!
+//! A set that changes the materials of an instance is measured under the true lights of the photographs, and, by its name
+//! and [`LEARNED`], under all that was learned. A set that cannot be rendered has a reason in place of metrics.
+
+use super::lights::edit_lights;
+use super::select::of_region_everywhere;
+use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, MaterialValues, NewLight, Relit, Selector, Where};
+use crate::error::{RelightError, Result};
+use serde::Deserialize;
+use sgs_engine::Device;
+use sgs_evaluate::{Evaluation, RELIT_MEAN, RelitSet, ShadedMetrics, mean, measure_relit};
+use sgs_run::{LightFile, RunError, RunLight, Shading, Visibility};
+use sgs_scene::{GroundTruth, Image, Scene, Splats};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Behind the name of a set that changes materials, measured under the learned light.
+const LEARNED: &str = "_learned_light";
+
+/// What is read of `gt/lights.json`.
+#[derive(Default, Deserialize)]
+struct TrueLights {
+    #[serde(default)]
+    training: Vec<TrueLight>,
+    #[serde(default)]
+    relight: BTreeMap<String, Vec<TrueLight>>,
+}
+
+#[derive(Deserialize)]
+struct TrueLight {
+    on: bool,
+    position: Option<[f32; 3]>,
+    point_light_intensity_equivalent: Option<[f32; 3]>,
+    corners: Option<[[f32; 3]; 4]>,
+    radiance: Option<[f32; 3]>,
+}
+
+impl TrueLight {
+    /// Nothing, if how bright it is is not known.
+    fn as_new(&self) -> Option<NewLight> {
+        if let (Some(corners), Some(radiance)) = (self.corners, self.radiance) {
+            return Some(NewLight { corners: Some(corners), radiance: Some(radiance), ..Default::default() });
+        }
+        let (position, intensity) = (self.position?, self.point_light_intensity_equivalent?);
+        Some(NewLight { position: Some(position), intensity: Some(intensity), ..Default::default() })
+    }
+}
+
+/// The edit that puts the true lights of a set in place of the learned ones.
+fn edit_of(lights: &[TrueLight]) -> Option<Edit> {
+    let add = lights.iter().filter(|l| l.on).map(TrueLight::as_new).collect::<Option<Vec<_>>>()?;
+    let lights = LightEdit { off: true, add, ..Default::default() };
+    let environment = EnvironmentEdit { off: true, ..Default::default() };
+    Some(Edit { lights, environment, ..Default::default() })
+}
+
+/// What is read of `gt/relit/NAME.json`, where materials of an instance change.
+#[derive(Deserialize)]
+struct Painted {
+    /// The number of its region in `priors/masks`.
+    instance_id: u16,
+    new_base_color_linear: [f32; 3],
+    new_roughness: Option<f32>,
+    new_metallic: Option<f32>,
+}
+
+impl Painted {
+    /// The edit of materials, or why there is none.
+    fn edit(&self, device: &Device, scene: &Scene, splats: &Splats) -> Result<Known<MaterialEdit>> {
+        let gaussians = of_region_everywhere(device, scene, splats, self.instance_id)?;
+        if gaussians.is_empty() {
+            return Ok(Err(format!("No Gaussian belongs to instance {} of priors/masks.", self.instance_id)));
+        }
+        // Without metallic, 0 is what every Gaussian has already.
+        let metallic = self.new_metallic.filter(|m| *m > 0.0 || splats.metallic.is_some());
+        let set = MaterialValues { albedo: Some(self.new_base_color_linear), roughness: self.new_roughness, metallic };
+        let place = Where { gaussians: Some(gaussians), ..Default::default() };
+        Ok(Ok(MaterialEdit { place, set, scale: MaterialValues::default() }))
+    }
+}
+
+/// A value, or the sentence that says why there is none.
+type Known<T> = std::result::Result<T, String>;
+
+/// How one measurement of a set is rendered.
+struct Rendering {
+    edit: Edit,
+    /// Whether the run's own lights and visibility are used.
+    own: bool,
+}
+
+/// The measurements of a set by the names that they are reported under, each with how it is rendered or why it cannot be.
+fn renderings_of(
+    name: &str,
+    known: &TrueLights,
+    painted: impl FnOnce() -> Result<Known<MaterialEdit>>,
+) -> Result<Vec<(String, Known<Rendering>)>> {
+    let dark = |list: &str| format!("gt/lights.json gives no intensity for a light of {list} that is on.");
+    if let Some(lights) = known.relight.get(name) {
+        let edit = edit_of(lights).ok_or_else(|| dark(&format!("\"{name}\"")));
+        return Ok(vec![(name.to_owned(), edit.map(|edit| Rendering { edit, own: false }))]);
+    }
+    let change = match painted()? {
+        Ok(change) => change,
+        Err(reason) => return Ok(vec![(name.to_owned(), Err(reason))]),
+    };
+    let materials = vec![change];
+    let learned = Edit { materials: materials.clone(), ..Default::default() };
+    let under_true_lights = match edit_of(&known.training) {
+        None => Err(dark("training")),
+        Some(edit) if edit.lights.add.is_empty() => {
+            Err("gt/lights.json lists no light of the training images that is on.".to_owned())
+        }
+        Some(edit) => Ok(Rendering { edit: Edit { materials, ..edit }, own: false }),
+    };
+    Ok(vec![
+        (format!("{name}{LEARNED}"), Ok(Rendering { edit: learned, own: true })),
+        (name.to_owned(), under_true_lights),
+    ])
+}
+
+fn read<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
+    let wrong = |reason: String| RelightError::File { path: path.to_owned(), reason };
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+    serde_json::from_str(&text).map_err(|e| wrong(format!("not {what}: {e}")))
+}
+
+/// The true lights of the photographs and of all relit sets as lights of a run, as far as it is known how bright they are.
+pub(crate) fn true_lights_of(path: &Path) -> Result<Option<LightFile>> {
+    let known: TrueLights = read(path, "lights")?;
+    let mut lights = None;
+    for edit in known.relight.values().chain([&known.training]).filter_map(|set| edit_of(set)) {
+        edit.check().map_err(|reason| RelightError::File { path: path.to_owned(), reason })?;
+        lights = edit_lights(&edit.lights, lights)?;
+    }
+    Ok(lights)
+}
+
+/// Whether a file of a relit set says what became of materials.
+pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
+    let said: serde_json::Value = read(path, "an edit")?;
+    Ok(serde_json::from_value::<Painted>(said).is_ok())
+}
+
+/// The key of a set in `relit`: its name, unless the key belongs to the mean over all sets.
+fn key_of(name: &str) -> String {
+    if name == RELIT_MEAN { format!("{name}_set") } else { name.to_owned() }
+}
+
+/// The edit of materials that the file of a set describes, or why there is none.
+fn painted_of(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    truth: &GroundTruth<'_>,
+    name: &str,
+) -> Result<Known<MaterialEdit>> {
+    let Some(path) = truth.relit_edit(name) else {
+        return Ok(Err(format!("Neither gt/lights.json nor gt/relit/{name}.json describes the lights of the set.")));
+    };
+    let said: serde_json::Value = read(&path, "an edit")?;
+    match serde_json::from_value::<Painted>(said) {
+        Ok(painted) => painted.edit(device, scene, splats),
+        Err(_) => Ok(Err(format!(
+            "gt/lights.json does not list the set, and gt/relit/{name}.json describes no edit of an instance's material."
+        ))),
+    }
+}
+
+/// Measures a run under the true lights of each relit set, at views of which an evaluation has metrics already. Every set
+/// appears among the means, with a reason if it cannot be rendered.
+///
+/// # Errors
+/// If the device fails or ground truth is damaged.
+pub fn evaluate_relit(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    light: &RunLight,
+    views: &[usize],
+    into: &mut Evaluation,
+) -> Result<()> {
+    let truth = GroundTruth::of(scene);
+    let known = match truth.lights() {
+        Some(path) => read(&path, "lights")?,
+        None => TrueLights::default(),
+    };
+    let mut skipped = Vec::new();
+    for name in truth.relit_names() {
+        let theirs = views.iter().map(|v| Ok(truth.relit(&name, *v)?)).collect::<Result<Vec<_>>>()?;
+        if theirs.iter().all(Option::is_none) {
+            skipped.push((key_of(&name), "The set has no image of a measured view.".to_owned()));
+            continue;
+        }
+        let painted = || painted_of(device, scene, splats, &truth, &name);
+        for (name, rendering) in renderings_of(&name, &known, painted)? {
+            let key = key_of(&name);
+            let Rendering { edit, own } = match rendering {
+                Ok(rendering) => rendering,
+                Err(reason) => {
+                    skipped.push((key, reason));
+                    continue;
+                }
+            };
+            let mut select = Selector { device, head: None, scene: None };
+            let visibility = if own { light.visibility.clone() } else { Visibility::None };
+            let start = Relit { splats: splats.clone(), light: RunLight { visibility, ..light.clone() } };
+            let insert = |_: &super::Insert| Err(RelightError::Edit(format!("The set {name} inserts something.")));
+            let relit = match start.edited(&edit, 16, &mut select, insert) {
+                Err(RelightError::Edit(reason) | RelightError::Run(RunError::Refused(reason))) => {
+                    skipped.push((key, reason));
+                    continue;
+                }
+                other => other?,
+            };
+            let mut shading = Shading::new(device, relit.upload(device)?)?.without_visibility();
+            let at: Vec<(usize, &Image)> =
+                theirs.iter().enumerate().filter_map(|(i, theirs)| Some((i, theirs.as_ref()?))).collect();
+            let radiance =
+                |&(i, _): &(usize, &Image)| Ok(shading.shade(&scene.views[views[i]].camera)?.radiance([0.0; 3]));
+            let ours = at.iter().map(radiance).collect::<Result<Vec<_>>>()?;
+            let pairs: Vec<(&Image, &Image)> =
+                ours.iter().zip(&at).map(|(ours, (_, theirs))| (ours, *theirs)).collect();
+            for ((i, _), metrics) in at.iter().zip(measure_relit(&pairs)?) {
+                let found = into.views[*i].shaded.get_or_insert_with(ShadedMetrics::default);
+                found.relit.insert(key.clone(), RelitSet::Measured(metrics));
+            }
+        }
+    }
+    let all: Vec<&ShadedMetrics> = into.views.iter().filter_map(|v| v.shaded.as_ref()).collect();
+    let mut mean = mean(&all);
+    mean.relit.extend(skipped.into_iter().map(|(name, reason)| (name, RelitSet::Skipped { reason })));
+    into.mean.shaded = Some(mean);
+    Ok(())
+}
+
+/// Reports every relit set of a scene as skipped, for one reason.
+pub fn skip_relit(scene: &Scene, reason: &str, into: &mut Evaluation) {
+    let names = GroundTruth::of(scene).relit_names();
+    if !names.is_empty() {
+        let mean = into.mean.shaded.get_or_insert_with(ShadedMetrics::default);
+        let set = |name: String| (key_of(&name), RelitSet::Skipped { reason: reason.to_owned() });
+        mean.relit.extend(names.into_iter().map(set));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn true_lights_become_an_edit() {
+        let text = r#"{"unit": "metre", "relight": {"a": [
+            {"name": "bulb", "on": true, "position": [0, 1, 0], "radius": 0.1, "point_light_intensity_equivalent": [1, 2, 3]},
+            {"name": "dark", "on": false, "position": [0, 1, 0]},
+            {"name": "pane", "on": true, "corners": [[0,0,0],[1,0,0],[1,1,0],[0,1,0]], "radiance": [1, 1, 1], "position": [0.5, 0.5, 0]}
+        ], "b": [{"name": "sky", "on": true, "corners": [[0,0,0],[1,0,0],[1,1,0],[0,1,0]]}]}}"#;
+        let known: TrueLights = serde_json::from_str(text).unwrap();
+        let edit = edit_of(&known.relight["a"]).unwrap();
+        assert!(edit.check().is_ok() && edit.lights.off && edit.environment.off);
+        assert_eq!((edit.lights.add.len(), edit.lights.add[0].intensity), (2, Some([1.0, 2.0, 3.0])));
+        assert!(edit.lights.add[1].position.is_none());
+        assert!(edit_of(&known.relight["b"]).is_none());
+    }
+
+    #[test]
+    fn painted_sets_are_lit_by_the_true_lights_and_by_the_learned_ones() {
+        let text = r#"{"training": [{"on": true, "position": [0, 1, 0], "point_light_intensity_equivalent": [1, 2, 3]}],
+            "relight": {"night": [{"on": true, "position": [0, 1, 0]}]}}"#;
+        let known: TrueLights = serde_json::from_str(text).unwrap();
+        let set = MaterialValues { roughness: Some(0.3), ..Default::default() };
+        let place = Where { gaussians: Some(vec![1]), ..Default::default() };
+        let change = MaterialEdit { place, set, scale: MaterialValues::default() };
+        let of = |name: &str, known: &TrueLights| {
+            let found = renderings_of(name, known, || Ok(Ok(change.clone()))).unwrap();
+            found.into_iter().map(|(name, r)| (name, r.map(|r| (r.edit, r.own)))).collect::<Vec<_>>()
+        };
+        let found = of("chair", &known);
+        let names: Vec<_> = found.iter().map(|(name, r)| (name.as_str(), r.as_ref().unwrap())).collect();
+        let found: Vec<_> = names.iter().map(|(name, (edit, own))| (*name, edit.lights.off, *own)).collect();
+        assert_eq!(found, [("chair_learned_light", false, true), ("chair", true, false)]);
+        assert!(names.iter().all(|(_, (edit, _))| edit.check().is_ok() && edit.materials == [change.clone()]));
+        // Without the true lights, the set itself has a reason.
+        let alone = of("chair", &TrueLights::default());
+        assert!(alone[0].1.is_ok() && alone[1].0 == "chair", "{:?}", alone[1]);
+        assert!(alone[1].1.as_ref().unwrap_err().contains("lists no light of the training images"), "{:?}", alone[1]);
+        // The brightness of the set's light is unknown.
+        let night = of("night", &known);
+        assert_eq!((night.len(), night[0].0.as_str()), (1, "night"));
+        assert!(night[0].1.as_ref().unwrap_err().contains("no intensity"), "{:?}", night[0]);
+        let none = renderings_of("chair", &known, || Ok(Err("No Gaussian.".into()))).unwrap();
+        assert!(none.len() == 1 && none[0].1.as_ref().is_err_and(|reason| reason == "No Gaussian."));
+    }
+
+    #[test]
+    fn a_set_named_mean_keeps_off_the_key_of_the_mean() {
+        assert_eq!((key_of("mean"), key_of("night")), ("mean_set".to_owned(), "night".to_owned()));
+    }
+}

@@ -1,0 +1,111 @@
+//! What a directory holds that a command is about to write into.
+
+use crate::directory::RunDirectory;
+use crate::stage::StageKind;
+use sgs_scene::Layout;
+use std::path::Path;
+
+/// What a directory holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Contents {
+    /// It does not exist, or holds nothing.
+    Nothing,
+    /// It is a file.
+    File,
+    /// A scene.
+    Scene(Layout),
+    /// A run.
+    Run(RunContents),
+    /// Other files, of which this is the first by name.
+    Other(String),
+}
+
+/// What a run directory holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RunContents {
+    /// A geometry stage that reached a checkpoint, or geometry from elsewhere.
+    pub geometry: bool,
+    /// An intrinsic stage that reached a checkpoint.
+    pub materials: bool,
+}
+
+impl Contents {
+    /// Inspects a directory. Hidden files do not count.
+    pub fn of(root: &Path) -> Contents {
+        if root.is_file() {
+            return Contents::File;
+        }
+        if let Some(layout) = Layout::of(root) {
+            return Contents::Scene(layout);
+        }
+        if let Some(run) = RunContents::of(root) {
+            return Contents::Run(run);
+        }
+        match entries(root).into_iter().next() {
+            None => Contents::Nothing,
+            Some(name) => Contents::Other(name),
+        }
+    }
+}
+
+impl RunContents {
+    /// Inspects a directory; `None` if it is no run directory.
+    pub fn of(root: &Path) -> Option<RunContents> {
+        let run = RunDirectory::open(root).ok()?;
+        let geometry = run.checkpoint(StageKind::Geometry).is_file() || run.path("scene.ply").is_file();
+        let materials = run.checkpoint(StageKind::Intrinsic).is_file() || run.path("lights.json").is_file();
+        // Other programs have files of this name, too.
+        (geometry || materials || run.path("checkpoint").is_dir()).then_some(RunContents { geometry, materials })
+    }
+
+    /// Whether replacing the run would lose what was trained.
+    pub fn is_trained(self) -> bool {
+        self.geometry || self.materials
+    }
+}
+
+/// Names of the files and folders of a directory, in order. Hidden ones, the lock among them, and an empty `checkpoint` folder do
+/// not count.
+pub fn entries(root: &Path) -> Vec<String> {
+    let is_empty = |path: &Path| path.is_dir() && std::fs::read_dir(path).is_ok_and(|mut d| d.next().is_none());
+    let all = std::fs::read_dir(root).into_iter().flatten().flatten();
+    let counted = all.filter(|entry| entry.file_name() != "checkpoint" || !is_empty(&entry.path()));
+    let names = counted.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.') && name != "lost+found").collect();
+    names.sort();
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directories_are_told_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let put = |name: &str| {
+            std::fs::create_dir_all(root.join(name).parent().unwrap()).unwrap();
+            std::fs::write(root.join(name), "").unwrap();
+        };
+        assert_eq!(Contents::of(&root.join("none")), Contents::Nothing);
+        put(".lock");
+        std::fs::create_dir(root.join("checkpoint")).unwrap();
+        assert_eq!(Contents::of(root), Contents::Nothing);
+        put("notes.txt");
+        assert_eq!(Contents::of(root), Contents::Other("notes.txt".into()));
+        assert_eq!(Contents::of(&root.join("notes.txt")), Contents::File);
+        put("config.toml");
+        let run = |geometry, materials| Contents::Run(RunContents { geometry, materials });
+        assert_eq!(Contents::of(root), run(false, false));
+        put("checkpoint/geometry.safetensors");
+        assert_eq!(Contents::of(root), run(true, false));
+        put("lights.json");
+        assert_eq!(Contents::of(root), run(true, true));
+        std::fs::remove_dir_all(root.join("checkpoint")).unwrap();
+        std::fs::remove_file(root.join("lights.json")).unwrap();
+        assert_eq!(Contents::of(root), Contents::Other("config.toml".into()), "a file of another program");
+        put("sparse/0/cameras.txt");
+        assert_eq!(Contents::of(root), Contents::Scene(Layout::Colmap));
+    }
+}

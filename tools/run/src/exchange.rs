@@ -1,0 +1,211 @@
+//! Gaussians and light from files of this and other programs, and to them: PLY in its dialects, glTF.
+//!
+//! Files hold Gaussians; light is inside of glTF, and beside a PLY as `NAME.lights.json`; surroundings are always beside, as
+//! `NAME.environment.exr`. What each format keeps and loses is in docs/EXCHANGE.md.
+
+use crate::error::{Result, RunError};
+use crate::lights::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+use crate::placement::{join, placed};
+use crate::shaded::{RunLight, Texels, Visibility};
+use crate::shadows::Rays;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use sgs_scene::{GltfScene, Placement, PlyDialect, PointLight, Splats, write_gltf};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub struct Exchange {
+    /// Its Gaussians.
+    pub splats: Splats,
+    /// Its lamps: in it, or beside it.
+    pub lights: Option<LightFile>,
+    /// Its surroundings, which are beside it: a latitude-longitude picture.
+    pub environment: Option<PathBuf>,
+    /// What kind of file it is: a name of [`PlyDialect`], or `gltf`.
+    pub format: &'static str,
+}
+
+/// `NAME.WHAT` beside `NAME.ply` or the like.
+fn beside(path: &Path, what: &str) -> PathBuf {
+    path.with_extension(what)
+}
+
+fn is_gltf(path: &Path) -> Result<bool> {
+    let fail = |e: std::io::Error| RunError::File { path: path.to_owned(), reason: e.to_string() };
+    let mut first = [0; 4];
+    let mut file = std::fs::File::open(path).map_err(fail)?;
+    let have = file.read(&mut first).map_err(fail)?;
+    let text = first[..have].trim_ascii_start();
+    Ok(&first[..have] == b"glTF" || text.first() == Some(&b'{'))
+}
+
+/// Reads Gaussians from a file of any known kind, recognized by what it holds. What is left out is said as a warning.
+///
+/// # Errors
+/// If it is of no known kind, or damaged.
+pub fn read_splats(path: &Path) -> Result<Splats> {
+    if !is_gltf(path)? {
+        return Ok(Splats::read_ply(path)?);
+    }
+    Ok(joined(gltf(path)?.parts))
+}
+
+fn gltf(path: &Path) -> Result<GltfScene> {
+    let scene = GltfScene::read(path)?;
+    for what in &scene.left_out {
+        tracing::warn!("{}: left out: {what}", path.display());
+    }
+    Ok(scene)
+}
+
+/// Reads Gaussians and light from a file of any known kind.
+///
+/// # Errors
+/// If it, or what lies beside it, is of no known kind or damaged.
+pub fn read_exchange(path: &Path) -> Result<Exchange> {
+    let environment = Some(beside(path, "environment.exr")).filter(|file| file.is_file());
+    if is_gltf(path)? {
+        let scene = gltf(path)?;
+        let lights = lights_of(path, &scene)?;
+        return Ok(Exchange { splats: joined(scene.parts), lights, environment, format: "gltf" });
+    }
+    let (splats, dialect) = Splats::read_ply_dialect(path)?;
+    let lights = beside(path, "lights.json");
+    let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+    Ok(Exchange { splats, lights, environment, format: dialect.name() })
+}
+
+/// What lights the Gaussians of a file: the lamps in it or beside it, whose shadows are traced, and the surroundings beside
+/// it, of `size` texels along an edge.
+///
+/// # Errors
+/// If one of the files is damaged.
+pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
+    let (lamps, surroundings) = (beside(path, "lights.json"), beside(path, "environment.exr"));
+    let lights = match is_gltf(path)? {
+        true => lights_of(path, &GltfScene::read(path)?)?,
+        false if lamps.is_file() => Some(read_lights(&lamps)?),
+        false => None,
+    };
+    let environment = if surroundings.is_file() { Some(Texels::read(&surroundings, size)?) } else { None };
+    let visibility = if lights.is_some() { Visibility::Traced(Rays::default()) } else { Visibility::None };
+    Ok(RunLight { lights, environment, visibility })
+}
+
+/// Writes Gaussians and light as glTF where `dialect` is none, or as PLY; gives all files that were written.
+///
+/// # Errors
+/// If the dialect has no place for them, or a file cannot be written.
+pub fn write_exchange(
+    path: &Path,
+    splats: &Splats,
+    dialect: Option<PlyDialect>,
+    lights: Option<&LightFile>,
+    environment: Option<&Path>,
+) -> Result<Vec<PathBuf>> {
+    let mut written = vec![path.to_owned()];
+    match (dialect, lights) {
+        (Some(dialect), _) => splats.write_ply_as(path, dialect)?,
+        (None, Some(file)) => {
+            let extras = json!({"sgs": Together { format: file.format.clone(), normalizer: file.normalizer }});
+            write_gltf(path, splats, &file.lights.iter().map(|l| point(file, l)).collect::<Vec<_>>(), Some(&extras))?;
+        }
+        (None, None) => write_gltf(path, splats, &[], None)?,
+    }
+    if dialect.is_none() && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf")) {
+        written.push(beside(path, "bin"));
+    }
+    if let (Some(_), Some(lights)) = (dialect, lights) {
+        let file = beside(path, "lights.json");
+        write_lights(&file, lights)?;
+        written.push(file);
+    }
+    if let Some(from) = environment {
+        let file = beside(path, "environment.exr");
+        let fail = |e: std::io::Error| RunError::File { path: from.to_owned(), reason: e.to_string() };
+        let bytes = std::fs::read(from).map_err(fail)?;
+        sgs_scene::atomic_write(&file, |out| std::io::Write::write_all(out, &bytes))?;
+        written.push(file);
+    }
+    Ok(written)
+}
+
+/// All sets of Gaussians where they stand.
+fn joined(parts: Vec<(Splats, Placement)>) -> Splats {
+    let stand = |(splats, place): (Splats, Placement)| match place == Placement::NONE {
+        true => splats,
+        false => placed(splats, &place),
+    };
+    let all = parts.into_iter().map(stand);
+    all.reduce(|mut host, guest| {
+        join(&mut host, guest);
+        host
+    })
+    .unwrap_or_default()
+}
+
+/// What this project adds to all lights together.
+#[derive(Serialize, Deserialize)]
+struct Together {
+    format: String,
+    normalizer: f32,
+}
+
+/// What this project adds to a light.
+#[derive(Serialize, Deserialize)]
+struct Beyond {
+    gain: f32,
+    lobes: Vec<LobeRow>,
+}
+
+/// A light as a point that sends its mean in all directions.
+///
+/// The mean of `exp(s (cos - 1))` over the sphere is `(1 - exp(-2 s)) / (2 s)`.
+fn point(file: &LightFile, light: &LightRow) -> PointLight {
+    let mean = |s: f64| if s < 1e-6 { 1.0 } else { (1.0 - (-2.0 * s).exp()) / (2.0 * s) };
+    let factor = f64::from(file.normalizer) * f64::from(light.gain);
+    let of = |l: &LobeRow, c: usize| f64::from(l.amplitude[c]) * mean(f64::from(l.sharpness));
+    let sent = [0, 1, 2].map(|c| factor * light.lobes.iter().map(|l| of(l, c)).sum::<f64>());
+    let most = sent.iter().fold(0.0_f64, |a, b| a.max(*b));
+    let color = sent.map(|v| if most > 0.0 { (v / most) as f32 } else { 1.0 });
+    let beyond = Beyond { gain: light.gain, lobes: light.lobes.clone() };
+    PointLight { position: light.position, color, intensity: most as f32, extras: Some(json!({"sgs": beyond})) }
+}
+
+/// The lights of a glTF file: this project's with all their lobes, others with one that is the same all around.
+fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightFile>> {
+    if scene.lights.is_empty() {
+        return Ok(None);
+    }
+    let fail = |reason: String| RunError::File { path: path.to_owned(), reason };
+    let own = |value: &Option<Value>| value.as_ref().and_then(|v| v.get("sgs")).cloned();
+    let together: Option<Together> = own(&scene.light_extras)
+        .map(|v| serde_json::from_value(v).map_err(|e| fail(format!("its lights are not as SGS writes them: {e}"))))
+        .transpose()?;
+    let normalizer = together.as_ref().map_or(1.0, |t| t.normalizer);
+    let mut rows = Vec::new();
+    for (i, light) in scene.lights.iter().enumerate() {
+        let row = match own(&light.extras).filter(|_| together.is_some()) {
+            Some(v) => {
+                let b: Beyond = serde_json::from_value(v)
+                    .map_err(|e| fail(format!("its light {i} is not as SGS writes them: {e}")))?;
+                LightRow { position: light.position, gain: b.gain, lobes: b.lobes }
+            }
+            None => {
+                let factor = light.intensity / if normalizer > 0.0 { normalizer } else { 1.0 };
+                let lobe =
+                    LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 0.0, amplitude: light.color.map(|c| c * factor) };
+                LightRow { position: light.position, gain: 1.0, lobes: vec![lobe] }
+            }
+        };
+        rows.push(row);
+    }
+    let mut file = LightFile::new(normalizer, rows);
+    if let Some(together) = together {
+        file.format = together.format;
+    }
+    file.check().map_err(fail)?;
+    Ok(Some(file))
+}

@@ -1,0 +1,114 @@
+//! 32-bit numbers of a shape, as they go into safetensors files; and such files with the same bytes for the same numbers.
+
+use safetensors::{Dtype, SafeTensorError, View};
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap};
+
+/// A file of tensors. `safetensors` writes what its header says in the order of a hash map, which is another one each time;
+/// here names stand in their own order, so that two equal runs leave equal files.
+///
+/// # Errors
+/// If names repeat, or shapes do not fit their numbers.
+pub fn serialize<N: AsRef<str> + Ord + std::fmt::Display, V: View>(
+    tensors: impl IntoIterator<Item = (N, V)>,
+    meta: HashMap<String, String>,
+) -> Result<Vec<u8>, SafeTensorError> {
+    let sorted: BTreeMap<String, String> = meta.clone().into_iter().collect();
+    let mut bytes = safetensors::serialize(tensors, Some(meta))?;
+    let (length, rest) = bytes.split_first_chunk_mut::<8>().ok_or(SafeTensorError::HeaderTooSmall)?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| SafeTensorError::HeaderTooLarge)?;
+    let header = rest.get_mut(..length).ok_or(SafeTensorError::InvalidHeaderLength)?;
+    let mut said: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header)?;
+    said.insert(METADATA.to_owned(), serde_json::to_value(sorted)?);
+    let text = serde_json::to_vec(&said)?;
+    // The same names and numbers in another order are as long; what is over is the padding of the header.
+    let (to, padding) = header.split_at_mut_checked(text.len()).ok_or(SafeTensorError::InvalidHeaderLength)?;
+    to.copy_from_slice(&text);
+    padding.fill(b' ');
+    Ok(bytes)
+}
+
+/// What the header calls what is said of the file as a whole.
+const METADATA: &str = "__metadata__";
+
+/// Numbers and their shape.
+pub struct Floats<'a>(pub &'a [f32], pub Vec<usize>);
+
+impl View for Floats<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        &self.1
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(bytemuck::cast_slice(self.0))
+    }
+    fn data_len(&self) -> usize {
+        size_of_val(self.0)
+    }
+}
+
+/// 32-bit numbers, floats or not.
+pub enum Numbers<'a> {
+    /// 32-bit floats and their shape.
+    Floats(Floats<'a>),
+    /// 32-bit words and their shape.
+    Words(&'a [u32], Vec<usize>),
+}
+
+impl View for Numbers<'_> {
+    fn dtype(&self) -> Dtype {
+        match self {
+            Numbers::Floats(f) => f.dtype(),
+            Numbers::Words(..) => Dtype::U32,
+        }
+    }
+    fn shape(&self) -> &[usize] {
+        match self {
+            Numbers::Floats(f) => f.shape(),
+            Numbers::Words(_, shape) => shape,
+        }
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        match self {
+            Numbers::Floats(f) => Cow::Borrowed(bytemuck::cast_slice(f.0)),
+            Numbers::Words(words, _) => Cow::Borrowed(bytemuck::cast_slice(words)),
+        }
+    }
+    fn data_len(&self) -> usize {
+        4 * match self {
+            Numbers::Floats(f) => f.0.len(),
+            Numbers::Words(words, _) => words.len(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use safetensors::SafeTensors;
+
+    #[test]
+    fn equal_numbers_make_equal_files_that_others_read() {
+        let numbers = [1.0, -2.5, 3.0];
+        let write = |a: f32| {
+            let meta = (0..20).map(|i| (format!("key{i}"), format!("value \"{i}\""))).collect();
+            let tensors = ["z", "a", "m\u{e9}"].map(|n| (n.to_owned(), Floats(&numbers, vec![3])));
+            let mut tensors = Vec::from(tensors);
+            let one = [a];
+            tensors.push(("one".into(), Floats(&one, vec![1])));
+            serialize(tensors, meta).unwrap()
+        };
+        let bytes = write(1.0);
+        assert!((0..8).all(|_| write(1.0) == bytes) && write(2.0) != bytes);
+        let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
+        let meta = header.metadata().as_ref().unwrap();
+        assert!(meta.len() == 20 && (0..20).all(|i| meta[&format!("key{i}")] == format!("value \"{i}\"")));
+        let read = SafeTensors::deserialize(&bytes).unwrap();
+        for name in ["z", "a", "m\u{e9}"] {
+            assert_eq!(read.tensor(name).unwrap().data(), bytemuck::cast_slice::<f32, u8>(&numbers), "{name}");
+        }
+        assert_eq!(read.tensor("one").unwrap().data(), 1f32.to_le_bytes());
+    }
+}

@@ -1,0 +1,42 @@
+//! A trained run: its directory, its files, and what renders and shades it.
+//!
+//! Knows what training leaves and how to read it back. Knows no schedule and trains nothing.
+
+mod classify;
+mod contents;
+mod convert;
+mod directory;
+mod error;
+mod exchange;
+pub mod floats;
+pub mod harmonics;
+mod head;
+mod lights;
+mod lock;
+pub mod materials;
+mod placement;
+mod render;
+mod rollback;
+mod shaded;
+mod shadows;
+mod stage;
+mod visibility;
+
+pub use classify::{Classes, Classifier, NO_RELEVANCE};
+pub use contents::{Contents, RunContents, entries};
+pub use convert::{camera, gaussian_data, pack_image, pack_normals, splats};
+pub use directory::RunDirectory;
+pub use error::{Result, RunError, remove};
+pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
+pub use head::SemanticHead;
+pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, read_lights, write_lights};
+pub use lock::{DirectoryLock, LockHolder};
+pub use placement::{join, placed};
+pub use render::render_view;
+pub use rollback::RollbackFiles;
+pub use shaded::{
+    RunLight, ShadedView, Shading, Texels, Visibility, displayed, light_of, shaded_environment, shaded_scene,
+};
+pub use shadows::{Rays, traced};
+pub use stage::StageKind;
+pub use visibility::{VisibilityFile, field_box};

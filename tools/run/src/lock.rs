@@ -1,0 +1,231 @@
+//! The lock of a directory that a command writes into: one writer at a time.
+//!
+//! The lock is a file in the directory that the holder keeps locked through the operating system and that names the holder.
+//! A holder that was killed leaves the file. The next one on the same machine finds it unlocked, or its process gone, and takes it over.
+
+use crate::error::{Result, RunError, error};
+use serde::{Deserialize, Serialize};
+use std::fs::{File, TryLockError};
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// Name of the lock's file in the directory.
+const LOCK_FILE: &str = ".lock";
+
+/// The process that holds a lock.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LockHolder {
+    /// Process id.
+    pub pid: u32,
+    /// Name of its machine.
+    pub host: String,
+    /// When it started, in clock ticks since the machine booted; absent where the system does not report it.
+    pub started: Option<u64>,
+    /// The machine's boot, absent where the system does not report it.
+    pub boot: Option<String>,
+}
+
+impl LockHolder {
+    /// This process.
+    pub fn this_process() -> LockHolder {
+        let pid = std::process::id();
+        let host = gethostname::gethostname().to_string_lossy().into_owned();
+        LockHolder { pid, host, started: start_of(pid), boot: boot() }
+    }
+
+    /// Whether the process ran on this machine.
+    fn is_here(&self) -> bool {
+        let this = LockHolder::this_process();
+        // Containers of one machine share its boot, and a machine that was rebooted keeps its name.
+        self.host == this.host || self.boot.is_some() && self.boot == this.boot
+    }
+
+    /// Whether the process is known to run on this machine: a process of its id that started when it did.
+    fn is_alive(&self) -> bool {
+        self.started.is_some() && self.boot == boot() && start_of(self.pid) == self.started
+    }
+}
+
+/// When a process started, in clock ticks since the machine booted.
+fn start_of(pid: u32) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The name of the program stands in parentheses and may hold spaces; the start is the 22nd field.
+    text.rsplit_once(')')?.1.split_whitespace().nth(19)?.parse().ok()
+}
+
+fn boot() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
+    Some(text.trim().to_owned())
+}
+
+/// A held lock. Dropping it removes the lock's file, and the directory if the lock made it and it is still empty.
+#[derive(Debug)]
+pub struct DirectoryLock {
+    path: PathBuf,
+    made: Vec<PathBuf>,
+    recovered: Option<LockHolder>,
+    _file: File,
+}
+
+impl DirectoryLock {
+    /// Locks a directory; makes it where it is missing.
+    ///
+    /// # Errors
+    /// [`RunError::Locked`] if another process holds the lock; [`RunError::File`] if the directory or the lock's file
+    /// cannot be written.
+    pub fn acquire(root: &Path) -> Result<DirectoryLock> {
+        let made = missing_folders(root);
+        std::fs::create_dir_all(root).map_err(|e| error(root, format!("cannot be made: {e}")))?;
+        let path = root.join(LOCK_FILE);
+        let locked = lock(root, &path);
+        if locked.is_err() {
+            remove_empty(&made);
+        }
+        let (file, recovered) = locked?;
+        Ok(DirectoryLock { path, made, recovered, _file: file })
+    }
+
+    /// The process that left the lock behind when it ended, if one did.
+    pub fn recovered(&self) -> Option<&LockHolder> {
+        self.recovered.as_ref()
+    }
+}
+
+impl Drop for DirectoryLock {
+    fn drop(&mut self) {
+        // A file that stays is recovered by the next holder.
+        let _ = std::fs::remove_file(&self.path);
+        remove_empty(&self.made);
+    }
+}
+
+/// The folders that must be made so that a directory exists, the outermost first.
+fn missing_folders(root: &Path) -> Vec<PathBuf> {
+    let missing = root.ancestors().take_while(|p| !p.as_os_str().is_empty() && !p.exists());
+    let mut folders: Vec<PathBuf> = missing.map(Path::to_owned).collect();
+    folders.reverse();
+    folders
+}
+
+/// Removes folders that are empty, the innermost first.
+fn remove_empty(folders: &[PathBuf]) {
+    for folder in folders.iter().rev() {
+        // A folder that holds something stays.
+        let _ = std::fs::remove_dir(folder);
+    }
+}
+
+/// Opens, locks and signs the lock's file. Returns it with the holder that left it behind.
+fn lock(root: &Path, path: &Path) -> Result<(File, Option<LockHolder>)> {
+    let failed = |e: std::io::Error| error(path, format!("cannot be written: {e}"));
+    // A holder that ends between opening and locking removes the file: then a new one is opened.
+    for _ in 0..100 {
+        let options = || File::options().read(true).write(true).create(true).truncate(false).to_owned();
+        let mut file = options().open(path).map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) if !is_still(&file, path) => continue,
+            Err(TryLockError::WouldBlock) => return Err(locked(root, holder(&mut file))),
+            // Some network file systems have no locks; the holder's name has to do.
+            Ok(()) | Err(TryLockError::Error(_)) => {}
+        }
+        let left = holder(&mut file);
+        if let Some(other) = &left
+            && (!other.is_here() || other.is_alive())
+        {
+            return Err(locked(root, left));
+        }
+        let text = serde_json::to_string(&LockHolder::this_process()).map_err(|e| failed(e.into()))?;
+        file.set_len(0).and_then(|()| file.rewind()).map_err(failed)?;
+        file.write_all(text.as_bytes()).map_err(failed)?;
+        return Ok((file, left));
+    }
+    Err(locked(root, None))
+}
+
+/// Whether a path still names an open file.
+#[cfg(unix)]
+fn is_still(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |m: std::fs::Metadata| (m.dev(), m.ino());
+    let there = std::fs::metadata(path).map(identity).ok();
+    there.is_some() && there == file.metadata().map(identity).ok()
+}
+
+#[cfg(not(unix))]
+fn is_still(_: &File, _: &Path) -> bool {
+    true
+}
+
+/// The holder that a lock's file names.
+fn holder(file: &mut File) -> Option<LockHolder> {
+    let mut text = String::new();
+    file.read_to_string(&mut text).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+fn locked(root: &Path, holder: Option<LockHolder>) -> RunError {
+    let lock = root.join(LOCK_FILE);
+    let reason = match holder {
+        Some(h) if !h.is_here() => format!(
+            "process {} on {} writes into it; wait for it, or delete \"{}\" if that process has ended",
+            h.pid,
+            h.host,
+            lock.display()
+        ),
+        Some(h) => format!("process {} writes into it; wait for it, or name another directory", h.pid),
+        None => "another process writes into it; wait for it, or name another directory".to_owned(),
+    };
+    RunError::Locked { path: root.to_owned(), reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn leave(root: &Path, holder: &LockHolder) {
+        std::fs::write(root.join(LOCK_FILE), serde_json::to_string(holder).unwrap()).unwrap();
+    }
+
+    #[test]
+    fn a_held_lock_is_refused_and_a_released_one_is_free() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("a/b");
+        let lock = DirectoryLock::acquire(&root).unwrap();
+        assert_eq!(lock.recovered(), None);
+        let refused = DirectoryLock::acquire(&root).unwrap_err();
+        assert!(matches!(refused, RunError::Locked { .. }));
+        assert!(refused.to_string().contains(&format!("process {}", std::process::id())), "{refused}");
+        drop(lock);
+        assert!(!folder.path().join("a").exists(), "an empty directory stays");
+        let lock = DirectoryLock::acquire(&root).unwrap();
+        std::fs::write(root.join("result"), "").unwrap();
+        drop(lock);
+        assert_eq!(std::fs::read_dir(&root).unwrap().count(), 1, "the lock's file stays");
+    }
+
+    #[test]
+    fn a_lock_of_a_process_that_is_gone_is_recovered() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let this = LockHolder::this_process();
+        let Some(started) = this.started else { return };
+        // A process of the same id that started at another time, one from before a reboot, one of another container.
+        let earlier = LockHolder { started: Some(started - 1), ..this.clone() };
+        let rebooted = LockHolder { boot: Some("another boot".into()), ..this.clone() };
+        let container = LockHolder { host: "another name".into(), ..earlier.clone() };
+        for left in [earlier, rebooted, container] {
+            leave(root, &left);
+            assert_eq!(DirectoryLock::acquire(root).unwrap().recovered(), Some(&left));
+        }
+        // One that names a process that runs is not, even where the file itself is not locked.
+        leave(root, &this);
+        assert!(matches!(DirectoryLock::acquire(root), Err(RunError::Locked { .. })));
+        let elsewhere = LockHolder { host: "far".into(), boot: None, ..this };
+        leave(root, &elsewhere);
+        let refused = DirectoryLock::acquire(root).unwrap_err().to_string();
+        assert!(refused.contains(" on far ") && refused.contains("delete"), "{refused}");
+        // A file that was cut off names nobody.
+        std::fs::write(root.join(LOCK_FILE), "{\"pid\": 1").unwrap();
+        assert_eq!(DirectoryLock::acquire(root).unwrap().recovered(), None);
+    }
+}

@@ -1,0 +1,30 @@
+//! The stages that leave files in a run.
+
+use serde::Serialize;
+use std::fmt;
+
+/// The stages of training, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StageKind {
+    /// Gaussians from photographs.
+    Geometry,
+    /// Materials, lights and visibility on fixed geometry.
+    Intrinsic,
+}
+
+impl StageKind {
+    /// Name in settings, logs and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            StageKind::Geometry => "geometry",
+            StageKind::Intrinsic => "intrinsic",
+        }
+    }
+}
+
+impl fmt::Display for StageKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}

@@ -1,0 +1,151 @@
+//! Cases of robustness: noise of one kind on what training begins with.
+
+use super::Entry;
+use super::variant::any;
+use crate::error::{Result, StudyError};
+use sgs_config::{NoiseSettings, Settings};
+use sgs_scene::Scene;
+
+/// What noise is put into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Input {
+    Nothing,
+    Positions,
+    Normals,
+    Semantics,
+    Poses,
+}
+
+/// A case of robustness.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Case {
+    /// Its name, as in `--only`.
+    pub name: &'static str,
+    input: Input,
+}
+
+const ALL: [Case; 5] = [
+    Case { name: "clean", input: Input::Nothing },
+    Case { name: "positions", input: Input::Positions },
+    Case { name: "normals", input: Input::Normals },
+    Case { name: "semantics", input: Input::Semantics },
+    Case { name: "poses", input: Input::Poses },
+];
+
+/// How much noise a case has where the settings ask for none of its kind. The paper gives no numbers.
+const USUAL: NoiseSettings =
+    NoiseSettings { positions: 0.01, normals: 10.0, semantics: 0.1, rotations: 0.5, translations: 0.005 };
+
+impl Case {
+    /// Every case, in the order of the paper's table, the one without noise first.
+    pub fn all() -> &'static [Case] {
+        &ALL
+    }
+
+    /// Those of these names, in their order; all if there are no names.
+    ///
+    /// # Errors
+    /// If a name is not one of a case; the sentence lists them.
+    pub fn named(names: &[String]) -> Result<Vec<Case>> {
+        if let Some(name) = names.iter().find(|n| ALL.iter().all(|c| c.name != **n)) {
+            let known = ALL.map(|c| c.name).join(", ");
+            return Err(StudyError::UnknownRow { kind: "case", name: name.clone(), known });
+        }
+        Ok(ALL.into_iter().filter(|c| names.is_empty() || names.iter().any(|n| n == c.name)).collect())
+    }
+
+    /// Settings with the noise of this case and no other: as much of it as the settings say, or the usual amount.
+    pub fn settings(&self, base: &Settings) -> Settings {
+        let (asked, mut noise) = (&base.noise, NoiseSettings::default());
+        let or = |asked: f64, usual: f64| if asked > 0.0 { asked } else { usual };
+        match self.input {
+            Input::Nothing => {}
+            Input::Positions => noise.positions = or(asked.positions, USUAL.positions),
+            Input::Normals => noise.normals = or(asked.normals, USUAL.normals),
+            Input::Semantics => noise.semantics = or(asked.semantics, USUAL.semantics),
+            // Who asks for turns alone, or for moves alone, gets these.
+            Input::Poses if asked.rotations > 0.0 || asked.translations > 0.0 => {
+                (noise.rotations, noise.translations) = (asked.rotations, asked.translations);
+            }
+            Input::Poses => (noise.rotations, noise.translations) = (USUAL.rotations, USUAL.translations),
+        }
+        Settings { noise, ..base.clone() }
+    }
+
+    /// As a row of a table; `base` are the settings that [`Case::settings`] takes.
+    pub fn entry(&self, base: &Settings) -> Entry {
+        let n = self.settings(base).noise;
+        let share = |v: f64| format!("{} %", 100.0 * v);
+        let about = match self.input {
+            Input::Nothing => "everything as it is".to_owned(),
+            Input::Positions => format!("initial points {} of the extent off", share(n.positions)),
+            Input::Normals => format!("normal priors turned by {}°", n.normals),
+            Input::Semantics => format!("{} of semantic cells wrong", share(n.semantics)),
+            Input::Poses => {
+                let (turn, far) = (n.rotations, share(n.translations));
+                format!("training cameras turned by {turn}°, {far} of the extent off")
+            }
+        };
+        let order = ALL.iter().position(|c| c == self).unwrap_or(ALL.len());
+        Entry { order, name: self.name, about, run: self.name }
+    }
+
+    /// Why it would be the same as without noise: what the scene lacks or the settings leave out, as an end of a sentence.
+    ///
+    /// # Errors
+    /// If a prior cannot be read.
+    pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<&'static str>> {
+        let g = &settings.geometry;
+        Ok(match self.input {
+            Input::Nothing | Input::Positions | Input::Poses => None,
+            Input::Normals if !g.normals => Some("geometry.normals is false"),
+            Input::Normals if !any(scene, |view| Ok(scene.normal_prior(view)?.is_some()))? => {
+                Some("the scene has no priors/normal")
+            }
+            Input::Semantics if !g.semantics => Some("geometry.semantics is false"),
+            Input::Semantics
+                if scene.text_embeddings()?.is_none()
+                    || !any(scene, |view| Ok(scene.semantic_prior(view)?.is_some()))? =>
+            {
+                Some("the scene has no priors/semantic")
+            }
+            Input::Normals | Input::Semantics => None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cases_differ_in_their_noise_alone() {
+        let mut base = Settings { seed: 5, ..Settings::default() };
+        base.noise.normals = 25.0;
+        base.noise.translations = 0.03;
+        let noise = |name: &str| {
+            let case = ALL.iter().find(|c| c.name == name).unwrap();
+            let mut settings = case.settings(&base);
+            let noise = std::mem::replace(&mut settings.noise, base.noise);
+            assert_eq!(settings, base, "{name}");
+            noise
+        };
+        let none = NoiseSettings::default();
+        assert_eq!(noise("clean"), none);
+        assert_eq!(noise("positions"), NoiseSettings { positions: 0.01, ..none });
+        assert_eq!(noise("normals"), NoiseSettings { normals: 25.0, ..none });
+        assert_eq!(noise("semantics"), NoiseSettings { semantics: 0.1, ..none });
+        assert_eq!(noise("poses"), NoiseSettings { translations: 0.03, ..none });
+        assert_eq!(ALL[2].entry(&base).about, "normal priors turned by 25°");
+        assert_eq!(ALL[1].entry(&base).about, "initial points 1 % of the extent off");
+    }
+
+    #[test]
+    fn names_are_checked_and_keep_their_order() {
+        let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let found = Case::named(&names(&["poses", "clean"])).unwrap();
+        assert_eq!(found.iter().map(|c| c.name).collect::<Vec<_>>(), ["clean", "poses"]);
+        let error = Case::named(&names(&["magic"])).unwrap_err().to_string();
+        assert!(error.contains("no case \"magic\"; there are clean, positions, normals, semantics, poses."), "{error}");
+    }
+}

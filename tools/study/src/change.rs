@@ -1,0 +1,84 @@
+//! What variants of the intrinsic stage leave out, one thing at a time.
+
+use super::variant::any;
+use crate::error::Result;
+use sgs_config::{IntrinsicSettings, MaterialStart, OwnPrior, Settings, VisibilityKind};
+use sgs_scene::Scene;
+
+/// What a variant does differently.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    /// Nothing.
+    Nothing,
+    /// Materials begin gray.
+    GrayStart,
+    /// No point lights.
+    Lights,
+    /// No light of the surroundings.
+    Environment,
+    /// Nothing is in the way of lights.
+    Visibility,
+    /// Albedo is not compared between views.
+    CrossView,
+    /// Nor with estimates under other lights.
+    Relight,
+    /// Nor with the views' own priors, in regions.
+    OwnPrior,
+    /// What networks say of materials is not asked for, but where they begin.
+    Priors,
+}
+
+impl Change {
+    /// Makes it.
+    pub fn apply(self, s: &mut IntrinsicSettings) {
+        let own_prior = s.own_prior_weight();
+        let l = &mut s.losses;
+        match self {
+            Change::Nothing => {}
+            Change::GrayStart => s.start = MaterialStart::Gray,
+            Change::Lights => {
+                s.lights.enabled = false;
+                // There is nothing that a provider could be shown.
+                if s.relight.command().is_some() {
+                    l.relight = 0.0;
+                }
+            }
+            Change::Environment => s.environment.enabled = false,
+            Change::Visibility => s.visibility.kind = VisibilityKind::None,
+            Change::CrossView => l.cross_view = 0.0,
+            Change::Relight => (l.relight, l.own_prior) = (0.0, OwnPrior::Weight(own_prior)),
+            Change::OwnPrior => l.own_prior = OwnPrior::Weight(0.0),
+            Change::Priors => (l.albedo, l.roughness, l.metallic) = (0.0, 0.0, 0.0),
+        }
+    }
+
+    /// Why it would change nothing, as an end of a sentence.
+    pub fn lacks(self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
+        let s = &settings.intrinsic;
+        let said = |text: &str| Ok(Some(text.to_owned()));
+        let late = |what: &str, from: u32| {
+            (from > s.steps).then(|| format!("it begins at step {from} of {} ({what})", s.steps))
+        };
+        let mut changed = s.clone();
+        self.apply(&mut changed);
+        if self != Change::Nothing && changed == *s {
+            return said("the settings leave it out anyway");
+        }
+        let albedo = || any(scene, |view| Ok(scene.albedo_prior(view)?.is_some()));
+        let roughness = || any(scene, |view| Ok(scene.roughness_prior(view)?.is_some()));
+        let metallic = || any(scene, |view| Ok(scene.metallic_prior(view)?.is_some()));
+        match self {
+            Change::CrossView => Ok(late("intrinsic.cross_view_from", s.cross_view_from)),
+            Change::Relight if s.relight.command().is_none() => {
+                said("no provider of materials is asked (intrinsic.relight.provider)")
+            }
+            Change::OwnPrior if s.own_prior_weight() == 0.0 => said("the settings leave it out anyway"),
+            Change::OwnPrior if !albedo()? => said("the scene has no priors/albedo"),
+            Change::Relight | Change::OwnPrior => Ok(late("intrinsic.relight_from", s.relight_from)),
+            Change::GrayStart | Change::Priors if !(albedo()? || roughness()? || metallic()?) => {
+                said("the scene has no priors of materials")
+            }
+            _ => Ok(None),
+        }
+    }
+}

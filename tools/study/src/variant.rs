@@ -1,0 +1,288 @@
+//! Variants of training: which parts of the method are on.
+
+use super::Entry;
+use super::change::Change;
+use crate::error::{Result, StudyError};
+use sgs_config::Settings;
+use sgs_scene::Scene;
+
+/// What a variant may use besides photographs; each is a switch of the settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    Depth,
+    Normals,
+    Semantics,
+    Correspondence,
+}
+
+/// The full method of the geometry stage.
+const FULL: [Part; 4] = [Part::Depth, Part::Normals, Part::Semantics, Part::Correspondence];
+
+/// What a variant is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Geometry that uses these parts alone; each such variant adds to the one before.
+    Geometry(&'static [Part]),
+    /// Geometry by the full method without these parts.
+    Without(&'static [Part]),
+    /// Materials on the same geometry, with a change.
+    Materials(Change),
+}
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// Geometry alone.
+    Geometry,
+    /// Materials, lights and shadows on geometry that all variants have in common.
+    Materials,
+    /// Both: variants of geometry with materials on them, and variants of materials on the last of these.
+    Whole,
+}
+
+/// A variant of training.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Variant {
+    /// Its name, as in `--only`.
+    pub name: &'static str,
+    /// What it uses, or does without.
+    pub about: &'static str,
+    /// The variant whose runs are also its own, because the settings are the same; else its own name.
+    run: &'static str,
+    kind: Kind,
+}
+
+const fn geometry(name: &'static str, about: &'static str, on: &'static [Part]) -> Variant {
+    Variant { name, about, run: name, kind: Kind::Geometry(on) }
+}
+
+const fn without(name: &'static str, about: &'static str, run: &'static str, off: &'static [Part]) -> Variant {
+    Variant { name, about, run, kind: Kind::Without(off) }
+}
+
+const fn materials(name: &'static str, about: &'static str, change: Change) -> Variant {
+    Variant { name, about, run: name, kind: Kind::Materials(change) }
+}
+
+const ALL: [Variant; 18] = [
+    geometry("rgb", "photographs alone", &[]),
+    geometry("depth", "and depth smoothness and variance", &[Part::Depth]),
+    geometry("normal", "and priors of normals", &[Part::Depth, Part::Normals]),
+    geometry("semantic", "and semantic priors", &[Part::Depth, Part::Normals, Part::Semantics]),
+    geometry("correspondence", "and regions compared with pseudo-views", &FULL),
+    without("no_normal", "full method without priors of normals", "no_normal", &[Part::Normals]),
+    without("no_depth", "full method without depth smoothness and variance", "no_depth", &[Part::Depth]),
+    without("no_semantic", "full method without semantics", "normal", &[Part::Semantics, Part::Correspondence]),
+    without("no_correspondence", "full method without pseudo-views", "semantic", &[Part::Correspondence]),
+    materials("full", "everything", Change::Nothing),
+    materials("gray_start", "materials begin gray", Change::GrayStart),
+    materials("no_lights", "without point lights", Change::Lights),
+    materials("no_environment", "without light of the surroundings", Change::Environment),
+    materials("no_visibility", "without shadows", Change::Visibility),
+    materials("no_cross_view", "albedo not compared between views", Change::CrossView),
+    materials("no_relight", "albedo not compared with estimates under other lights", Change::Relight),
+    materials("no_own_prior", "albedo of regions not compared with the views' own priors", Change::OwnPrior),
+    materials("no_priors", "without what networks say of materials", Change::Priors),
+];
+
+impl Scope {
+    /// Its variants, in their order.
+    pub fn variants(self) -> Vec<Variant> {
+        let shown = |v: &&Variant| match (self, v.kind) {
+            (Scope::Geometry, Kind::Geometry(_) | Kind::Without(_)) | (Scope::Materials, Kind::Materials(_)) => true,
+            // Everything is what the last variant of geometry has.
+            (Scope::Whole, kind) => kind != Kind::Materials(Change::Nothing),
+            _ => false,
+        };
+        ALL.iter().filter(shown).copied().collect()
+    }
+}
+
+impl Variant {
+    /// Those of these names, in the order of the method; all of the scope if there are no names.
+    ///
+    /// # Errors
+    /// If a name is not one of a variant; the sentence lists them.
+    pub fn named(scope: Scope, names: &[String]) -> Result<Vec<Variant>> {
+        let all = scope.variants();
+        if let Some(name) = names.iter().find(|n| all.iter().all(|v| v.name != **n)) {
+            let known = all.iter().map(|v| v.name).collect::<Vec<_>>().join(", ");
+            return Err(StudyError::UnknownRow { kind: "variant", name: name.clone(), known });
+        }
+        Ok(all.into_iter().filter(|v| names.is_empty() || names.iter().any(|n| n == v.name)).collect())
+    }
+
+    /// Whether it is one of materials, on geometry that others have, too.
+    pub fn is_of_materials(&self) -> bool {
+        matches!(self.kind, Kind::Materials(_))
+    }
+
+    /// Whether it is the full method of the geometry stage without a term.
+    pub fn leaves_out(&self) -> bool {
+        matches!(self.kind, Kind::Without(_))
+    }
+
+    /// Whether a variant of geometry uses a part.
+    fn uses(&self, part: Part) -> bool {
+        match self.kind {
+            Kind::Geometry(on) => on.contains(&part),
+            Kind::Without(off) => !off.contains(&part),
+            Kind::Materials(_) => false,
+        }
+    }
+
+    /// Settings as it wants them: of one of geometry, its parts switched on and all others off; of one of materials, one thing
+    /// changed.
+    pub fn settings(&self, base: &Settings) -> Settings {
+        let mut settings = base.clone();
+        if let Kind::Materials(change) = self.kind {
+            change.apply(&mut settings.intrinsic);
+            return settings;
+        }
+        let g = &mut settings.geometry;
+        (g.depth_smooth, g.depth_variance) = (self.uses(Part::Depth), self.uses(Part::Depth));
+        g.normals = self.uses(Part::Normals);
+        g.semantics = self.uses(Part::Semantics);
+        g.correspondence = self.uses(Part::Correspondence);
+        settings
+    }
+
+    /// Why it would be the same as another variant: what the scene or the settings lack, as an end of a sentence.
+    ///
+    /// # Errors
+    /// If a prior cannot be read.
+    pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
+        let on = match self.kind {
+            Kind::Geometry(on) => on,
+            // Only where the scene has the full method's inputs does one less make a difference.
+            Kind::Without(_) => &FULL,
+            Kind::Materials(change) => return change.lacks(scene, settings),
+        };
+        let losses = &settings.geometry.losses;
+        if matches!(self.kind, Kind::Geometry([Part::Depth]) | Kind::Without([Part::Depth]))
+            && losses.depth_smooth + losses.depth_variance == 0.0
+        {
+            return Ok(Some("the losses of depth weigh nothing".to_owned()));
+        }
+        for part in on {
+            let there = match part {
+                Part::Normals => any(scene, |view| Ok(scene.normal_prior(view)?.is_some()))?,
+                Part::Semantics => {
+                    scene.text_embeddings()?.is_some() && any(scene, |view| Ok(scene.semantic_prior(view)?.is_some()))?
+                }
+                Part::Depth | Part::Correspondence => true,
+            };
+            if !there {
+                let folder = if *part == Part::Normals { "priors/normal" } else { "priors/semantic" };
+                return Ok(Some(format!("the scene has no {folder}")));
+            }
+            let (steps, from) = (settings.geometry.steps, settings.geometry.correspondence_from);
+            if *part == Part::Correspondence && from > steps {
+                return Ok(Some(format!("it begins at step {from} of {steps} (geometry.correspondence_from)")));
+            }
+        }
+        Ok(None)
+    }
+
+    /// As a row of a table.
+    pub fn entry(&self) -> Entry {
+        let order = ALL.iter().position(|v| v == self).unwrap_or(ALL.len());
+        Entry { order, name: self.name, about: self.about.to_owned(), run: self.run }
+    }
+}
+
+/// Whether something holds for a training view.
+pub(super) fn any(scene: &Scene, holds: impl Fn(usize) -> Result<bool>) -> Result<bool> {
+    for &view in &scene.split.train {
+        if holds(view)? {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_config::{MaterialStart, VisibilityKind};
+
+    #[test]
+    fn variants_of_geometry_differ_in_their_switches_alone() {
+        let base = Settings { seed: 5, ..Settings::default() };
+        let of = |variant: &Variant| {
+            let mut settings = variant.settings(&base);
+            let g = &mut settings.geometry;
+            assert_eq!(g.depth_smooth, g.depth_variance);
+            let switches = [g.depth_smooth, g.normals, g.semantics, g.correspondence];
+            (g.depth_smooth, g.depth_variance) = (true, true);
+            (g.normals, g.semantics, g.correspondence) = (true, true, true);
+            assert_eq!(settings, base, "{}", variant.name);
+            switches
+        };
+        for (count, variant) in Scope::Geometry.variants().iter().take(5).enumerate() {
+            assert_eq!(of(variant), [0, 1, 2, 3].map(|i| i < count), "{}", variant.name);
+        }
+        let named = |name: &str| ALL.iter().find(|v| v.name == name).unwrap();
+        assert_eq!(of(named("no_normal")), [true, false, true, true]);
+        assert_eq!(of(named("no_depth")), [false, true, true, true]);
+        assert_eq!(of(named("no_semantic")), [true, true, false, false]);
+        assert_eq!(of(named("no_correspondence")), [true, true, true, false]);
+    }
+
+    #[test]
+    fn variants_of_the_same_settings_share_their_runs() {
+        let base = Settings::default();
+        let variants = Scope::Geometry.variants();
+        for a in &variants {
+            for b in &variants {
+                let same_run = a.entry().folder(0) == b.entry().folder(0);
+                assert_eq!(a.settings(&base) == b.settings(&base), same_run, "{} and {}", a.name, b.name);
+            }
+        }
+    }
+
+    #[test]
+    fn variants_of_materials_differ_in_one_thing() {
+        let base = Settings { seed: 5, ..Settings::default() };
+        let of = |name: &str| {
+            let variant = ALL.iter().find(|v| v.name == name).unwrap();
+            let mut settings = variant.settings(&base);
+            assert_eq!(settings == base, name == "full", "{name}");
+            let changed = std::mem::replace(&mut settings.intrinsic, base.intrinsic.clone());
+            assert_eq!(settings, base, "{name}");
+            changed
+        };
+        assert_eq!(of("full"), base.intrinsic);
+        assert_eq!(of("gray_start").start, MaterialStart::Gray);
+        assert!(!of("no_lights").lights.enabled && !of("no_environment").environment.enabled);
+        assert_eq!(of("no_visibility").visibility.kind, VisibilityKind::None);
+        assert_eq!((of("no_cross_view").losses.cross_view, of("no_relight").losses.relight), (0.0, 0.0));
+        let l = of("no_priors").losses;
+        assert_eq!([l.albedo, l.roughness, l.metallic], [0.0; 3]);
+        // What cannot be together is not asked for.
+        let mut base = base.clone();
+        base.intrinsic.relight.provider = "ask me".into();
+        for variant in Scope::Materials.variants() {
+            variant.settings(&base).check().unwrap();
+        }
+    }
+
+    #[test]
+    fn names_are_checked_and_keep_their_order() {
+        let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let found = Variant::named(Scope::Geometry, &names(&["normal", "rgb"])).unwrap();
+        assert_eq!(found.iter().map(|v| v.name).collect::<Vec<_>>(), ["rgb", "normal"]);
+        assert_eq!(Variant::named(Scope::Geometry, &[]).unwrap(), ALL[..9]);
+        assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[9..]);
+        let whole = Variant::named(Scope::Whole, &[]).unwrap();
+        assert!(whole.len() == 17 && whole.iter().all(|v| v.name != "full"));
+        let error = Variant::named(Scope::Geometry, &names(&["magic"])).unwrap_err().to_string();
+        assert!(
+            error.starts_with(
+                "There is no variant \"magic\"; there are rgb, depth, normal, semantic, correspondence, no_normal"
+            ),
+            "{error}"
+        );
+        assert_eq!(found[1].entry().folder(3), "normal_seed3");
+    }
+}

@@ -1,0 +1,161 @@
+//! What the trainer needs of a stage.
+
+use crate::decision::Decision;
+use crate::divergence::RollBack;
+use crate::error::Result;
+use crate::idle::IdleLoss;
+use sgs_config::Settings;
+use sgs_engine::graph::Plan;
+use sgs_engine::graph::exec::PassTime;
+use sgs_passes::pipeline::DensifyStats;
+use sgs_run::{RunDirectory, RunLight, StageKind};
+use sgs_scene::{Camera, Image, Splats};
+use std::fmt;
+use std::path::Path;
+
+/// Figures of a finished step. `Display` prints the most important ones for people.
+pub trait StepFigures: fmt::Display {
+    /// The step, from 1 on.
+    fn step(&self) -> u32;
+
+    /// Loss of the image of the step.
+    fn loss(&self) -> f32;
+
+    /// Number of Gaussians.
+    fn gaussians(&self) -> u32;
+
+    /// The line of `log.jsonl`. `rates`: the factor of the rollbacks on learning rates.
+    ///
+    /// # Errors
+    /// If JSON cannot represent a value.
+    fn log_line(&self, rates: f64) -> serde_json::Result<String>;
+}
+
+/// What a stage reports while it trains.
+pub enum StageEvent<'a> {
+    /// A step is finished.
+    Step(&'a dyn StepFigures),
+    /// Gaussians were cloned, split and pruned after a step.
+    Densified {
+        /// The step.
+        step: u32,
+        /// The counts.
+        stats: &'a DensifyStats,
+    },
+    /// The model was changed by automatic selection.
+    Decision(&'a Decision),
+}
+
+/// A stage of training: a graph, its state, and how to save and restore it. [`crate::Trainer`] owns the loop.
+pub trait Stage: Send {
+    /// Which stage it is.
+    fn kind(&self) -> StageKind;
+
+    /// Number of finished steps.
+    fn step(&self) -> u32;
+
+    /// Number of steps in all.
+    fn steps(&self) -> u32;
+
+    /// Steps between checkpoints; 0 for one at the end.
+    fn checkpoint_interval(&self) -> u32;
+
+    /// The settings, with choices that training made by measurement.
+    fn settings(&self) -> &Settings;
+
+    /// Trains until `last` steps are finished or `proceed` returns false. Returns with no work in flight.
+    ///
+    /// # Errors
+    /// If the device fails or training diverges.
+    fn train(
+        &mut self,
+        last: u32,
+        events: &mut dyn FnMut(&StageEvent<'_>),
+        proceed: &mut dyn FnMut() -> bool,
+    ) -> Result<()>;
+
+    /// Writes a checkpoint.
+    ///
+    /// # Errors
+    /// If the file cannot be written; an earlier one stays whole.
+    fn save(&self, path: &Path) -> Result<()>;
+
+    /// Continues from a checkpoint.
+    ///
+    /// # Errors
+    /// If the file is damaged or belongs to other settings.
+    fn restore(&mut self, path: &Path) -> Result<()>;
+
+    /// Marks the current state as the rollback candidate unless another one waits for validation. Returns whether the current state is
+    /// the candidate.
+    fn set_candidate(&mut self) -> bool;
+
+    /// Returns whether the current state is the rollback candidate.
+    fn is_candidate(&self) -> bool;
+
+    /// Returns true once when training has gone well since the candidate.
+    fn validate_candidate(&mut self) -> bool;
+
+    /// Rollbacks so far.
+    fn roll_backs(&self) -> &[RollBack];
+
+    /// Records that this restored state replaces one that diverged at `step`, and halves learning rates. `before`: earlier rollbacks.
+    fn roll_back(&mut self, before: &[RollBack], step: u32);
+
+    /// Options of `sgs train` that lower the learning rates which most often make the stage diverge.
+    fn lower_rates(&self) -> String;
+
+    /// Decisions of automatic model selection.
+    fn decisions(&self) -> &[Decision];
+
+    /// Losses that have a weight and cannot run.
+    fn idle_losses(&self) -> &[IdleLoss];
+
+    /// Number of Gaussians.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn count(&self) -> Result<u32>;
+
+    /// Highest band of spherical harmonics, where the stage trains them.
+    fn sh_degree(&self) -> Option<u32>;
+
+    /// The Gaussians in the scene's unit.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn splats(&self) -> Result<Splats>;
+
+    /// All light of the current state, where the stage trains light.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn light(&self) -> Result<Option<RunLight>>;
+
+    /// Renders the current state as people see it, display-referred, one image per camera.
+    ///
+    /// # Errors
+    /// If the device fails or memory runs out.
+    fn preview(&self, cameras: &[&Camera]) -> Result<Vec<Image>>;
+
+    /// Writes the files of a trained stage into a run directory.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    fn write_results(&self, run: &RunDirectory) -> Result<()>;
+
+    /// Turns timestamps of passes on or off.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn set_timestamps(&mut self, on: bool) -> Result<()>;
+
+    /// Takes the times of passes since the last call.
+    fn take_times(&mut self) -> Vec<PassTime>;
+
+    /// The plan of a step.
+    ///
+    /// # Errors
+    /// If the plan has to be made again and memory runs out.
+    fn plan(&mut self) -> Result<&Plan>;
+}
