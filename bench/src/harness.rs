@@ -1,6 +1,6 @@
 //! One graph with its memory, replayed and timed: the bench of every stage that is measured on its own.
 
-use crate::commands::ceiling::Ceiling;
+use crate::ceiling::Ceiling;
 use crate::report::{PassRow, Report};
 use crate::stats::Summary;
 use sgs_engine::graph::exec::{ExecOptions, Executor, HostTimes, PassTime};

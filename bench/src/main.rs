@@ -5,6 +5,7 @@
 //!
 //! Exit status 0 done, 1 failed or worse than the baseline, 2 wrong usage.
 
+mod ceiling;
 mod commands;
 mod common;
 mod harness;

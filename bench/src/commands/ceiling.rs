@@ -1,29 +1,15 @@
 //! `engine-bench ceiling`: the most that the device does, measured on the device. Every share of other commands is a
 //! share of this.
 
+use crate::ceiling::Ceiling;
 use crate::common::Common;
 use crate::harness::{Rig, bytes};
 use crate::report::Report;
 use crate::stats::Summary;
-use serde::{Deserialize, Serialize};
 use sgs_engine::Device;
 use sgs_engine::graph::{Graph, GraphError};
-use sgs_passes::cost::Cost;
 use sgs_passes::kernel::{groups, stage};
 use sgs_shaders::{fill, fma_probe};
-
-/// What a device can do at best.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Ceiling {
-    /// Bytes read plus bytes written, in a second: the best of a large `vkCmdCopyBuffer` and a kernel that fills.
-    pub bytes_per_second: f64,
-    /// Single-precision operations in a second, a multiply-add counting two.
-    pub operations_per_second: f64,
-    /// Of the copy alone.
-    pub copy_bytes_per_second: f64,
-    /// Of the fill kernel alone.
-    pub fill_bytes_per_second: f64,
-}
 
 /// Invocations of a workgroup of the probes.
 const WORKGROUP: u32 = 256;
@@ -43,32 +29,23 @@ fn sizes(device: &Device) -> (u64, u32, u32) {
     (u64::min(bytes, device.info().max_storage_range / 256 * 256), invocations, rounds)
 }
 
-impl Ceiling {
-    /// Seconds that the device takes for a cost at best, and whether memory is what takes them.
-    pub fn bound(&self, cost: &Cost) -> (f64, bool) {
-        let memory = cost.bytes / self.bytes_per_second;
-        let arithmetic = cost.operations / self.operations_per_second;
-        (memory.max(arithmetic), memory >= arithmetic)
-    }
-
-    /// Measures it: the best of some repetitions, since nothing makes a device faster than it is.
-    ///
-    /// # Errors
-    /// If the device fails, or a probe's result is wrong.
-    pub fn measure(device: &Device) -> anyhow::Result<Ceiling> {
-        let (size, invocations, rounds) = sizes(device);
-        let (warmup, repeats) = (1, REPEATS);
-        let copy_bytes_per_second = 2.0 * size as f64 / copy(device, size, warmup, repeats)?.least;
-        let fill_bytes_per_second = size as f64 / fill_kernel(device, size, warmup, repeats / 4)?.least;
-        let operations = PROBE_OPERATIONS * f64::from(invocations) * f64::from(rounds);
-        let operations_per_second = operations / multiply_adds(device, invocations, rounds, warmup, repeats)?.least;
-        Ok(Ceiling {
-            bytes_per_second: copy_bytes_per_second.max(fill_bytes_per_second),
-            operations_per_second,
-            copy_bytes_per_second,
-            fill_bytes_per_second,
-        })
-    }
+/// Measures the ceiling of a device: the best of some repetitions, since nothing makes a device faster than it is.
+///
+/// # Errors
+/// If the device fails, or a probe's result is wrong.
+pub fn measure_ceiling(device: &Device) -> anyhow::Result<Ceiling> {
+    let (size, invocations, rounds) = sizes(device);
+    let (warmup, repeats) = (1, REPEATS);
+    let copy_bytes_per_second = 2.0 * size as f64 / copy(device, size, warmup, repeats)?.least;
+    let fill_bytes_per_second = size as f64 / fill_kernel(device, size, warmup, repeats / 4)?.least;
+    let operations = PROBE_OPERATIONS * f64::from(invocations) * f64::from(rounds);
+    let operations_per_second = operations / multiply_adds(device, invocations, rounds, warmup, repeats)?.least;
+    Ok(Ceiling {
+        bytes_per_second: copy_bytes_per_second.max(fill_bytes_per_second),
+        operations_per_second,
+        copy_bytes_per_second,
+        fill_bytes_per_second,
+    })
 }
 
 /// Seconds of the only pass of a graph: by the device's clock, or by the host's where the device has none.
@@ -151,7 +128,7 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     report.setting("probe invocations", invocations);
     report.setting("probe rounds", rounds);
     let (warmup, repeats) = (common.warmup, common.repeats);
-    let ceiling = Ceiling::measure(&device)?;
+    let ceiling = measure_ceiling(&device)?;
     report.ceiling = Some(ceiling);
     report.time("vkCmdCopyBuffer", "ms", copy(&device, size, warmup, repeats)?.scaled(1e3));
     report.time("fill kernel", "ms", fill_kernel(&device, size, warmup, repeats)?.scaled(1e3));
@@ -179,16 +156,4 @@ fn overheads(device: &Device, report: &mut Report, warmup: u32, repeats: u32) ->
     let one = dispatches(device, 1, false, warmup, repeats)?;
     report.fact("a submission and the wait for it, us", one / 1e3);
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_higher_bound_counts() {
-        let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
-        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9 }), (1.0, true));
-        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10 }), (3.0, false));
-    }
 }

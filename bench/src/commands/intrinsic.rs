@@ -1,6 +1,6 @@
 //! `engine-bench step --stage intrinsic`: a whole step of the intrinsic stage, pass by pass, through the trainer itself.
 
-use super::ceiling::Ceiling;
+use super::ceiling::measure_ceiling;
 use super::step::Args;
 use crate::common::Common;
 use crate::harness::{add_passes, spans};
@@ -21,7 +21,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;
-    let ceiling = Ceiling::measure(&common.open_device()?)?;
+    let ceiling = measure_ceiling(&common.open_device()?)?;
     report.ceiling = Some(ceiling);
     let of_run = |file: &str| a.run.as_ref().map(|run| run.join(file));
     let mut settings = plain(&lit_settings(a.config.clone().or(of_run("config.toml")).as_deref())?);

@@ -1,6 +1,6 @@
 //! `engine-bench passes`: single stages at stated sizes.
 
-use super::ceiling::Ceiling;
+use super::ceiling::measure_ceiling;
 use super::step::Args as StepArgs;
 use crate::common::{Common, parse_size};
 use crate::micro::{Context, STAGES};
@@ -49,7 +49,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("gaussians", room.gaussians);
     report.setting("size", format!("{}x{}", room.size[0], room.size[1]));
     report.setting("normals", a.normals);
-    let ceiling = Ceiling::measure(&device)?;
+    let ceiling = measure_ceiling(&device)?;
     report.ceiling = Some(ceiling);
     let workload = synthetic(&device, &room)?;
     let context = Context {

@@ -4,7 +4,7 @@
 //! irradiance and Fresnel's factor out of the sum over lights, lights behind the surface, lights that are off, and views' weights
 //! kept from step to step. And two that are not exact, at stated errors: faint lights left out, and pairs that teach the field.
 
-use super::ceiling::Ceiling;
+use super::ceiling::measure_ceiling;
 use super::step::Args as StepArgs;
 use crate::common::{Common, parse_size};
 use crate::harness::{Rig, bytes};
@@ -58,7 +58,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.setting("lights", model.lights);
     report.setting("lobes", model.lobes);
     report.setting("cull error", a.cull_error);
-    report.ceiling = Some(Ceiling::measure(&device)?);
+    report.ceiling = Some(measure_ceiling(&device)?);
     let lit = Lit::room(size, model);
     let bench = Bench { common, device: &device, tuning: Tuning::for_device(device.info()), lit: &lit, size, model };
     bench.first_layer(&mut report)?;

@@ -1,6 +1,7 @@
 //! `engine-bench step`: a whole training step and a whole render, pass by pass, and what they cost the host.
 
-use super::ceiling::Ceiling;
+use super::ceiling::measure_ceiling;
+use crate::ceiling::Ceiling;
 use crate::common::{Common, parse_size};
 use crate::harness::{add_passes, spans};
 use crate::micro::view::{Subject, overlap};
@@ -163,7 +164,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;
-    let ceiling = Ceiling::measure(&common.open_device()?)?;
+    let ceiling = measure_ceiling(&common.open_device()?)?;
     report.ceiling = Some(ceiling);
     let workload = a.workload(&device, &mut report)?;
 

@@ -16,7 +16,7 @@ mod traced;
 pub mod view;
 mod visibility;
 
-use crate::commands::ceiling::Ceiling;
+use crate::ceiling::Ceiling;
 use crate::report::Report;
 use crate::workload::Workload;
 use sgs_engine::Device;

@@ -4,7 +4,7 @@ pub mod compare;
 pub mod set;
 mod text;
 
-use crate::commands::ceiling::Ceiling;
+use crate::ceiling::Ceiling;
 use crate::stats::Summary;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -11,7 +11,7 @@ use super::pass::{Pass, PassKind, Use, writes};
 use super::pass_builder::PassBuilder;
 use super::plan::{self, CompileOptions, Plan};
 use super::ranges::RangeMap;
-use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, ImageState, Pair, Slice};
+use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Pair, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
 /// A declaration under way.
@@ -263,12 +263,6 @@ impl Graph {
         if let Some(pass) = self.open.replace(name.to_owned()) {
             self.errors.push(GraphError::Unfinished { graph: self.name.clone(), pass });
         }
-    }
-
-    /// What has been written of a buffer that nobody has touched, where that matters.
-    pub(super) fn fresh(&self, info: &BufferInfo) -> Option<RangeMap<bool>> {
-        let undefined = info.image.is_some_and(|image| image.entry == ImageState::Undefined);
-        (undefined || info.kind == BufferKind::Transient).then(|| RangeMap::new(info.bytes.max(1), false))
     }
 
     /// Takes a pass that has passed all checks.

@@ -58,9 +58,6 @@ pub enum GraphError {
         "Pass [{pass}] runs on {bytes} bytes at offset {offset} of buffer [{buffer}], but a condition is a 32-bit word."
     )]
     ConditionWord { pass: String, buffer: String, offset: u64, bytes: u64 },
-    /// A buffer that cannot be taken for another.
-    #[error("Buffer [{theirs}] of graph [{graph}] cannot be taken for [{ours}]: it {why}.")]
-    Join { graph: String, theirs: String, ours: String, why: &'static str },
     /// A buffer without bytes was declared.
     #[error("Buffer [{buffer}] is declared with 0 bytes, but a buffer needs at least 1.")]
     EmptyBuffer { buffer: String },

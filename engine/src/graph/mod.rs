@@ -21,7 +21,7 @@
 //! * An access is **read**, **write**, **read and write**, or **accumulate**: atomic additions whose results the kernel
 //!   does not look at. Accumulations into one buffer commute, so passes that only accumulate may share a group.
 //! * A pass may run on a **condition**, a word that earlier passes or the host write; it then promises nothing about what
-//!   it overwrites. Graphs built apart can be joined, and plans kept in a [`PlanCache`].
+//!   it overwrites.
 //! * A write is taken to leave some bytes as they were, so what was there before stays needed, unless the pass
 //!   **discards**: promises that it overwrites whatever anyone will read. Fills and copies always do.
 //! * An **image** is touched as a whole. It has one layout within a replay; an external one states the layouts in which
@@ -45,13 +45,11 @@
 //! * Equal declarations give equal plans, byte for byte.
 
 pub mod builder;
-pub mod cache;
 pub mod condition;
 pub mod dump;
 pub mod error;
 pub mod exec;
 pub mod image;
-pub mod join;
 pub mod pass;
 pub mod pass_builder;
 pub mod plan;
@@ -61,9 +59,7 @@ pub mod resource;
 mod tests;
 
 pub use builder::Graph;
-pub use cache::PlanCache;
 pub use error::GraphError;
-pub use join::Joined;
 pub use pass::{Dispatch, Pass, PassKind, Use};
 pub use pass_builder::PassBuilder;
 pub use plan::verify::{VerifyError, verify};

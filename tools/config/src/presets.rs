@@ -17,7 +17,7 @@ pub struct Preset {
 /// All of them.
 pub const PRESETS: [Preset; 4] = [
     Preset { name: "draft", about: "quick, on a processor", text: include_str!("presets/draft.toml") },
-    Preset { name: "balanced", about: "the defaults", text: "" },
+    Preset { name: "default", about: "the defaults", text: "" },
     Preset { name: "paper", about: "the paper's sizes and weights", text: include_str!("presets/paper.toml") },
     Preset { name: "parity", about: "those of the published code", text: include_str!("presets/parity.toml") },
 ];
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn each_preset_is_one() {
-        assert_eq!(of("balanced"), Settings::default());
+        assert_eq!(of("default"), Settings::default());
         let all = PRESETS.map(|p| of(p.name));
         for (i, a) in all.iter().enumerate() {
             assert!(all[..i].iter().all(|b| a != b), "{} is another one", PRESETS[i].name);
@@ -98,11 +98,11 @@ mod tests {
         let error = |name: &str| Preset::find(name).unwrap_err().to_string();
         assert_eq!(
             error("papr"),
-            "\"papr\" is not a preset; did you mean \"paper\"? there are draft, balanced, paper, parity."
+            "\"papr\" is not a preset; did you mean \"paper\"? there are draft, default, paper, parity."
         );
         assert_eq!(
             error("fast and good"),
-            "\"fast and good\" is not a preset; there are draft, balanced, paper, parity."
+            "\"fast and good\" is not a preset; there are draft, default, paper, parity."
         );
     }
 

@@ -1,6 +1,6 @@
 //! What a provider can do wrong, in one sentence each.
 
-use crate::array::Kind;
+use crate::kind::Kind;
 
 /// Why a provider gave no usable answer. Each message names the provider by its command, and what to do where that is
 /// not obvious.

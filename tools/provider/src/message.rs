@@ -3,8 +3,9 @@
 //! The object is the value of the key `sgs` in the file's metadata. A file that safetensors libraries write is a valid
 //! payload, so that no provider needs a codec of its own.
 
-use crate::array::{Array, Kind};
+use crate::array::Array;
 use crate::error::Nonsense;
+use crate::kind::Kind;
 use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
 use serde_json::Value;

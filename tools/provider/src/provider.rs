@@ -1,8 +1,9 @@
 //! A provider, and the questions it can be asked.
 
-use crate::array::{Array, Kind};
+use crate::array::Array;
 use crate::error::{Nonsense, ProviderError, Result};
 use crate::frame::framed;
+use crate::kind::Kind;
 use crate::message::Message;
 use crate::offer::{About, Offer};
 use crate::options::ProviderOptions;

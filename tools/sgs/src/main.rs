@@ -11,6 +11,7 @@ mod output;
 mod palette;
 mod pictures;
 mod report;
+mod scenes;
 mod ui;
 mod video;
 mod viewpoints;

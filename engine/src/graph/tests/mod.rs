@@ -5,7 +5,6 @@ mod builder_errors;
 mod condition;
 mod history;
 mod images;
-mod join;
 mod kernels;
 mod mutate;
 mod page;

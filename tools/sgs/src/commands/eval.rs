@@ -1,10 +1,11 @@
 //! `sgs eval`: metrics at the views of a split, and the pictures behind them.
 
-use super::train::{open_scene_of_run, validated};
+use super::train::validated;
 use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, head_of};
 use crate::common::Common;
 use crate::output;
+use crate::scenes::open_scene_of_run;
 use anyhow::bail;
 use sgs_config::Settings;
 use sgs_engine::Device;

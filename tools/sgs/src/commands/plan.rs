@@ -1,9 +1,10 @@
 //! `sgs plan`: what would be modeled, why, and what it costs.
 
 use super::plan_intrinsic::IntrinsicPlan;
-use super::train::{Options, Stage, check_start, open_scene, settings, warn_without_priors};
+use super::train::{Options, Stage, settings};
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
+use crate::scenes::{check_start, open_scene, warn_without_priors};
 use sgs_config::ShDegree;
 use sgs_engine::graph::{Plan, dump};
 use sgs_engine::{Budget, BudgetSource};

@@ -1,7 +1,8 @@
 //! `sgs pseudo`: the cameras of the pseudo-views, to be rendered and segmented outside.
 
-use super::train::{Options, open_scene, settings};
+use super::train::{Options, settings};
 use crate::common::Common;
+use crate::scenes::open_scene;
 use sgs_scene::Camera;
 use sgs_train::PseudoViews;
 use std::path::PathBuf;

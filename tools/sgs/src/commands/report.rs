@@ -1,11 +1,12 @@
 //! `sgs report`: a run as one self-contained page: images, figures, tables, curves, lights, times, settings.
 
 use super::eval::{Split, measure};
-use super::train::{open_scene_of_run, validated};
+use super::train::validated;
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::report::lamps::{self, Lamps};
 use crate::report::views;
+use crate::scenes::open_scene_of_run;
 use anyhow::{Context, bail};
 use serde_json::Value;
 use sgs_config::Settings;

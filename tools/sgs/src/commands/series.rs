@@ -4,11 +4,12 @@
 
 use super::eval::{Split, measure};
 use super::progress::Progress;
-use super::train::{Options, Stage, check_start, open_scene, settings, validated};
+use super::train::{Options, Stage, settings, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
 use crate::output;
+use crate::scenes::{check_start, open_scene};
 use crate::ui::Stop;
 use anyhow::bail;
 use sgs_config::Settings;

@@ -4,6 +4,7 @@ use super::progress::Progress;
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
 use crate::output::{self, Begin, Permission};
+use crate::scenes::{check_start, open_scene, warn_without_priors};
 use crate::ui::Stop;
 use crate::watch::{Port, Watch};
 use anyhow::bail;
@@ -12,8 +13,8 @@ use clap::{Arg, Command};
 use sgs_config::{Backward, PRESETS, Preset, Settings, accuracy_named, overlay};
 use sgs_engine::Device;
 use sgs_run::{RunDirectory, StageKind};
-use sgs_scene::{Scene, SplitRule};
-use sgs_train::{Framing, Outcome, StartGeometry, Trainer, TrainerOptions};
+use sgs_scene::SplitRule;
+use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -63,7 +64,7 @@ pub struct Options {
     /// within, many points are thinned, and only a start that does not fit is refused.
     #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_config::parse_bytes)]
     pub memory_budget: Option<u64>,
-    /// Settings to begin with: "draft" (quick, on a processor), "balanced" (the defaults), "paper" (the paper's sizes and
+    /// Settings to begin with: "draft" (quick, on a processor), "default", "paper" (the paper's sizes and
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
@@ -236,50 +237,6 @@ fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
         at = inner;
     }
     at.insert(last.to_owned(), parsed);
-    Ok(())
-}
-
-/// Opens the scene that the settings name, and says what the user should know.
-pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
-    let scene = Scene::open(&s.scene, &s.scene_options())?;
-    for warning in &scene.warnings {
-        tracing::warn!("{warning}");
-    }
-    Ok(scene)
-}
-
-/// Opens the scene of a run, which may have moved since.
-pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
-    if !s.scene.exists() {
-        let (run, scene) = (run.display(), s.scene.display());
-        bail!("the scene of \"{run}\" is no longer at \"{scene}\"; name its place with --scene DIR.");
-    }
-    open_scene(s)
-}
-
-/// Refuses a scene if no training view sees any of its points, and logs warnings about a bad start.
-pub fn check_start(scene: &Scene) -> anyhow::Result<()> {
-    let mut warnings = scene.start_warnings()?;
-    warnings.extend(Framing::of(scene).check(scene)?);
-    for warning in warnings {
-        tracing::warn!("{warning}");
-    }
-    Ok(())
-}
-
-/// Warns where nothing but photographs says what materials are.
-pub fn warn_without_priors(scene: &Scene) -> anyhow::Result<()> {
-    for &view in &scene.split.train {
-        let materials = scene.albedo_prior(view)?.is_some() || scene.roughness_prior(view)?.is_some();
-        if materials || scene.metallic_prior(view)?.is_some() || scene.normal_prior(view)?.is_some() {
-            return Ok(());
-        }
-    }
-    tracing::warn!(
-        "{} has no priors of normals or materials: photographs alone do not tell albedo from light; sgs priors makes priors \
-         (docs/PRIORS.md)",
-        scene.root.display()
-    );
     Ok(())
 }
 

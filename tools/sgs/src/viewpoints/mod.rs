@@ -3,8 +3,8 @@
 mod orbit;
 mod path;
 
-use crate::commands::train::open_scene;
 use crate::failure::{Kind, failure, refuse_usage};
+use crate::scenes::open_scene;
 use anyhow::bail;
 use glam::{DMat3, DVec3};
 use sgs_config::Settings;

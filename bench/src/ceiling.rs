@@ -1,0 +1,38 @@
+//! What a device can do at best, as it was measured (`engine-bench ceiling`).
+
+use serde::{Deserialize, Serialize};
+use sgs_passes::cost::Cost;
+
+/// What a device can do at best.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ceiling {
+    /// Bytes read plus bytes written, in a second: the best of a large `vkCmdCopyBuffer` and a kernel that fills.
+    pub bytes_per_second: f64,
+    /// Single-precision operations in a second, a multiply-add counting two.
+    pub operations_per_second: f64,
+    /// Of the copy alone.
+    pub copy_bytes_per_second: f64,
+    /// Of the fill kernel alone.
+    pub fill_bytes_per_second: f64,
+}
+
+impl Ceiling {
+    /// Seconds that the device takes for a cost at best, and whether memory is what takes them.
+    pub fn bound(&self, cost: &Cost) -> (f64, bool) {
+        let memory = cost.bytes / self.bytes_per_second;
+        let arithmetic = cost.operations / self.operations_per_second;
+        (memory.max(arithmetic), memory >= arithmetic)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_higher_bound_counts() {
+        let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9 }), (1.0, true));
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10 }), (3.0, false));
+    }
+}
