@@ -160,6 +160,10 @@ fn cycle(edges: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
 fn sources(src: &Path, root: &Path, folder: &Path, into: &mut Vec<Source>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
+        // Tests may look upwards.
+        if path.file_stem().is_some_and(|stem| stem == "tests") {
+            continue;
+        }
         if path.is_dir() {
             sources(src, root, &path, into);
         } else if path.extension().is_some_and(|e| e == "rs") && path != *root {

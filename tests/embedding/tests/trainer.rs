@@ -70,8 +70,11 @@ fn both_stages_give_the_bits_of_the_command_line() {
         let taken = sgs_trainer_open(context.0, &info, &mut other);
         context.refused(taken, SgsResult::SGS_ERROR_FILE, "directory");
         context.ok(sgs_destroy(context.0, trainer));
-        // It continues from the checkpoint after step 8.
+        // It continues from the checkpoint after step 8, with its own settings.
         info.resume = 1;
+        let twice = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(twice, SgsResult::SGS_ERROR_ARGUMENT, "settings must be null");
+        info.settings = null();
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
         context.ok(sgs_train_step(context.0, trainer, 0.0, &mut status));
         assert_eq!(status.step, 9);
@@ -81,12 +84,17 @@ fn both_stages_give_the_bits_of_the_command_line() {
         same("directory");
         assert_eq!(place.read("command/config.toml"), place.read("directory/config.toml"));
         // A finished run is left as it is, and not replaced.
+        let summary = place.read("directory/training.json");
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
-        assert_eq!(status.finished, 1);
+        assert_eq!((status.finished, status.step), (1, 12));
+        let export = text(&place.path("exported.ply"));
+        context.ok(sgs_trainer_export(context.0, trainer, export.as_ptr()));
+        assert!(place.read("exported.ply") == place.read("command/scene.ply"));
         context.ok(sgs_destroy(context.0, trainer));
         same("directory");
-        info.resume = 0;
+        assert_eq!(place.read("directory/training.json"), summary);
+        (info.resume, info.settings) = (0, settings.as_ptr());
         let there = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(there, SgsResult::SGS_ERROR_FILE, "holds a run");
         // In memory.
@@ -108,6 +116,14 @@ fn both_stages_give_the_bits_of_the_command_line() {
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
         context.ok(sgs_destroy(context.0, trainer));
         same("alone");
+        // A run's own geometry is not replaced by another one.
+        let replaced = text(&place.path("geometry"));
+        info.run = replaced.as_ptr();
+        let taken = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(taken, SgsResult::SGS_ERROR_FILE, "holds a run");
+        (info.run, info.stages) = (null(), both);
+        let given = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(given, SgsResult::SGS_ERROR_ARGUMENT, "trained and given at once");
         info.stages = 8;
         let unknown = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(unknown, SgsResult::SGS_ERROR_ARGUMENT, "SgsTrainerInfo.stages is 8");
@@ -141,6 +157,10 @@ fn divergence_is_rolled_back_as_by_the_command_line() {
             let result = sgs_train_step(context.0, trainer, 1e6, &mut status);
             assert_ne!(result, SgsResult::SGS_OK);
             assert!(context.error().contains(words), "{}", context.error());
+            assert_eq!(status.finished, 0);
         }
+        let saved = text(&place.path("saved"));
+        let result = sgs_trainer_save(context.0, trainer, saved.as_ptr());
+        context.refused(result, SgsResult::SGS_ERROR_ARGUMENT, "nothing to save");
     }
 }

@@ -64,13 +64,13 @@ fn stages(flags: u32) -> Outcome<Vec<StageKind>> {
 }
 
 /// Refuses a directory whose files a new run would destroy.
-fn check_new(run: &Path, stages: &[StageKind]) -> Outcome<()> {
+fn check_new(run: &Path, materials_only: bool) -> Outcome<()> {
     let name = run.display();
     match Contents::of(run) {
         Contents::Nothing => Ok(()),
         Contents::Run(there) if !there.is_trained() => Ok(()),
         // Materials on the geometry that the run holds.
-        Contents::Run(there) if stages == [StageKind::Intrinsic] && !there.materials => Ok(()),
+        Contents::Run(there) if materials_only && !there.materials => Ok(()),
         Contents::Run(_) => fail(
             SgsResult::SGS_ERROR_FILE,
             format!("\"{name}\" holds a run: set SgsTrainerInfo.resume, or name another directory."),
@@ -89,6 +89,10 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
         Some(run) if stages == [StageKind::Intrinsic] => RunDirectory::open(run).and_then(|run| run.settings()).ok(),
         _ => None,
     };
+    if request.resume && request.settings.is_some() {
+        let text = "SgsTrainerInfo.settings must be null where a run is resumed: it continues with its own settings.";
+        return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
+    }
     let mut settings = match (began, request.settings) {
         (Some(began), None) => began,
         (_, text) => settings(text, request.dataset)?,
@@ -98,10 +102,15 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
     let scene = Scene::open(&settings.scene, &settings.scene_options())?;
     let lock = match request.run {
         Some(run) => {
-            if !request.resume {
-                check_new(run, &stages)?;
-            }
-            Some(DirectoryLock::acquire(run)?)
+            let check = || match request.resume {
+                true => Ok(()),
+                false => check_new(run, stages == [StageKind::Intrinsic] && request.start.is_none()),
+            };
+            check()?;
+            let lock = DirectoryLock::acquire(run)?;
+            // Another training may have ended since.
+            check()?;
+            Some(lock)
         }
         None => None,
     };
@@ -117,7 +126,8 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
     Ok(TrainerObject { trainer, loss: 0.0, gaussians, _lock: lock })
 }
 
-/// Opens a dataset for training.
+/// Opens a dataset for training. With a run directory it locks the directory until the trainer is destroyed and, unless it resumes, removes
+/// what an unfinished training left there.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_open(
     context: *const SgsContext,
@@ -222,13 +232,6 @@ impl TrainerObject {
         Ok(result?)
     }
 
-    fn stage(&self) -> Outcome<&dyn Stage> {
-        match self.trainer.stage() {
-            Some(stage) => Ok(stage),
-            None => fail(SgsResult::SGS_ERROR_TRAINING, "The training has ended with an error."),
-        }
-    }
-
     fn status(&self) -> SgsTrainStatus {
         let stage = self.trainer.stage();
         SgsTrainStatus {
@@ -274,7 +277,7 @@ pub unsafe extern "C" fn sgs_trainer_export(
     unsafe {
         with(context, |inner| {
             let path = string(path, "path")?;
-            Ok(inner.trainer(trainer)?.stage()?.splats()?.write_ply(Path::new(&path))?)
+            Ok(inner.trainer(trainer)?.trainer.splats()?.write_ply(Path::new(&path))?)
         })
     }
 }
@@ -290,7 +293,7 @@ pub unsafe extern "C" fn sgs_trainer_scene(
     unsafe {
         with(context, |inner| {
             claim(scene)?;
-            let splats = inner.trainer(trainer)?.stage()?.splats()?;
+            let splats = inner.trainer(trainer)?.trainer.splats()?;
             let object = Thing::Scene(Arc::new(SceneObject::new(inner, &splats)?));
             hand_over(inner, scene, object)
         })

@@ -429,14 +429,15 @@ pub struct SgsRelitInfo {
 pub struct SgsTrainerInfo {
     /// sizeof(SgsTrainerInfo)
     pub struct_size: u32,
-    /// Not 0: continue the run in `run`. Settings that are null are then those of the run.
+    /// Not 0: continue the run in `run` with its settings.
     pub resume: u32,
     /// The scene directory.
     pub dataset: *const c_char,
-    /// Settings as TOML text, as in config.toml of a run; null for the defaults.
+    /// Settings as TOML text, as in config.toml of a run. Null for those of the run that is resumed or gets materials, else for the
+    /// defaults.
     pub settings: *const c_char,
     /// Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
-    /// divergence is then an error.
+    /// divergence is then an error. Steps since the last checkpoint are lost unless they are saved.
     pub run: *const c_char,
     /// Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
     pub start: *const c_char,

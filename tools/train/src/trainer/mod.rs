@@ -1,8 +1,9 @@
-//! The trainer: the one loop that all training goes through.
+//! The trainer: the one loop that all training of a scene goes through.
 //!
 //! A [`Stage`] knows its graph, its state and its schedule. The trainer owns what all stages share: which stage comes next, checkpoints,
-//! rollback after divergence, the log, resuming, stopping, and the files of a trained stage. The command line, the C interface, the
-//! benchmarks, ablations and robustness tables all call [`Trainer::run`].
+//! rollback after divergence, the log, resuming, stopping, and the files of a trained stage. The command line, the C interface,
+//! ablations, robustness tables and measures of quality in the benchmarks use it. Benchmarks that time single steps, and baking, which fits
+//! colors to images, drive a stage without it.
 //!
 //! Promises: the result depends on scene, settings and seed alone, not on pauses, stops, checkpoints or the caller.
 
@@ -37,7 +38,7 @@ pub struct TrainerOptions {
     /// The stages, in their order.
     pub stages: Vec<StageKind>,
     /// Run directory. Without one, training happens in memory: no checkpoints, and divergence is an error. The caller holds the
-    /// directory's lock ([`crate::DirectoryLock`]).
+    /// directory's lock ([`sgs_run::DirectoryLock`]).
     pub run: Option<PathBuf>,
     /// Continue what the run directory holds.
     pub resume: bool,
@@ -61,10 +62,13 @@ impl Default for TrainerOptions {
 }
 
 /// A stage that waits for its turn.
+#[derive(Clone, Copy)]
 struct Next {
     kind: StageKind,
     /// Whether it continues from a checkpoint.
     resume: bool,
+    /// Whether all its steps are finished: it is only read back.
+    complete: bool,
 }
 
 /// The stage that trains, or has trained last.
@@ -104,6 +108,12 @@ impl Trainer {
         // What was chosen for the scene belongs to the run: it is evaluated and resumed with the same exposure.
         settings.exposure = scene.exposure();
         settings.check()?;
+        if options.start.is_some() && options.stages.contains(&StageKind::Geometry) {
+            return Err(TrainError::Setting(
+                "Geometry cannot be trained and given at once; train the intrinsic stage alone, or give no geometry."
+                    .into(),
+            ));
+        }
         let resumed = match (&options.run, options.resume) {
             (Some(root), true) if root.join("config.toml").is_file() => Some(RunDirectory::open(root)?),
             _ => None,
@@ -113,14 +123,17 @@ impl Trainer {
         let wants_materials = options.stages.contains(&StageKind::Intrinsic);
         let mut next = VecDeque::new();
         for &kind in &options.stages {
+            let there = resumed.as_ref().is_some_and(|run| run.checkpoint(kind).is_file());
+            let complete = complete.contains(&kind);
             match kind {
                 // A run that has reached its second stage has finished its first.
-                StageKind::Geometry if wants_materials && (second || complete.contains(&kind)) => {}
+                StageKind::Geometry if wants_materials && (second || complete) => {}
+                _ if complete && !there => {}
                 StageKind::Geometry => {
                     resumed.as_ref().map_or(Ok(()), RunDirectory::check_without_materials)?;
-                    next.push_back(Next { kind, resume: resumed.is_some() });
+                    next.push_back(Next { kind, resume: resumed.is_some(), complete });
                 }
-                StageKind::Intrinsic => next.push_back(Next { kind, resume: second }),
+                StageKind::Intrinsic => next.push_back(Next { kind, resume: second, complete }),
             }
         }
         let trainer = Trainer {
@@ -179,20 +192,22 @@ impl Trainer {
 
     fn advance_once(&mut self, observer: &mut dyn Observer) -> Result<Option<Outcome>> {
         if self.active.as_ref().is_none_or(|active| active.finished) {
-            let Some(next) = self.next.pop_front() else { return Ok(Some(Outcome::Finished)) };
-            let kind = next.kind;
+            let Some(next) = self.next.front().copied() else { return Ok(Some(Outcome::Finished)) };
             if observer.should_stop() || !self.start(next, observer)? {
-                return Ok(Some(Outcome::Stopped { stage: kind, step: 0 }));
+                return Ok(Some(Outcome::Stopped { stage: next.kind, step: 0 }));
+            }
+            if self.active.as_ref().is_some_and(|active| active.finished) {
+                return Ok(self.next.is_empty().then_some(Outcome::Finished));
             }
         }
-        self.train(observer)?;
+        let stopped = self.train(observer)?;
         let Some(active) = &self.active else { return Ok(None) };
         let (kind, step) = (active.stage.kind(), active.stage.step());
-        if step == active.stage.steps() {
+        if step >= active.stage.steps() {
             self.finish(observer)?;
             return Ok(self.next.is_empty().then_some(Outcome::Finished));
         }
-        Ok(observer.should_stop().then_some(Outcome::Stopped { stage: kind, step }))
+        Ok(stopped.then_some(Outcome::Stopped { stage: kind, step }))
     }
 
     /// Makes the first stage ready, so that its state can be read before the first step.
@@ -200,34 +215,35 @@ impl Trainer {
     /// # Errors
     /// As [`Trainer::run`].
     pub fn prepare(&mut self, observer: &mut dyn Observer) -> Result<()> {
-        match self.next.pop_front().filter(|_| self.active.is_none()) {
-            Some(next) => {
-                let result = self.start(next, observer).map(|_| ());
-                self.failed = result.is_err();
-                result
-            }
-            None => Ok(()),
+        if self.failed || self.active.is_some() {
+            return Ok(());
         }
+        let Some(next) = self.next.front().copied() else { return Ok(()) };
+        let result = self.start(next, observer).map(|_| ());
+        self.failed = result.is_err();
+        result
     }
 
     /// Makes the next stage. Returns false if the observer stopped it before anything was written.
     fn start(&mut self, next: Next, observer: &mut dyn Observer) -> Result<bool> {
-        let Next { kind, resume } = next;
+        let Next { kind, resume, complete } = next;
         let mut shrunk = false;
         let mut stage: Box<dyn Stage> = match kind {
             StageKind::Geometry => self.build(kind, &self.settings)?,
             StageKind::Intrinsic => {
+                let both = self.trains_both();
                 let mut splats = self.take_geometry(resume)?;
                 let all = splats.len();
                 let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
                 // Only a training that made the geometry itself may leave Gaussians out.
-                let stage = match self.trains_both() && !resume {
-                    true => Intrinsic::within(device, scene, settings, &mut splats)?,
-                    false => Intrinsic::new(device, scene, settings, &splats)?,
+                let stage = match both && !resume {
+                    true => Intrinsic::within(device, scene, settings, &mut splats),
+                    false => Intrinsic::new(device, scene, settings, &splats),
                 };
                 shrunk = splats.len() < all;
+                // Geometry that was trained in memory stays even if the stage cannot start.
                 self.splats = Some(splats);
-                Box::new(stage)
+                Box::new(stage?)
             }
         };
         if observer.should_stop() {
@@ -236,6 +252,10 @@ impl Trainer {
         // A training that was refused or stopped until here leaves nothing behind.
         let record = match &self.options.run {
             None => None,
+            Some(root) if complete => {
+                stage.restore(&RunDirectory::open(root)?.checkpoint(kind))?;
+                None
+            }
             Some(root) => {
                 let run = RunDirectory::create(root)?;
                 let checkpoint = run.checkpoint(kind);
@@ -251,10 +271,16 @@ impl Trainer {
                         }
                     }
                 }
+                check_steps(&*stage, &checkpoint)?;
                 Some(Record::open(run, &*stage, self.rolls_back())?)
             }
         };
+        self.next.pop_front();
         let (step, steps) = (stage.step(), stage.steps());
+        if complete {
+            self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: true });
+            return Ok(true);
+        }
         observer.notify(&Event::Started { stage: kind, step, steps, idle: stage.idle_losses() });
         self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: false });
         Ok(true)
@@ -269,6 +295,7 @@ impl Trainer {
             (Some(StartGeometry::Splats(splats)), ..) if !resume => (**splats).clone(),
             (_, Some(root), _) => file(&root.join("scene.ply"))?,
             (_, None, Some(before)) => before.stage.splats()?,
+            (_, None, None) if self.splats.is_some() => self.splats.take().unwrap_or_default(),
             (_, None, None) => {
                 return Err(TrainError::Setting(
                     "The intrinsic stage requires geometry; train the geometry stage first, or name a file.".into(),
@@ -292,10 +319,19 @@ impl Trainer {
         self.options.run.is_some() && self.settings.train.on_divergence != OnDivergence::GoOn
     }
 
-    /// Trains the active stage until its next checkpoint, pause, stop or end.
-    fn train(&mut self, observer: &mut dyn Observer) -> Result<()> {
+    /// Trains the active stage until its next checkpoint, pause, stop or end. Returns whether the observer stopped it.
+    fn train(&mut self, observer: &mut dyn Observer) -> Result<bool> {
+        let began = Instant::now();
         let watched = self.rolls_back();
-        let Some(active) = &mut self.active else { return Ok(()) };
+        let stopped = self.train_once(watched, observer);
+        if let Some(active) = &mut self.active {
+            active.seconds += began.elapsed().as_secs_f64();
+        }
+        stopped
+    }
+
+    fn train_once(&mut self, watched: bool, observer: &mut dyn Observer) -> Result<bool> {
+        let Some(active) = &mut self.active else { return Ok(false) };
         let Active { stage, record, .. } = active;
         let (kind, steps) = (stage.kind(), stage.steps());
         let interval = match stage.checkpoint_interval() {
@@ -313,7 +349,7 @@ impl Trainer {
             }
         }
         let rates = stage.roll_backs().last().map_or(1.0, |r| r.rates);
-        let began = Instant::now();
+        let mut stopped = false;
         let result = {
             let observer = RefCell::new(&mut *observer);
             let mut events = |event: &StageEvent<'_>| {
@@ -328,26 +364,29 @@ impl Trainer {
             };
             let mut proceed = || {
                 let mut observer = observer.borrow_mut();
-                !observer.should_stop() && !observer.should_pause()
+                stopped = stopped || observer.should_stop();
+                !stopped && !observer.should_pause()
             };
             stage.train(last, &mut events, &mut proceed)
         };
-        active.seconds += began.elapsed().as_secs_f64();
         match result {
-            Err(error @ TrainError::Diverged { .. }) if watched => return self.recover(error, observer),
+            Err(error @ TrainError::Diverged { .. }) if watched => {
+                return self.recover(error, observer).map(|()| false);
+            }
             other => other?,
         }
         let step = stage.step();
         observer.paused(&**stage, step == steps);
-        let stopped = observer.should_stop();
-        let Some(record) = record else { return Ok(()) };
+        let Some(record) = record else { return Ok(stopped || observer.should_stop()) };
         // What was chosen by measurement belongs to the run.
-        record.run.write_settings(stage.settings())?;
+        record.write_settings(&**stage)?;
+        // Read once: whoever is told that training has stopped finds the checkpoint of that step.
+        let stopped = stopped || observer.should_stop();
         let regular = step > 0 && step.is_multiple_of(interval);
         if regular || step == steps || stopped {
             record.save(&mut **stage, watched, step.is_multiple_of(interval))?;
         }
-        Ok(())
+        Ok(stopped)
     }
 
     /// Continues a stage that has diverged from its last validated checkpoint with half the learning rates, as often as settings allow.
@@ -386,7 +425,7 @@ impl Trainer {
             steps,
             resumed_from: *first,
             seconds: *seconds,
-            steps_per_second: f64::from(steps - *first) / seconds.max(1e-9),
+            steps_per_second: f64::from(steps.saturating_sub(*first)) / seconds.max(1e-9),
             gaussians: geometry.then(|| stage.count()).transpose()?,
             peak_device_bytes: self.device.memory_use().1,
             device: self.device.info().name.clone(),
@@ -403,9 +442,21 @@ impl Trainer {
         Ok(())
     }
 
-    /// The stage that trains, or has trained last; none before the first step.
+    /// The stage that trains, or has trained last. None before [`Trainer::prepare`] and the first step, and after an error that ended it.
     pub fn stage(&self) -> Option<&dyn Stage> {
         self.active.as_ref().map(|active| &*active.stage)
+    }
+
+    /// The Gaussians of the stage, or the geometry for a stage that could not start.
+    ///
+    /// # Errors
+    /// If there are none, or the device fails.
+    pub fn splats(&self) -> Result<Splats> {
+        match (&self.active, &self.splats) {
+            (Some(active), _) => active.stage.splats(),
+            (None, Some(splats)) => Ok(splats.clone()),
+            (None, None) => Err(TrainError::Setting("The training holds no Gaussians.".into())),
+        }
     }
 
     /// The stages that have not started.
@@ -415,23 +466,45 @@ impl Trainer {
 
     /// Whether all stages are finished.
     pub fn is_finished(&self) -> bool {
-        self.next.is_empty() && self.active.as_ref().is_none_or(|active| active.finished)
+        !self.failed && self.next.is_empty() && self.active.as_ref().is_none_or(|active| active.finished)
     }
 
-    /// Writes settings, a checkpoint and the current state of the active stage into a run directory, which can be resumed.
+    /// Writes settings, a checkpoint and the current state of the active stage into a run directory, which can be resumed. Removes
+    /// files of later stages from another directory than the trainer's own.
     ///
     /// # Errors
-    /// If no stage has started, or a file cannot be written.
+    /// If no stage has started, the training has ended with an error, or a file cannot be written.
     pub fn save(&self, root: &Path) -> Result<()> {
-        let Some(active) = &self.active else {
-            return Err(TrainError::Setting("Nothing is trained yet: train a step before saving.".into()));
+        let Some(active) = self.active.as_ref().filter(|_| !self.failed) else {
+            let why = if self.failed { "The training has ended with an error" } else { "Nothing is trained yet" };
+            return Err(TrainError::Setting(format!("{why}; there is nothing to save.")));
         };
         let stage = &active.stage;
         let run = RunDirectory::create(root)?;
         run.write_settings(stage.settings())?;
         stage.save(&run.checkpoint(stage.kind()))?;
+        if self.options.run.as_deref() != Some(root) {
+            // Of an earlier run: resuming would take it for a part of this one.
+            sgs_run::remove(&run.path("training.json"))?;
+            run.forget_diverged()?;
+            if stage.kind() == StageKind::Geometry {
+                run.forget_intrinsic()?;
+            }
+        }
         stage.write_results(&run)
     }
+}
+
+/// Refuses a checkpoint from beyond the last step of the settings.
+fn check_steps(stage: &dyn Stage, checkpoint: &Path) -> Result<()> {
+    let (step, steps, kind) = (stage.step(), stage.steps(), stage.kind());
+    if step > steps {
+        return Err(TrainError::Setting(format!(
+            "\"{}\" is the state after step {step}, but {kind}.steps is {steps}; set {kind}.steps to {step} or more.",
+            checkpoint.display()
+        )));
+    }
+    Ok(())
 }
 
 fn no_geometry(path: &Path) -> TrainError {

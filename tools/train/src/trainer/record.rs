@@ -5,6 +5,7 @@ use crate::divergence::RollBack;
 use crate::error::{Result, TrainError};
 use crate::stage::{Stage, StageEvent};
 use serde_json::json;
+use sgs_config::Settings;
 use sgs_engine::graph::dump::{Track, html, trace};
 use sgs_run::{RollbackFiles, RunDirectory, StageKind};
 use std::fs::File;
@@ -19,6 +20,8 @@ pub(super) struct Record {
     pub run: RunDirectory,
     kind: StageKind,
     log: File,
+    /// The settings in the run's `config.toml`.
+    settings: Settings,
     /// The first failure to write the log. Training continues without it.
     log_error: Option<std::io::Error>,
     rollback: RollbackFiles,
@@ -39,7 +42,16 @@ impl Record {
         }
         run.forget_diverged()?;
         let log = run.open_log(kind, stage.step())?;
-        Ok(Record { run, kind, log, log_error: None, rollback })
+        Ok(Record { run, kind, log, settings: stage.settings().clone(), log_error: None, rollback })
+    }
+
+    /// Writes the settings of the stage if training has changed them.
+    pub fn write_settings(&mut self, stage: &dyn Stage) -> Result<()> {
+        if *stage.settings() != self.settings {
+            self.run.write_settings(stage.settings())?;
+            self.settings = stage.settings().clone();
+        }
+        Ok(())
     }
 
     /// The checkpoint.
