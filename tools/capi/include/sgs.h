@@ -443,14 +443,15 @@ typedef struct {
 typedef struct {
   // sizeof(SgsTrainerInfo)
   uint32_t struct_size;
-  // Not 0: continue the run in `run`. Settings that are null are then those of the run.
+  // Not 0: continue the run in `run` with its settings.
   uint32_t resume;
   // The scene directory.
   const char *dataset;
-  // Settings as TOML text, as in config.toml of a run; null for the defaults.
+  // Settings as TOML text, as in config.toml of a run. Null for those of the run that is resumed or gets materials, else for the
+  // defaults.
   const char *settings;
   // Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
-  // divergence is then an error.
+  // divergence is then an error. Steps since the last checkpoint are lost unless they are saved.
   const char *run;
   // Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
   const char *start;
@@ -686,8 +687,11 @@ SgsResult sgs_relight_render(const SgsContext *context,
                              float *pixels,
                              size_t count);
 
-// Opens a dataset for training.
-SgsResult sgs_trainer_open(const SgsContext *context, const SgsTrainerInfo *info, SgsTrainer *trainer);
+// Opens a dataset for training. With a run directory it locks the directory until the trainer is destroyed and, unless it resumes, removes
+// what an unfinished training left there.
+SgsResult sgs_trainer_open(const SgsContext *context,
+                           const SgsTrainerInfo *info,
+                           SgsTrainer *trainer);
 
 // Trains for a time, and at least one step unless all are done; returns with no work left on the device. `status` may be
 // null.
