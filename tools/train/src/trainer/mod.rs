@@ -438,6 +438,8 @@ impl Trainer {
             record.finish(&mut **stage, &summary)?;
         }
         active.finished = true;
+        // What was chosen by measurement belongs to the run, whatever comes after this stage.
+        self.settings.clone_from(active.stage.settings());
         observer.notify(&Event::Finished { stage: kind, summary: &summary });
         Ok(())
     }
