@@ -6,7 +6,7 @@ use crate::{Edit, edited_light_of};
 use sgs_run::{LightFile, Texels};
 use std::path::Path;
 
-/// What an edit makes of lights, and of surroundings of one color.
+/// Applies an edit to lights and to an environment map of one color.
 ///
 /// # Errors
 /// If it names what is not there.

@@ -96,7 +96,7 @@ pub trait Stage: Send {
     /// Returns true once when training has gone well since the candidate.
     fn validate_candidate(&mut self) -> bool;
 
-    /// Rollbacks so far.
+    /// Rollbacks after divergence.
     fn roll_backs(&self) -> &[RollBack];
 
     /// Records that this restored state replaces one that diverged at `step`, and halves learning rates. `before`: earlier rollbacks.

@@ -99,7 +99,7 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Prepares training. Touches neither the run directory nor, but for a check of the memory budget, the device.
+    /// Prepares training. Writes nothing. Uses the device only to check the memory budget.
     ///
     /// # Errors
     /// If settings are wrong, the run cannot be resumed, or the stages cannot fit into the memory budget.
@@ -277,12 +277,10 @@ impl Trainer {
         };
         self.next.pop_front();
         let (step, steps) = (stage.step(), stage.steps());
-        if complete {
-            self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: true });
-            return Ok(true);
+        if !complete {
+            observer.notify(&Event::Started { stage: kind, step, steps, idle: stage.idle_losses() });
         }
-        observer.notify(&Event::Started { stage: kind, step, steps, idle: stage.idle_losses() });
-        self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: false });
+        self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: complete });
         Ok(true)
     }
 
@@ -459,11 +457,6 @@ impl Trainer {
             (None, Some(splats)) => Ok(splats.clone()),
             (None, None) => Err(TrainError::Setting("The training holds no Gaussians.".into())),
         }
-    }
-
-    /// The stages that have not started.
-    pub fn waiting(&self) -> impl Iterator<Item = StageKind> {
-        self.next.iter().map(|next| next.kind)
     }
 
     /// Whether all stages are finished.

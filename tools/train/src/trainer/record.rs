@@ -12,7 +12,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 
-/// Every so many steps, and of the first and the last one, the log has a line.
+/// Steps between lines of the log. The first and the last step have lines, too.
 const LOG_INTERVAL: u32 = 10;
 
 /// The record of one stage in a run directory.
@@ -80,8 +80,8 @@ impl Record {
     /// Writes a checkpoint. `regular`: whether it is at one of its own steps, and not where somebody stopped the training; a result that
     /// depends on a rollback must not depend on stops.
     pub fn save(&self, stage: &mut dyn Stage, watched: bool, regular: bool) -> Result<()> {
-        if watched && stage.validate_candidate() {
-            self.rollback.validate()?;
+        if watched {
+            self.validate(stage)?;
         }
         let candidate = watched && regular && stage.set_candidate();
         stage.save(&self.checkpoint())?;
@@ -91,7 +91,7 @@ impl Record {
         Ok(())
     }
 
-    /// Takes over what a stage that has diverged knows of its candidate.
+    /// Validates the rollback candidate if training has gone well since.
     pub fn validate(&self, stage: &mut dyn Stage) -> Result<()> {
         if stage.validate_candidate() {
             self.rollback.validate()?;
