@@ -1,9 +1,9 @@
-//! What a device can do at best, as it was measured (`engine-bench ceiling`).
+//! Measured peak bandwidth and arithmetic rate of a device (`engine-bench ceiling`).
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::cost::Cost;
 
-/// What a device can do at best.
+/// Peak rates of a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ceiling {
     /// Bytes read plus bytes written, in a second: the best of a large `vkCmdCopyBuffer` and a kernel that fills.
@@ -17,7 +17,7 @@ pub struct Ceiling {
 }
 
 impl Ceiling {
-    /// Seconds that the device takes for a cost at best, and whether memory is what takes them.
+    /// Minimum seconds for a cost, and whether memory bandwidth bounds them.
     pub fn bound(&self, cost: &Cost) -> (f64, bool) {
         let memory = cost.bytes / self.bytes_per_second;
         let arithmetic = cost.operations / self.operations_per_second;

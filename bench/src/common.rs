@@ -38,7 +38,7 @@ pub struct Common {
 }
 
 impl Common {
-    /// Opens the device that was asked for.
+    /// Opens the requested device.
     pub fn open_device(&self) -> anyhow::Result<Device> {
         let options = DeviceOptions {
             select: self.device.clone(),
@@ -65,7 +65,7 @@ impl Common {
     /// Prints the report, writes it, and sets it against the baseline.
     ///
     /// # Errors
-    /// If a figure is not finite, a file cannot be read or written, validation had something to say, or something is worse.
+    /// If a figure is not finite, a file cannot be read or written, validation reported a message, or a figure is worse.
     pub fn finish(&self, report: &Report, device: &Device) -> anyhow::Result<()> {
         report.ensure_finite()?;
         let text = serde_json::to_string_pretty(report).context("The report cannot be written as JSON.")?;

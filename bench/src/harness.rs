@@ -1,4 +1,4 @@
-//! One graph with its memory, replayed and timed: the bench of every stage that is measured on its own.
+//! One graph with its memory, replayed and timed: the harness of every stage measured in isolation.
 
 use crate::ceiling::Ceiling;
 use crate::report::{PassRow, Report};
@@ -76,7 +76,7 @@ impl Rig {
         Ok((self.exec.take_times(), wall))
     }
 
-    /// What replaying has cost the host.
+    /// Host times of the replays.
     pub fn host_times(&self) -> HostTimes {
         self.exec.host_times()
     }
@@ -86,7 +86,7 @@ impl Rig {
         self.exec.plan()
     }
 
-    /// What an external buffer holds, as values.
+    /// Downloads an external buffer as values.
     ///
     /// # Errors
     /// If the device fails or the buffer is not external.

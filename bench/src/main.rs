@@ -1,7 +1,7 @@
-//! `engine-bench`: what a device takes for every pass, set against what that device can do at best.
+//! `engine-bench`: time of every pass on a device, against the measured ceiling of that device.
 //!
-//! Every command states device, driver, sizes, repeats, median and spread, and checks what it measures: a number never
-//! comes from a kernel with a wrong result. `--json` writes a report, `--compare` sets this run against one.
+//! Every command states device, driver, sizes, repeats, median and spread, and checks its results: no time is reported for a
+//! kernel with a wrong result. `--json` writes a report, `--compare` compares this run with one.
 //!
 //! Exit status 0 done, 1 failed or worse than the baseline, 2 wrong usage.
 
@@ -30,19 +30,19 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Single stages at stated sizes, each checked against its CPU twin.
+    /// Single stages at stated sizes, each checked against its CPU reference.
     Passes(commands::passes::Args),
     /// A whole training step and a whole render, pass by pass.
     Step(commands::step::Args),
     /// How time and memory grow with Gaussians and pixels.
     Scaling(commands::scaling::Args),
-    /// What every choice that trades accuracy for speed costs and saves, and which are worth it.
+    /// Cost and benefit of every choice that trades accuracy for speed, and the Pareto front.
     Tradeoff(commands::tradeoff::Args),
-    /// Table and drawing of a report of `tradeoff` that is there.
+    /// Table and drawing of an existing report of `tradeoff`.
     Front(commands::tradeoff::again::Args),
-    /// What each saving of the intrinsic stage is worth, against the same without it.
+    /// Time of each optimization of the intrinsic stage, with and without it.
     Savings(commands::savings::Args),
-    /// What the device can do at best: copies, arithmetic, dispatches, barriers.
+    /// Peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Put reports of one device into one file.
     Join(commands::results::Join),
@@ -50,7 +50,7 @@ enum Command {
     Table(commands::results::Table),
 }
 
-/// Ends quietly, with the status of a program that a closed pipe has ended, where nobody reads on.
+/// Exits quietly with the status of SIGPIPE if standard output is closed.
 fn heed_closed_pipes() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {

@@ -1,4 +1,4 @@
-//! What the process itself takes of the processor.
+//! CPU time of the process.
 
 /// Seconds of all threads, user and system, since the start; none where the system does not tell (`/proc` of Linux).
 pub fn cpu_seconds() -> Option<f64> {

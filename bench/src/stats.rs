@@ -1,8 +1,8 @@
-//! Robust statistics: a shared machine has outliers, so medians and not means.
+//! Robust statistics: medians instead of means, since a shared machine has outliers.
 
 use serde::{Deserialize, Serialize};
 
-/// What is kept of some samples.
+/// Statistics of some samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Median.

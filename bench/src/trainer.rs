@@ -1,5 +1,5 @@
-//! Training steps as the trainer submits them: schedule, replay, the report of two steps before. Nothing else, so that
-//! what is measured is the step.
+//! Training steps as the trainer submits them: schedule, replay, the report of two steps before. Nothing else runs, so that
+//! the measurement is of the step alone.
 
 use crate::process::cpu_seconds;
 use crate::workload::Workload;
@@ -33,7 +33,7 @@ pub struct Trainer<'w> {
     step: u32,
 }
 
-/// What some steps took.
+/// Times of some steps.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
     /// One a step.
@@ -145,9 +145,9 @@ impl<'w> Trainer<'w> {
             let begin = Instant::now();
             let before = self.exec.executor().host_times();
             self.submit(step)?;
-            // The trainer looks at a report as soon as it is sure to be there.
+            // The trainer reads a report as soon as it is guaranteed to be complete.
             let report = self.status.report(step - IN_FLIGHT)?;
-            let waited = self.exec.executor().host_times().waiting - before.waiting;
+            let waited = self.exec.executor().host_times().wait_time - before.wait_time;
             let wall = begin.elapsed();
             run.wall.push(wall.as_secs_f64() * 1e3);
             run.host.push(wall.saturating_sub(waited).as_secs_f64() * 1e3);
@@ -192,17 +192,17 @@ impl<'w> Trainer<'w> {
         Ok(false)
     }
 
-    /// Makes room for what the steps of a run wanted.
+    /// Grows the entry capacity to the largest requirement of a run.
     fn grow(&mut self, run: &Run) -> anyhow::Result<()> {
-        let wanted = run.reports.iter().map(|r| r.entries).max().unwrap_or(0);
+        let required = run.reports.iter().map(|r| r.entries).max().unwrap_or(0);
         // As training grows; the warm-up sees every view, so that no overflow spoils the measurement.
-        self.options.entry_capacity = wanted.saturating_add(wanted / 8);
+        self.options.entry_capacity = required.saturating_add(required / 8);
         self.rebuild()?;
         Ok(self.status.clear_flags(&self.device)?)
     }
 
-    /// Gradients of the loss in the first view by each parameter, by group, of Gaussians that are given; they are moved by one
-    /// step. Adam's first moments are a tenth of them.
+    /// Gradients of the loss in the first view by each parameter, by group, of the given Gaussians.
+    /// One step moves the Gaussians. Adam's first moments are a tenth of them.
     ///
     /// # Errors
     /// If the device fails, or the tile entries overflow again and again.
@@ -236,15 +236,16 @@ impl<'w> Trainer<'w> {
             self.exec.submit(&values)?;
             return Ok(());
         };
-        let look = Look {
+        let state = Look {
             sh_degree: values.sh_degree,
             background: values.background,
             largest: self.options.largest,
             entries: self.options.entry_capacity,
         };
         let (mut c, seed) = (locked(c)?, self.workload.settings.seed);
-        let pseudo = c.steps(&self.device, &self.gaussians, &look, seed, view, &mut values)?;
-        self.exec.submit_views(&values, &pseudo.context("Nobody says where regions are.")?)?;
+        let pseudo = c.steps(&self.device, &self.gaussians, &state, seed, view, &mut values)?;
+        self.exec
+            .submit_views(&values, &pseudo.context("The step has no pseudo-views: the workload has no regions.")?)?;
         Ok(())
     }
 
@@ -271,7 +272,7 @@ impl<'w> Trainer<'w> {
         self.exec.executor().plan().clone()
     }
 
-    /// What the step is made of.
+    /// Composition of the step.
     pub fn options(&self) -> &GeometryOptions {
         &self.options
     }

@@ -27,9 +27,9 @@ fn facts_of<'r>(report: &'r Value, prefix: &str) -> Vec<&'r Value> {
     all.filter(|f| f["name"].as_str().unwrap().starts_with(prefix)).map(|f| &f["value"]).collect()
 }
 
-/// Asserts that a report is shown as the run itself has shown it.
+/// Asserts that a report has the table and drawing that the run itself printed.
 #[track_caller]
-fn shown_again(report: &Value, table: &str, drawing: &str) {
+fn assert_shown_unchanged(report: &Value, table: &str, drawing: &str) {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let (file, own_table, own_drawing) = (path("report.json"), path("table.md"), path("drawing.svg"));
@@ -43,8 +43,8 @@ fn shown_again(report: &Value, table: &str, drawing: &str) {
     let out = bench(&["front", &file]);
     assert_eq!(String::from_utf8_lossy(&out.stdout), read(table));
     let out = bench(&["front", &file, "scene=nowhere"]);
-    let said = String::from_utf8_lossy(&out.stderr).into_owned();
-    assert!(out.status.code() == Some(1) && said.contains(&scene), "{said}");
+    let message = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(1) && message.contains(&scene), "{message}");
 }
 
 fn names(report: &Value) -> Vec<&str> {
@@ -96,14 +96,14 @@ fn a_step_is_measured_traced_and_compared() {
         let baseline = path("baseline.json");
         std::fs::write(&baseline, report.to_string()).unwrap();
         let out = bench(&[&step[..], &["--compare", &baseline]].concat());
-        let said = String::from_utf8_lossy(&out.stderr).into_owned();
-        assert_eq!(out.status.code(), Some(i32::from(slower)), "{said}");
-        assert_eq!(said.contains("SLOWER geometry_step/"), slower, "{said}");
+        let message = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert_eq!(out.status.code(), Some(i32::from(slower)), "{message}");
+        assert_eq!(message.contains("SLOWER geometry_step/"), slower, "{message}");
     }
 }
 
 #[test]
-fn what_cannot_be_done_is_said_in_a_sentence() {
+fn failures_are_reported_in_one_sentence() {
     let missing = Path::new(env!("CARGO_MANIFEST_DIR")).join("no such folder");
     for (arguments, code) in [
         (vec!["passes", "--filter", "no such stage"], 1),
@@ -112,9 +112,9 @@ fn what_cannot_be_done_is_said_in_a_sentence() {
         (vec!["ceiling", "--device", "no such device"], 1),
     ] {
         let out = bench(&arguments);
-        let said = String::from_utf8_lossy(&out.stderr);
-        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {said}");
-        assert!(!said.contains("panicked") && (code == 2 || said.lines().count() == 1), "{said}");
+        let message = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(!message.contains("panicked") && (code == 2 || message.lines().count() == 1), "{message}");
     }
 }
 
@@ -156,7 +156,7 @@ fn the_trade_between_time_and_accuracy_is_measured() {
     let report = succeeds(&[&all, &TINY[..]].concat());
     let read = |path: &str| std::fs::read_to_string(path).unwrap();
     assert!(read(&drawing).starts_with("<svg"));
-    shown_again(&report, &table, &drawing);
+    assert_shown_unchanged(&report, &table, &drawing);
     let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
     assert!(rows.len() >= 4 && rows[0].starts_with("| exact"), "{rows:?}");
     let value = |name: &str| {
@@ -164,7 +164,7 @@ fn the_trade_between_time_and_accuracy_is_measured() {
         row.unwrap_or_else(|| panic!("no \"{name}\""))["value"]["median"].as_f64().unwrap()
     };
     assert!(value("mean error, exact") < 1e-5);
-    // What is left out is seen in picture and gradient; exact ones are level with themselves.
+    // Approximations show in image and gradient errors; exact choices have no error.
     assert!(value("mean error, fast") > 10.0 * value("mean error, exact"));
     assert!(value("gradient error, fast") > 1e-3 && value("gradient error, exact") == 0.0);
     let fact =
@@ -185,7 +185,7 @@ fn the_trade_between_time_and_accuracy_is_measured() {
     let by_atomics = |r: &&mut Value| r["name"] == "gradient error, backward by atomics";
     let atomics = baseline["values"].as_array_mut().unwrap().iter_mut().find(by_atomics).unwrap();
     atomics["value"]["median"] = Value::from(1e-4);
-    for (name, factor, said) in
+    for (name, factor, expected) in
         [("step, ", 100.0, "nothing has grown"), ("mean error, fast", 0.5, "GROWN mean error, fast")]
     {
         let rows = baseline["values"].as_array_mut().unwrap().iter_mut();
@@ -195,13 +195,13 @@ fn the_trade_between_time_and_accuracy_is_measured() {
         std::fs::write(&file, baseline.to_string()).unwrap();
         let out = bench(&[&all, &TINY[..], &["--compare", &file]].concat());
         let text = String::from_utf8_lossy(&out.stderr).into_owned();
-        assert!(text.contains(said), "{text}");
-        assert_eq!(out.status.code(), Some(i32::from(said.starts_with("GROWN"))), "{text}");
+        assert!(text.contains(expected), "{text}");
+        assert_eq!(out.status.code(), Some(i32::from(expected.starts_with("GROWN"))), "{text}");
     }
 }
 
 #[test]
-fn what_a_trade_comes_to_is_measured_at_test_views() {
+fn tradeoff_quality_is_measured_at_test_views() {
     let folder = tempfile::tempdir().unwrap();
     let room = folder.path().join("room");
     let options = sgs_synth::SynthOptions { views: 4, width: 32, height: 24, ..Default::default() };
@@ -211,18 +211,18 @@ fn what_a_trade_comes_to_is_measured_at_test_views() {
     let report = succeeds(&[&what[..], &["--rounds", "1", "--train", "2", "--repeats", "1", "--warmup", "1"]].concat());
     let facts = report["facts"].as_array().unwrap();
     let fact = |name: &str| facts.iter().find(|f| f["name"] == name).map(|f| f["value"].as_f64().unwrap());
-    let (exact, fast) = ("pictures after training, exact, dB", "pictures after training, fast, dB");
+    let (exact, fast) = ("images after training, exact, dB", "images after training, fast, dB");
     assert!(fact(exact).unwrap() > 5.0 && fact(fast).unwrap() > 5.0 && fact(exact) != fact(fast));
     assert!((1.0..180.0).contains(&fact("normals after training, exact, degrees").unwrap()));
-    // Tiles of other sizes come to the same, and are asked for by a setting.
+    // Tiles of other sizes give the same result, and are requested by a setting.
     let text = std::fs::read_to_string(&table).unwrap();
     assert_eq!(text.matches("| `train.tile_rows=").count(), 2, "{text}");
     let name = |fact: &serde_json::Value| fact["name"].as_str().unwrap().to_owned();
-    let tiles: Vec<_> = facts.iter().filter(|f| name(f).starts_with("pictures after training, tiles of")).collect();
+    let tiles: Vec<_> = facts.iter().filter(|f| name(f).starts_with("images after training, tiles of")).collect();
     let same = |f: &&serde_json::Value| (f["value"].as_f64().unwrap() - fact(exact).unwrap()).abs() < 0.2;
     assert!(tiles.len() == 2 && tiles.iter().all(same), "{text}");
     // With classes there are features, which have a choice of their own: what it costs is seen in their gradient
-    // and in the picture, which has them as channels.
+    // and in the image, which has them as channels.
     let what = ["tradeoff", "--scene", &room, "--semantics", "--filter", "features", "--rounds", "1", "--train", "2"];
     let report = succeeds(&[&what[..], &["--repeats", "1", "--warmup", "1"]].concat());
     let values = report["values"].as_array().unwrap();
@@ -231,11 +231,11 @@ fn what_a_trade_comes_to_is_measured_at_test_views() {
     assert!(own > 1e-6 && own < 1e-2, "{own}");
     assert!(value("mean error, features in 16 bits") > value("mean error, exact"));
     let refused = bench(&["tradeoff", "--stage", "intrinsic", "--scene", &room, "--semantics"]);
-    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(refused.status.code() == Some(1) && said.contains("--semantics is for --stage geometry"), "{said}");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(1) && message.contains("--semantics is for --stage geometry"), "{message}");
     let refused = bench(&["tradeoff", "--quality", "2"]);
-    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(refused.status.code() == Some(1) && said.contains("--quality needs --scene"), "{said}");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(1) && message.contains("--quality needs --scene"), "{message}");
 }
 
 #[test]
@@ -252,7 +252,7 @@ fn the_trade_of_materials_and_lights_is_measured() {
     let report = succeeds(&[&what[..], &how].concat());
     let read = |path: &str| std::fs::read_to_string(path).unwrap();
     assert!(read(&drawing).contains("error of gradients"));
-    shown_again(&report, &table, &drawing);
+    assert_shown_unchanged(&report, &table, &drawing);
     let rows: Vec<String> = read(&table).lines().skip(2).map(str::to_owned).collect();
     assert!(
         rows.len() == 2 && rows[0].starts_with("| exact") && rows[1].starts_with("| fast, culled, half size"),
@@ -297,7 +297,7 @@ fn choices_of_every_kind_of_materials_and_lights_are_measured() {
     // Another model has measures of a training, and no gradients to go by.
     let models = succeeds(&[&how[..], &["--filter", "fewer lights", "--quality", "3"]].concat());
     for (name, ranked) in [("exact", true), ("fewer lights", false)] {
-        for what in ["shaded pictures", "albedo"] {
+        for what in ["shaded images", "albedo"] {
             let db = fact(&models, &format!("{what} after training, {name}, dB")).unwrap();
             assert!(db.as_f64().unwrap() > 1.0, "{what}, {name}: {db}");
         }
@@ -313,21 +313,21 @@ fn choices_of_every_kind_of_materials_and_lights_are_measured() {
         "{settings}"
     );
 
-    // Of surroundings that move seldom a step says nothing, and has no gradient of them; pairs that are left out are seen. Against
-    // other choices nothing is said of how they stand.
+    // With a rarely updated environment map a single step has no standing and no gradient of it; a sample of pairs shows in
+    // the error. Standings against other sets of choices are not compared.
     std::fs::write(&baseline, models.to_string()).unwrap();
-    let seldom = ["--filter", "4", "--json", "--validate", "--compare", &baseline, "--tolerance", "1000"];
-    let out = bench(&[&how[..], &seldom].concat());
-    let said = String::from_utf8_lossy(&out.stderr).into_owned();
-    assert!(out.status.success() && said.contains("how they stand among each other is not compared"), "{said}");
+    let arguments = ["--filter", "4", "--json", "--validate", "--compare", &baseline, "--tolerance", "1000"];
+    let out = bench(&[&how[..], &arguments].concat());
+    let message = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.success() && message.contains("how they stand among each other is not compared"), "{message}");
     let report: Value = serde_json::from_slice(&out.stdout).unwrap();
-    assert_eq!(fact(&report, "standing, surroundings every 4"), None);
-    assert_eq!(fact(&report, "not in the gradient error, surroundings every 4"), Some("environment".into()));
+    assert_eq!(fact(&report, "standing, environment every 4"), None);
+    assert_eq!(fact(&report, "not in the gradient error, environment every 4"), Some("environment".into()));
     assert_eq!(fact(&report, "not in the gradient error, one pair of 4"), None);
     assert!(fact(&report, "standing, one pair of 4").is_some_and(|s| s.is_string()));
     assert!(number(&report, "gradient error of the field, one pair of 4").unwrap() > 1e-2);
     let text = std::fs::read_to_string(&table).unwrap();
-    assert!(text.lines().any(|l| l.starts_with("| surroundings every 4 |") && l.contains(", without environment |")));
+    assert!(text.lines().any(|l| l.starts_with("| environment every 4 |") && l.contains(", without environment |")));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What can go wrong below the graph: each error names the call or the thing, and the figures.
+//! Engine errors below the graph. Each names the call or resource, and the values.
 
 use ash::vk;
 
@@ -9,207 +9,207 @@ pub enum Error {
     #[error("The Vulkan loader could not be opened ({0}); install it (libvulkan1 on Debian) together with a driver.")]
     Loader(String),
     /// No device matches.
-    #[error("No Vulkan device matches \"{wanted}\"; found: {found}.")]
+    #[error("No Vulkan device matches \"{requested}\"; found: {found}.")]
     NoDevice {
-        /// What was asked for.
-        wanted: String,
-        /// Names of those there are.
+        /// Requested index or name.
+        requested: String,
+        /// Names of the available devices.
         found: String,
     },
     /// A device lacks required features.
     #[error("Device \"{device}\" lacks {}.", missing.join(", "))]
     MissingFeatures {
-        /// Its name.
+        /// Name of the device.
         device: String,
-        /// What is missing, by name.
+        /// Names of the missing features.
         missing: Vec<String>,
     },
-    /// A pass requests a subgroup size that the device does not run.
+    /// A pass requests a subgroup size that the device does not support.
     #[error("Kernel \"{kernel}\" requests {size} lanes a subgroup, but the device runs {low} to {high}.")]
     SubgroupSize {
-        /// The kernel.
+        /// Name of the kernel.
         kernel: String,
-        /// Lanes that it requests.
+        /// Requested subgroup size.
         size: u32,
-        /// Fewest lanes of the device.
+        /// Smallest subgroup size of the device.
         low: u32,
-        /// Most lanes of the device.
+        /// Largest subgroup size of the device.
         high: u32,
     },
-    /// A layer was asked for that is not installed.
+    /// Validation is requested but the layer is not installed.
     #[error("The validation layer is not installed (vulkan-validationlayers on Debian).")]
     NoValidation,
     /// A Vulkan call failed.
     #[error("{call} failed for \"{what}\": {result}.")]
     Vulkan {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// The object or pass concerned.
+        /// Object or pass of the call.
         what: String,
-        /// Its result.
+        /// Result code.
         result: vk::Result,
     },
     /// Memory ran out.
     #[error("{bytes} bytes for \"{what}\" could not be allocated: {reason}.")]
     OutOfMemory {
-        /// The buffer.
+        /// Name of the buffer.
         what: String,
-        /// Its size.
+        /// Size in bytes.
         bytes: u64,
-        /// The allocator's words.
+        /// Message of the allocator.
         reason: String,
     },
-    /// The memory budget does not allow it.
+    /// The memory budget is exceeded.
     #[error("{bytes} bytes for \"{what}\" exceed the memory budget: {used} of {budget} bytes are in use.")]
     OverBudget {
-        /// The buffer or image.
+        /// Buffer or image.
         what: String,
-        /// Its size.
+        /// Size in bytes.
         bytes: u64,
         /// Bytes in use.
         used: u64,
-        /// Bytes that may be.
+        /// Budget in bytes.
         budget: u64,
     },
-    /// A buffer exceeds what one binding may cover.
+    /// A buffer exceeds the largest storage binding.
     #[error("Buffer \"{what}\" needs {bytes} bytes, but one storage binding covers at most {limit} on this device.")]
     BindingTooLarge {
-        /// The buffer.
+        /// Name of the buffer.
         what: String,
-        /// Its size.
+        /// Size in bytes.
         bytes: u64,
-        /// The device's limit.
+        /// Limit of the device in bytes.
         limit: u64,
     },
-    /// A buffer exceeds what the device allows for one.
+    /// A buffer exceeds the largest buffer of the device.
     #[error("Buffer \"{what}\" needs {bytes} bytes, but {device} allows {limit} in one buffer.")]
     BufferTooLarge {
-        /// The buffer.
+        /// Name of the buffer.
         what: String,
-        /// Its size.
+        /// Size in bytes.
         bytes: u64,
-        /// The device's limit.
+        /// Limit of the device in bytes.
         limit: u64,
-        /// The device.
+        /// Name of the device.
         device: String,
     },
-    /// A kernel binds more storage buffers than the device allows.
+    /// A kernel binds more storage buffers than the device supports.
     #[error("Pass \"{pass}\" binds {count} storage buffers, but {device} allows {limit} in one kernel.")]
     TooManyBuffers {
-        /// The pass.
+        /// Name of the pass.
         pass: String,
-        /// How many it binds.
+        /// Number of storage buffers.
         count: u32,
-        /// The device's limit.
+        /// Limit of the device.
         limit: u32,
-        /// The device.
+        /// Name of the device.
         device: String,
     },
-    /// An image of a size that the device does not have.
+    /// The device does not support the image size.
     #[error("Image \"{what}\" would be {} x {} texels, but a side has 1 to {limit} on this device.", size[0], size[1])]
     ImageSize {
-        /// The image.
+        /// Name of the image.
         what: String,
         /// Width and height.
         size: [u32; 2],
-        /// The device's limit.
+        /// Limit of the device in texels.
         limit: u32,
     },
-    /// Texels that do not fill an image.
-    #[error("Image \"{image}\" is given {given} bytes, but its texels take {expected}.")]
+    /// The number of bytes differs from the image's.
+    #[error("Image \"{image}\" receives {provided} bytes, but its texels take {expected}.")]
     ImageBytes {
-        /// The image.
+        /// Name of the image.
         image: String,
-        /// Bytes given.
-        given: u64,
+        /// Provided bytes.
+        provided: u64,
         /// Bytes of the packed image.
         expected: u64,
     },
-    /// An image bound as a storage image that cannot be one.
+    /// A kernel binds an image whose format does not support storage.
     #[error("Image \"{image}\" of format {format} cannot be read or written by kernels on this device.")]
     NotStorageImage {
-        /// The image.
+        /// Name of the image.
         image: String,
-        /// Its format.
+        /// Format of the image.
         format: crate::ImageFormat,
     },
-    /// An image that is not what the plan declares.
-    #[error("Image \"{image}\" is declared as {declared}, but {given} is bound.")]
+    /// The bound image differs from the plan's declaration.
+    #[error("Image \"{image}\" is declared as {declared}, but {bound} is bound.")]
     WrongImage {
-        /// The image of the plan.
+        /// Name of the image in the plan.
         image: String,
-        /// What was given.
-        given: String,
-        /// Size and format as declared.
+        /// Size and format of the bound image.
+        bound: String,
+        /// Declared size and format.
         declared: String,
     },
-    /// The device is gone.
+    /// The device was lost.
     #[error("The device was lost in {0}.")]
     DeviceLost(String),
-    /// The GPU did not answer in time.
+    /// A wait reached its time limit.
     #[error("Work submitted as \"{what}\" did not finish within {} s{}.", limit.as_secs_f64(), unfinished(pass))]
     Timeout {
-        /// What was waited for.
+        /// Name of the awaited work.
         what: String,
-        /// How long.
+        /// Time limit.
         limit: std::time::Duration,
-        /// The first pass that has not ended, where timestamps tell.
+        /// First unfinished pass, if timestamps are available.
         pass: Option<String>,
     },
     /// A plan's external buffer has no memory bound to it.
     #[error("Buffer \"{buffer}\" of plan \"{plan}\" is not bound to any memory.")]
     Unbound {
-        /// The buffer.
+        /// Name of the buffer.
         buffer: String,
-        /// The plan.
+        /// Name of the plan.
         plan: String,
     },
-    /// A range lies outside a buffer.
+    /// A range exceeds a buffer.
     #[error("Bytes {offset}..{end} lie outside buffer \"{buffer}\" of {bytes} bytes.")]
     OutOfRange {
-        /// The buffer.
+        /// Name of the buffer.
         buffer: String,
         /// First byte.
         offset: u64,
-        /// One past the last.
+        /// Byte after the last.
         end: u64,
-        /// The buffer's size.
+        /// Size of the buffer in bytes.
         bytes: u64,
     },
-    /// The buffer cannot be read or written by the host.
+    /// The host cannot read or write the buffer.
     #[error("Buffer \"{0}\" is not visible to the host.")]
     NotHostVisible(String),
-    /// A window cannot be shown in.
-    #[error("Nothing can be shown in this window: {0}.")]
+    /// A window cannot be presented to.
+    #[error("The window cannot be presented to: {0}.")]
     Window(String),
-    /// What a host says of its device cannot be.
+    /// The description of a host's device is invalid.
     #[error("The host's device cannot be used: {0}.")]
     Host(String),
-    /// Something was to be submitted on a device whose host does all the submitting.
-    #[error("\"{0}\" must be submitted, but the host gave no queue.")]
+    /// A submission is requested on a host's device without a queue.
+    #[error("\"{0}\" cannot be submitted: the host provided no queue.")]
     NoQueue(String),
-    /// Every slot that the host may record from is still in use.
-    #[error("Plan \"{plan}\" is recorded {slots} times and none is released, so it cannot be recorded again yet.")]
-    SlotsHeld {
-        /// The plan.
+    /// Every host recording slot is in use.
+    #[error("Plan \"{plan}\" cannot be recorded: all {slots} recordings are in use; report one as done first.")]
+    SlotsInUse {
+        /// Name of the plan.
         plan: String,
-        /// How many slots there are.
+        /// Number of slots.
         slots: usize,
     },
-    /// An extension is needed that the device lacks, or that the host did not enable.
+    /// A required extension is missing or was not enabled by the host.
     #[error("{what} needs {extension}, which is not enabled on device \"{device}\".")]
     MissingExtension {
-        /// What for.
+        /// Operation that needs it.
         what: String,
-        /// The extension.
+        /// Name of the extension.
         extension: &'static str,
-        /// The device.
+        /// Name of the device.
         device: String,
     },
-    /// Memory that was not made to be shared cannot be exported.
+    /// Memory is exported that was not created for sharing.
     #[error("\"{0}\" was not made to be shared, so its memory cannot be exported.")]
     NotShared(String),
-    /// The graph is wrong.
+    /// The graph is invalid.
     #[error(transparent)]
     Graph(#[from] crate::graph::GraphError),
 }
@@ -219,7 +219,7 @@ fn unfinished(pass: &Option<String>) -> String {
 }
 
 impl Error {
-    /// Whether memory, of the device, of the host or of the budget, did not suffice.
+    /// Returns whether device memory, host memory or the budget was exhausted.
     pub fn is_out_of_memory(&self) -> bool {
         match self {
             Error::OutOfMemory { .. } | Error::OverBudget { .. } => true,
@@ -231,10 +231,10 @@ impl Error {
     }
 }
 
-/// Result with the engine's error.
+/// Result with [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Names the failed call and what it was for.
+/// Converts a Vulkan result into an error that names the call and its object.
 pub(crate) trait Check<T> {
     fn check(self, call: &'static str, what: &str) -> Result<T>;
 }

@@ -1,12 +1,11 @@
-//! Texel formats of images, in names of our own.
+//! Texel formats of images.
 //!
-//! Only data: what a texel is and how many bytes it has. What a device can do with a format is asked of the device
-//! ([`crate::DeviceInfo::storage_formats`]).
+//! Pure data: components and size of a texel. Device support is in [`crate::DeviceInfo::storage_formats`].
 
 use ash::vk;
 use std::fmt;
 
-/// What a texel of an image is.
+/// Texel format of an image.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -15,13 +14,13 @@ pub enum ImageFormat {
     R32Float,
     /// One 32-bit unsigned integer.
     R32Uint,
-    /// Red, green, blue, alpha; a byte each stands for 0 to 1.
+    /// Red, green, blue, alpha; 8 bits each, normalized to [0, 1].
     Rgba8Unorm,
-    /// As [`ImageFormat::Rgba8Unorm`] with blue first in memory: what windows like to show.
+    /// Like [`ImageFormat::Rgba8Unorm`] with blue first in memory; the usual format of windows.
     Bgra8Unorm,
-    /// Red, green, blue in the sRGB encoding, linear alpha, a byte each.
+    /// Red, green, blue in the sRGB encoding, linear alpha; 8 bits each.
     Rgba8Srgb,
-    /// As [`ImageFormat::Rgba8Srgb`] with blue first in memory.
+    /// Like [`ImageFormat::Rgba8Srgb`] with blue first in memory.
     Bgra8Srgb,
     /// Four 16-bit floats.
     Rgba16Float,
@@ -30,8 +29,8 @@ pub enum ImageFormat {
 }
 
 impl ImageFormat {
-    /// Every format.
-    pub const EACH: [ImageFormat; 8] = [
+    /// All formats.
+    pub const ALL: [ImageFormat; 8] = [
         ImageFormat::R32Float,
         ImageFormat::R32Uint,
         ImageFormat::Rgba8Unorm,
@@ -42,7 +41,7 @@ impl ImageFormat {
         ImageFormat::Rgba32Float,
     ];
 
-    /// Bytes of a texel in a tightly packed buffer.
+    /// Returns the size of a packed texel in bytes.
     pub fn texel_bytes(self) -> u64 {
         match self {
             ImageFormat::R32Float
@@ -56,12 +55,12 @@ impl ImageFormat {
         }
     }
 
-    /// Bytes of a tightly packed image: rows from the top, texels from the left, nothing in between.
+    /// Returns the size of a tightly packed image in bytes. Rows start at the top, texels at the left.
     pub fn packed_bytes(self, [width, height]: [u32; 2]) -> u64 {
         u64::from(width) * u64::from(height) * self.texel_bytes()
     }
 
-    /// Vulkan's name for it.
+    /// Returns the Vulkan format.
     pub(crate) fn raw(self) -> vk::Format {
         match self {
             ImageFormat::R32Float => vk::Format::R32_SFLOAT,
@@ -96,11 +95,11 @@ mod tests {
     use super::ImageFormat;
 
     #[test]
-    fn sizes_are_those_of_the_components() {
-        let bytes = ImageFormat::EACH.map(ImageFormat::texel_bytes);
+    fn texel_bytes_match_components() {
+        let bytes = ImageFormat::ALL.map(ImageFormat::texel_bytes);
         assert_eq!(bytes, [4, 4, 4, 4, 4, 4, 8, 16]);
         assert_eq!(ImageFormat::Rgba16Float.packed_bytes([3, 5]), 120);
-        // No overflow at sizes that no device has.
+        // No overflow at sizes above any device limit.
         assert_eq!(ImageFormat::R32Uint.packed_bytes([u32::MAX, 2]), 34_359_738_360);
     }
 }

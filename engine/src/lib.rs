@@ -1,7 +1,7 @@
-//! Vulkan, and nothing else: devices, memory, kernels, graphs, time. Never Gaussians.
+//! Vulkan layer of SGS: devices, memory, kernels, frame graphs and timing. It knows nothing of Gaussians.
 //!
-//! A [`Device`] is opened, a [`graph::Graph`] is built from passes that name kernels, compiled to a pure-data
-//! [`graph::Plan`], and replayed by an [`graph::exec::Executor`]. `unsafe` lives in this crate alone.
+//! Open a [`Device`], build a [`graph::Graph`] from passes that run kernels, compile it to a pure-data
+//! [`graph::Plan`], and replay that with a [`graph::exec::Executor`]. `unsafe` code is confined to this crate.
 
 pub mod device;
 mod error;
@@ -12,7 +12,9 @@ pub mod shader;
 
 /// Vulkan's own types, for hosts that hand over handles.
 pub use ash::vk;
-pub use device::{Device, DeviceInfo, DeviceOptions, MatrixShape, Shown, Surface, Swapchain, Ticket, Window, devices};
+pub use device::{
+    Device, DeviceInfo, DeviceOptions, MatrixShape, PresentStatus, Surface, Swapchain, Ticket, Window, devices,
+};
 pub use error::{Error, Result};
 pub use format::ImageFormat;
 pub use memory::{Activity, Budget, BudgetSource, DeviceBuffer, DeviceImage, Location, STAGING_BYTES};

@@ -1,77 +1,77 @@
-//! A kernel as the engine sees it: SPIR-V with the facts reflected from it.
+//! Compiled kernel: SPIR-V with its reflection.
 //!
-//! Promises that every binding has a name, a number, and what the code behind it really does (load, store, only
-//! atomic accumulation). Leaves compilation and reflection to whoever builds the kernels.
+//! Promises: every binding has a name, a number, and the access that the code performs (load, store, atomic
+//! accumulation). Kernel build scripts compile and reflect.
 
 use std::borrow::Cow;
 
 use crate::format::ImageFormat;
 
-/// What a kernel does to a binding, read off its code rather than its decorations.
+/// Access of a kernel to a binding, reflected from its code rather than its decorations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 pub enum Access {
-    /// Only loads.
+    /// Loads only.
     Read,
-    /// Only stores; whatever was there before is lost as far as the graph knows only if the pass says so.
+    /// Stores only. The graph assumes that earlier contents may remain, unless the pass discards them.
     Write,
-    /// Loads and stores, or atomics that do not merely add.
+    /// Loads and stores, or atomics other than additions.
     ReadWrite,
-    /// Only atomic additions and subtractions whose results are unused: passes that accumulate commute.
+    /// Atomic additions and subtractions with unused results: passes that accumulate commute.
     Accumulate,
 }
 
-/// The descriptor type of a binding.
+/// Descriptor type of a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 pub enum BindingKind {
-    /// A storage buffer.
+    /// Storage buffer.
     Storage,
-    /// A uniform buffer.
+    /// Uniform buffer.
     Uniform,
-    /// A storage image of this format.
+    /// Storage image of this format.
     Image(ImageFormat),
 }
 
-/// One binding of descriptor set 0.
+/// Binding of descriptor set 0.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Binding {
-    /// The name of the block's instance, or of the image, in GLSL.
+    /// GLSL name of the block instance or image.
     pub name: Cow<'static, str>,
-    /// The binding number.
+    /// Binding number.
     pub number: u32,
-    /// Storage buffer, uniform buffer or image.
+    /// Descriptor type.
     pub kind: BindingKind,
-    /// What the code does to it.
+    /// Access of the code.
     pub access: Access,
 }
 
-/// One specialization constant (32 bits wide).
+/// Specialization constant (32 bits).
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct SpecConstant {
-    /// Its name in GLSL.
+    /// GLSL name.
     pub name: Cow<'static, str>,
-    /// Its `constant_id`.
+    /// `constant_id`.
     pub id: u32,
-    /// The value it has if none is given, as raw bits.
+    /// Default value, as raw bits.
     pub default: u32,
 }
 
-/// A compiled kernel with its reflection. Cheap to share behind an `Arc`.
+/// Compiled kernel with its reflection. Shared cheaply in an `Arc`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Shader {
-    /// The stage's name; also the trace label of its passes.
+    /// Name of the kernel; also the trace label of its passes.
     pub name: Cow<'static, str>,
-    /// The module.
+    /// SPIR-V module.
     pub spirv: Cow<'static, [u32]>,
     /// Bindings of set 0, by ascending number.
     pub bindings: Vec<Binding>,
-    /// Bytes of push constants (0 if none; at most 128).
+    /// Size of the push constants in bytes (0 if none; at most 128).
     pub push_bytes: u32,
     /// Specialization constants.
     pub specs: Vec<SpecConstant>,
 }
 
 impl Shader {
-    /// Whether the code uses subgroups: whether it declares a capability of `GroupNonUniform`.
+    /// Returns whether the code uses subgroups: whether it declares a `GroupNonUniform` capability.
     pub fn uses_subgroups(&self) -> bool {
         const OP_CAPABILITY: u32 = 17;
         const GROUP_NON_UNIFORM: std::ops::RangeInclusive<u32> = 61..=68;
@@ -81,7 +81,7 @@ impl Shader {
             .any(|capability| GROUP_NON_UNIFORM.contains(capability))
     }
 
-    /// The binding of that name.
+    /// Returns the binding of a name.
     pub fn binding(&self, name: &str) -> Option<&Binding> {
         self.bindings.iter().find(|b| b.name == name)
     }

@@ -1,6 +1,6 @@
 //! What may be traded for speed, by name: the choices of a whole plan.
 //!
-//! `engine-bench tradeoff` measures what each is worth (docs/TRADEOFF.md). Measures of quality are taken with
+//! `engine-bench tradeoff` measures what each is worth (docs/how/accuracy.md). Measures of quality are taken with
 //! [`Accuracy::EXACT`] whatever a scene was trained with.
 
 use serde::{Deserialize, Serialize};

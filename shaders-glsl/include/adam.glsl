@@ -1,4 +1,4 @@
-// One Adam step of one scalar (Kingma and Ba 2015; beta 0.9 and 0.999, epsilon 1e-15 as 3D Gaussian splatting has it).
+// One Adam step of one scalar (Kingma and Ba 2015; beta 0.9 and 0.999, epsilon 1e-15 as in 3D Gaussian splatting).
 
 // One minus the betas, written out: 1 - 0.999 in 32 bits is off by 5e-5.
 const float ADAM_RATE1 = 0.1;

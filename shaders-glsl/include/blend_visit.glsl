@@ -1,6 +1,8 @@
-// Walks the splats of a tile front to back as blend.comp does, with the same arithmetic, and hands every (pixel, splat) pair
-// that shows to VISIT(k, pixel, v, w): number of the lane's pixel, its index in the view, visible splat, blending weight.
-// FINISH(k, pixel) follows for every pixel of the view. Needs the constants and buffers of blend.comp.
+// Walks the splats of a tile front to back as blend.comp does, with the same arithmetic.
+//
+// Passes every contributing (pixel, splat) pair to VISIT(k, pixel, v, w): number of the lane's pixel, its index in the
+// view, visible splat, blending weight. FINISH(k, pixel) follows for every pixel of the view. Needs the constants and
+// buffers of blend.comp.
 
 void visit_blend() {
     Camera camera = params.step.camera;

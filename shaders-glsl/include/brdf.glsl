@@ -1,7 +1,7 @@
-// What a surface does with light from one direction: Lambert, and GGX with height-correlated Smith masking and Schlick's
-// Fresnel term (Walter et al. 2007; Heitz 2014; Schlick 1994), written so that nothing cancels.
+// Reflection of light from one direction: Lambert, and GGX with height-correlated Smith masking and Schlick's Fresnel
+// term (Walter et al. 2007; Heitz 2014; Schlick 1994), written without cancellation.
 //
-// The Fresnel term is left out here: radiance is F0 (S0 - S1) + F90 S1 with two sums over the lights, one plain and one
+// The Fresnel term is factored out: radiance is F0 (S0 - S1) + F90 S1 with two sums over the lights, one plain and one
 // with (1 - l.h)^5, and the Lambert term is albedo / pi times their irradiance, so that a pixel combines colors once.
 
 const float PI = 3.14159265358979;

@@ -1,5 +1,5 @@
-// The channels of a visible splat, as project leaves them and blending fetches them: a word each, but of colors in 16 bits
-// two words for three. Needs CHANNELS; COLOR_BITS is 32 where there are no colors.
+// Channels of a visible splat, as project writes and blending fetches them: a word each, but colors in 16 bits take two
+// words for three. Needs CHANNELS; COLOR_BITS is 32 where there are no colors.
 
 #include "half.glsl"
 

@@ -1,5 +1,5 @@
-// The light of a pixel over the background, as `compose` and its gradient both need it. Wants `direct`, `ambient`,
-// `coverage`, the constants DIRECT and AMBIENT, and `params`.
+// Light of a pixel over the background, for `compose` and its backward. Needs `direct`, `ambient`, `coverage`, the
+// constants DIRECT and AMBIENT, and `params`.
 #include "coverage.glsl"
 #include "finite.glsl"
 #include "srgb.glsl"

@@ -1,4 +1,4 @@
-// Pixels that are less opaque have no surface: they are not shaded, and nothing is asked of what shows there.
+// Coverage threshold: pixels below it have no surface. They are not shaded, and losses ignore them.
 const float LEAST_COVERAGE = 1e-3;
 
 bool is_covered(float coverage) { return coverage >= LEAST_COVERAGE; }

@@ -1,4 +1,4 @@
-// A region in a view, and what its pixels are pulled by.
+// A region in a view, and the gradient of its pixels.
 struct CrossRegion {
     vec3 mean;   // of albedo in sRGB
     float count; // pixels

@@ -1,4 +1,4 @@
-// Cubes of square faces seen from inside: which texels a direction meets, without a seam.
+// Cubes of square faces seen from inside: the texels that a direction samples, seamlessly.
 //
 // Faces are +x -x +y -y +z -z; u runs right and v down in [-1, 1]: (1,-v,-u) (-1,-v,u) (u,1,v) (u,-1,-v) (u,-v,1)
 // (-u,-v,-1). Texel (x, y) of face f is number (f size + y) size + x.
@@ -45,7 +45,7 @@ struct Footprint {
     int size;
     ivec2 first; // may be -1: past an edge
     vec2 part;   // how far towards the second column and row
-    float spare; // what each texel gets of one that a corner lacks
+    float spare; // each texel's share of the one that a corner lacks
 };
 
 Footprint cube_footprint(vec3 d, uint size) {

@@ -1,4 +1,4 @@
-// What the kernels of densification share: settings, verdicts, the plan, and the list of moves.
+// Shared definitions of the densification kernels: settings, decisions, the plan, and the list of moves.
 
 // Settings, in a uniform.
 struct Densify {
@@ -12,7 +12,7 @@ struct Densify {
     uint seed;            // of the random numbers; another one each time
 };
 
-// Verdict on a Gaussian: what in the low bits, and for the refined ones the strength of the gradient above them.
+// Verdict on a Gaussian: its kind in the low bits, and for the refined ones the strength of the gradient above them.
 const uint KEEP = 0u;
 const uint PRUNE = 1u;
 const uint CLONE = 2u;
@@ -40,7 +40,7 @@ struct DensifyPlan {
     uint before;  // Gaussians before
     uint after;   // and afterwards
     uint pruned;
-    uint births;  // each refined Gaussian that is accepted makes one more
+    uint added;   // new Gaussians: one for each accepted refinement
     uint cutoff;  // stronger ones are all accepted, weaker ones refused,
     uint strong;  // this many are stronger,
     uint ties;    // and this many of exactly that strength are accepted, by ascending index
@@ -61,8 +61,8 @@ struct DensifyStats {
     uint after;
     uint pruned;
     uint invalid;    // of the pruned ones, those with a number that is not finite,
-    uint weightless; // and those that are opaque enough, but have less blending weight than asked
+    uint weightless; // and those that are opaque enough, but below the minimum blending weight
     uint cloned;
     uint split;
-    uint refused; // would have been refined, but did not fit under the cap
+    uint refused; // candidates that did not fit under the cap
 };

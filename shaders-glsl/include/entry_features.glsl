@@ -1,8 +1,8 @@
-// Features' gradients of visible splats, summed over their entries in order. Entries that show nowhere were not written,
-// and their flag is down. Needs SUBGROUP, FEATURES, a multiple of four, and the buffers named here.
+// Gradients of visible splats' features, summed over their entries in order.
 //
-// A subgroup does as many splats as it has lanes. First each lane asks for one splat: where its entries are and which of
-// them show. Then lanes have four features each, side by side, of one splat or of several.
+// An entry that covers no selected pixel was not written, and its flag is 0. Needs SUBGROUP, FEATURES (a multiple of four)
+// and the buffers named here. A subgroup does as many splats as it has lanes. First each lane reads one splat: the range of
+// its entries, and their flags. Then lanes hold four features each, side by side, of one splat or of several.
 
 const uint QUADS = FEATURES / 4u;
 
@@ -23,7 +23,7 @@ void add_entry(inout vec4 sum, uint e, uint c) {
     sum += vec4(entry_features[at], entry_features[at + 1u], entry_features[at + 2u], entry_features[at + 3u]);
 }
 
-// The sum of the four features from `c` on of the splat that lane `of` has asked for.
+// The sum of the four features from `c` on of the splat that lane `of` selected.
 vec4 entry_sum(EntrySplat mine, uint of, uint c) {
     vec4 sum = vec4(0.0);
     uint start = subgroupShuffle(mine.start, of), end = start + subgroupShuffle(mine.count, of);

@@ -1,4 +1,4 @@
-// Weights of the sparse matrix's entries where they are read: floats, or with WEIGHT_BITS 16 two a word, in parts of 65535.
+// Weights of the sparse matrix's entries: floats, or with WEIGHT_BITS 16 two a word in units of 1/65535.
 
 layout(constant_id = 30) const uint WEIGHT_BITS = 32;
 

@@ -1,5 +1,5 @@
-// What a pixel's surface sees of an environment that was filtered before. Needs a constant LEVELS, and the buffers
-// `levels`, `radiance` and `split_sum`.
+// Light of a pixel from a prefiltered environment map. Needs a constant LEVELS, and the buffers `levels`, `radiance` and
+// `split_sum`.
 
 #include "cube.glsl"
 
@@ -30,7 +30,7 @@ vec3 environment_lookup(vec3 d, uvec2 level) {
     return sum;
 }
 
-// Factor of F0 and what is added, and their derivatives by roughness. Rows are roughness, columns n.v.
+// Factor of F0 and the bias, and their derivatives by roughness. Rows are roughness, columns n.v.
 vec2 environment_split_sum(float roughness, float nv, out vec2 slope) {
     const float last = ENVIRONMENT_TABLE - 1.0;
     vec2 x = clamp(vec2(nv, roughness), 0.0, 1.0) * last;
@@ -44,11 +44,11 @@ vec2 environment_split_sum(float roughness, float nv, out vec2 slope) {
 }
 
 struct Seen {
-    vec3 irradiance; // over pi: what a white diffuse surface reflects
+    vec3 irradiance; // over pi: radiance of a white diffuse surface
     vec3 reflected;  // through the lobe of this roughness
     vec3 by_level;   // derivative of that by the level
     float slope;     // of the level by roughness
-    vec2 split;      // factor of F0, and what is added
+    vec2 split;      // factor of F0, and the bias
     vec2 by_roughness;
     vec3 mirrored;   // direction
     uvec2 sharper, blurrier; // size and first texel of the two levels

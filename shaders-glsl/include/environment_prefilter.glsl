@@ -13,7 +13,7 @@ layout(constant_id = 1) const uint ROWS = 2;    // of a lane, one below the othe
 layout(constant_id = 2) const uint COLUMNS = 8; // lanes beside each other
 
 layout(push_constant, scalar) uniform Push {
-    uint size;     // texels along a side, of what is read and of what is written
+    uint size;     // texels along a side, of source and destination
     float steep;   // the lobe is (1 - e/2) / (1 + steep e)^2, e = |L - R|^2,
     float cutoff;  // for e up to this,
     float fade;    // and falls to nothing at this rate before it

@@ -1,4 +1,4 @@
-// Whether a number is one.
+// Tests for finite numbers.
 
 // By the exponent's bits: compilers may assume that isnan() and isinf() are never true.
 bool finite_bits(float x) { return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u; }

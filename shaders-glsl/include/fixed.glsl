@@ -1,7 +1,7 @@
-// Sums that do not depend on their order: 64-bit integers, kept as two words and added with 32-bit atomics, so that every
-// device has them. Needs a constant FIXED_BITS: the largest number that is added takes so many.
+// Sums that do not depend on their order: 64-bit integers in two words, added with 32-bit atomics, which every device has.
 //
-// `largest` are the bits of a number that none exceeds; the unit of the sums is a power of two that follows from it.
+// Needs a constant FIXED_BITS: the bits of the largest addend. `largest` are the bits of an upper bound of the addends; the
+// unit of the sums is a power of two that follows from it.
 
 int fixed_exponent(uint largest) { return clamp(FIXED_BITS + 126 - int(largest >> 23u), -126, 126); }
 

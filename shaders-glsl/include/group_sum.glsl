@@ -1,6 +1,7 @@
-// A sum over the workgroup in an order that does not change from run to run on a device.
-// Needs a constant WORKGROUP and SUM_T, the type of what is added up. Subgroups have 8 invocations at least; narrower
-// ones the engine does not accept.
+// Sum over the workgroup in an order that does not change from run to run on a device.
+//
+// Needs a constant WORKGROUP and SUM_T, the type of the addends. Subgroups have at least 8 invocations; the engine rejects
+// narrower ones.
 
 shared SUM_T group_sums[(WORKGROUP + 7u) / 8u];
 

@@ -1,6 +1,7 @@
-// Features of one Gaussian, fetched once by the lanes together and handed to all of them. Needs constants SUBGROUP and
-// FEATURES, and the buffer `raw_features` [Gaussians * FEATURES]; with FEATURE_BITS 16 `packed_features`, two a word. One buffer
-// is bound to both.
+// Features of one Gaussian, fetched once by the lanes together and broadcast to all of them.
+//
+// Needs constants SUBGROUP and FEATURES, and the buffer `raw_features` [Gaussians * FEATURES]; with FEATURE_BITS 16
+// `packed_features`, two a word. One buffer is bound to both.
 
 #include "half.glsl"
 

@@ -1,8 +1,7 @@
-// Which of a batch of entries, one a lane, show at any of the wanted pixels that a subgroup does at a time.
+// Tests a batch of entries, one a lane, against the selected pixels that a subgroup processes at a time.
 //
-// Wanted pixels are few and splats are small, so that most entries of a tile show at none of them. The test is wider
-// than the one that decides (by far more than rounding), and exact for what it leaves out. Needs constants SUBGROUP and
-// PER_LANE.
+// Selected pixels are few and splats are small, so most entries of a tile cover none of them. The test is conservative (by
+// far more than rounding): it rejects only entries that cannot contribute. Needs constants SUBGROUP and PER_LANE.
 
 const float HIT_MARGIN = 0.01; // of the exponent
 

@@ -1,6 +1,7 @@
-// Items of 32 features, one a lane, and their features spread over the lanes: lane c of ACROSS holds features c,
-// ACROSS + c and so on of all items of its side. So a row of 32 numbers meets as many items as there are lanes without being
-// handed round, and what all lanes make of an item is added up by halving.
+// Items of 32 features, one a lane, with their features spread over the lanes.
+//
+// Lane c of ACROSS holds features c, ACROSS + c and so on of all items of its side. So a row of 32 numbers multiplies as
+// many items as there are lanes without shuffles, and the lanes' partial results of an item are summed by halving.
 //
 // `x[n * HELD + h]` is feature h * ACROSS + c of the item that belongs to lane n of the side. Needs SUBGROUP.
 

@@ -1,5 +1,5 @@
-// As region.glsl, with features over lanes as in lane_items.glsl: the unit vector from the mean of region b to that of region
-// a, and whether the pair counts. The regions are elements of buffers.
+// As region.glsl, with features over lanes as in lane_items.glsl: the unit vector from the mean of region b to that of
+// region a, and whether the pair counts. The regions are elements of buffers.
 
 #define LANE_DIRECTION(direction, counts, a, b)                                                                \
     float direction[HELD];                                                                                     \

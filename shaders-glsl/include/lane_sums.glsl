@@ -1,10 +1,10 @@
-// Sums over the lanes of a subgroup of many values at once, in a fixed order: afterwards lane j holds the sum of value j.
+// Sums of many values at once over the lanes of a subgroup, in a fixed order: afterwards lane j holds the sum of value j.
 //
-// Halving: at each distance half of the values change hands, so S values cost S - 1 shuffles, not S log2 S. Needs a
-// constant SUBGROUP, a power of two up to 128. `values` has SUBGROUP elements and is used up.
+// At each distance half of the values change hands, so S values cost S - 1 shuffles, not S log2 S. Needs a constant
+// SUBGROUP, a power of two up to 128. `values` has SUBGROUP elements and is overwritten.
 //
-// The distances are written out one by one: a loop that halves its counter is not unrolled by every compiler, and an array
-// that is indexed in a loop lies in memory.
+// The distances are written out one by one: not every compiler unrolls a loop that halves its counter, and an array that
+// is indexed in a loop lies in memory.
 
 #define LANE_HALVE(values, reach)                                                                              \
     if (SUBGROUP > reach) {                                                                                    \

@@ -1,4 +1,4 @@
-// Raw parameters of a lobe and what they mean. Needs constants LOBES and FREE, and a buffer `lobes`.
+// Raw parameters of a lobe and their activation. Needs constants LOBES and FREE, and a buffer `lobes`.
 //
 // In the grid's layout a row is polar angle, azimuth, log sharpness, log amplitude of red, green, blue: 6 floats. The
 // angles are squashed by tanh around the centers of a grid of one or two rows. With FREE axes a row is axis (3), log

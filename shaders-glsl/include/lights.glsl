@@ -1,8 +1,9 @@
-// Lights that shine as mixtures of spherical Gaussians (Wang et al. 2009, in the form exp(lambda (cos - 1))), as prepared
-// for shading. Needs a constant LOBES.
+// Lights as mixtures of spherical Gaussians (Wang et al. 2009, in the form exp(lambda (cos - 1))), as prepared for
+// shading. Needs a constant LOBES.
 //
-// A light is 1 + 2 LOBES vectors: its place and how far it reaches, squared; for each lobe its axis times root and the root, and its amplitude. With
-// root^2 = lambda log2(e) / 2 a lobe is amplitude * 2^-|root w - root b|^2: a square that cannot cancel, however sharp.
+// A light is 1 + 2 LOBES vectors: its position and squared reach; for each lobe its axis times root and the root, and its
+// amplitude. With root^2 = lambda log2(e) / 2 a lobe is amplitude * 2^-|root w - root b|^2: a square that cannot cancel,
+// however sharp.
 
 // Nearer lights count as if they were this far away, squared.
 const float NEAR_SQUARED = 1e-3;

@@ -1,13 +1,14 @@
-// Gradients of the lights: of their places, and for each lobe what its axis, sharpness and amplitudes follow from. See
-// lights_pixels.glsl for what comes before.
+// Gradients of the lights: of their positions, and of each lobe's axis, sharpness and amplitudes. See lights_pixels.glsl
+// for the preceding definitions.
 //
-// A workgroup, which is one subgroup, takes a range of blocks of pixels and works everything out again from the pixels' sides:
-// light by light and lobe by lobe it adds up seven numbers over its pixels, first within the lanes, then across them by
-// halving, and keeps the sums in a row of its own. Rows are added up afterwards, in their order. Where MINE the row is in the
-// invocations' own arrays, which software devices reach far more cheaply than buffers.
+// A workgroup, which is one subgroup, takes a range of blocks of pixels and recomputes everything from the pixels' side.
+// Light by light and lobe by lobe it sums seven numbers over its pixels, first within the lanes, then across them by
+// halving, and stores the sums in a row of its own. Rows are summed afterwards, in order. With MINE the row is in the
+// invocations' own arrays, which software devices access far faster than buffers.
 //
-// A light's part of a row: 3 sums for its place and 5 zeros; for each lobe 8 numbers: sum t u (3), sum t |u|^2,
-// sum w s (3), 0, with u = root l - root b, s = 2^-|u|^2, w the gradient of the radiance by the emitted light, t = (w . mu) s.
+// A light's part of a row: 3 sums for its position and 5 zeros; for each lobe 8 numbers: sum t u (3), sum t |u|^2,
+// sum w s (3), 0, with u = root l - root b, s = 2^-|u|^2, w the gradient of the radiance by the emitted light,
+// t = (w . mu) s.
 
 layout(constant_id = 5) const uint LIGHTS = 64;
 layout(constant_id = 6) const bool MINE = false; // only where SUBGROUP is 8
@@ -27,7 +28,7 @@ layout(push_constant, scalar) uniform Push {
 IN(vec3, radiance_gradient);
 INOUT(float, partials); // workgroups x LIGHTS x 8 (1 + LOBES)
 
-#include "lights_wanted.glsl"
+#include "lights_gradient.glsl"
 
 const uint LIGHT_ROW = 8u * (1u + LOBES);
 const uint GROUP = SUBGROUP / 8u;                    // lobes whose sums are added up across lanes at once
@@ -57,8 +58,8 @@ void write_row() {
     }
 }
 
-// Gradient of the radiance by the light's place. `emitted` is what arrives, `turn` its derivative by the direction.
-vec3 by_place(Surface s, Ray ray, Lit r, Wanted w, vec3 emitted, vec3 turn) {
+// Gradient of the radiance by the light's place. `emitted` is the incoming light, `turn` its derivative by the direction.
+vec3 position_gradient_of(Surface s, Ray ray, Lit r, PixelGradient w, vec3 emitted, vec3 turn) {
     vec3 glossy = w.gradient * emitted;
     float matte = dot(w.matte, emitted);
     float shiny = r.specular * dot(glossy, fresnel_of(w, r.fresnel));
@@ -86,12 +87,12 @@ void main() {
         [[dont_unroll]] for (uint i = 0u; i < LIGHTS * (1u + LOBES); i++) mine[i] = 0.0;
     }
     for (uint block = first; block < min(first + push.blocks, blocks); block++) {
-        Wanted wanted[PER_LANE];
+        PixelGradient gradients[PER_LANE];
         EACH_PIXEL(p) {
             uint pixel = pixel_of(block, p);
             bool here = shaded(pixel, pixels);
             surfaces[p] = load_surface(pixel, here);
-            wanted[p] = load_wanted(pixel, here, push.normalizer);
+            gradients[p] = load_pixel_gradient(pixel, here, push.normalizer);
             visibility_begin(p, min(pixel, pixels - 1u));
         }
         Walk way = begin_walk();
@@ -109,8 +110,8 @@ void main() {
                 float seen = visibility(p, light); // by all lanes
                 reaching[p] = pair_lit ? falloff(rays[p]) * seen : 0.0;
                 lits[p] = lit_by(surfaces[p], rays[p].l, nl);
-                vec3 glossy = lits[p].specular * fresnel_of(wanted[p], lits[p].fresnel) * wanted[p].gradient;
-                weight[p] = reaching[p] * nl * (wanted[p].matte + glossy);
+                vec3 glossy = lits[p].specular * fresnel_of(gradients[p], lits[p].fresnel) * gradients[p].gradient;
+                weight[p] = reaching[p] * nl * (gradients[p].matte + glossy);
                 emitted[p] = turn[p] = vec3(0.0);
             }
             [[dont_unroll]] for (uint g = 0u; g < GROUPS; g++) {
@@ -149,7 +150,8 @@ void main() {
             }
             vec3 sum = vec3(0.0);
             EACH_PIXEL(p) {
-                sum += by_place(surfaces[p], rays[p], lits[p], wanted[p], reaching[p] * emitted[p], NATURAL * turn[p]);
+                sum += position_gradient_of(surfaces[p], rays[p], lits[p], gradients[p], reaching[p] * emitted[p],
+                                            NATURAL * turn[p]);
             }
             sum = vec3(subgroupAdd(sum.x), subgroupAdd(sum.y), subgroupAdd(sum.z));
             uint lane = gl_SubgroupInvocationID & 7u;

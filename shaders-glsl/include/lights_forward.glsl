@@ -1,6 +1,7 @@
-// Radiance towards the camera under all lights. See lights_pixels.glsl for what comes before.
-// With SUMS 1 it leaves, for materials' gradients, what does not depend on them: 6 floats a pixel, 12 with metallic. With
-// SPLIT 1 the diffuse part is written beside the whole.
+// Radiance towards the camera under all lights. See lights_pixels.glsl for the preceding definitions.
+//
+// With SUMS 1 it stores the material-independent sums for gradients of materials: 6 floats a pixel, 12 with metallic. With
+// SPLIT 1 it also stores the diffuse part.
 
 layout(push_constant, scalar) uniform Push {
     float normalizer; // 1 / lights at the start

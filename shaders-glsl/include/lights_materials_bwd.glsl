@@ -1,5 +1,5 @@
-// Gradients of materials from the sums that shading left: no light is looked at again. Added to what is there. Define METALLIC
-// as 1 or 0.
+// Gradients of materials from the sums that shading left, without another loop over lights. Adds to the destination.
+// Define METALLIC as 1 or 0.
 #include "common.glsl"
 #include "step.glsl"
 #include "brdf.glsl"

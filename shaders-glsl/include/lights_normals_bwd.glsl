@@ -1,5 +1,6 @@
-// Gradients of the pixels' unit normals: the part across the normal. The part along it, which normals of unit length cannot
-// follow, cancels in highlights and is left out. See lights_pixels.glsl for what comes before.
+// Gradients of the pixels' unit normals: the part across the normal. See lights_pixels.glsl for the preceding definitions.
+//
+// Unit normals cannot follow the part along the normal; it cancels in highlights and is left out.
 
 layout(push_constant, scalar) uniform Push {
     float normalizer; // 1 / lights at the start
@@ -11,10 +12,10 @@ layout(push_constant, scalar) uniform Push {
 IN(vec3, radiance_gradient);
 OUT(vec3, normals_gradient);
 
-#include "lights_wanted.glsl"
+#include "lights_gradient.glsl"
 
-// The part of one light; `emitted` is what arrives.
-vec3 by_normal(Surface s, vec3 l, Lit r, Wanted w, vec3 emitted) {
+// The part of one light; `emitted` is the incoming light.
+vec3 by_normal(Surface s, vec3 l, Lit r, PixelGradient w, vec3 emitted) {
     float matte = dot(w.matte, emitted);
     float shiny = r.specular * dot(w.gradient * emitted, fresnel_of(w, r.fresnel));
     float by_nl = matte + shiny * (1.0 - r.nl * (s.nv * r.nl * (1.0 - s.a) / r.root_l + s.root_v) / r.q);
@@ -30,13 +31,13 @@ void main() {
     block += push.block;
 #endif
     uint pixels = pixel_count();
-    Wanted wanted[PER_LANE];
+    PixelGradient gradients[PER_LANE];
     vec3 sum[PER_LANE];
     EACH_PIXEL(p) {
         uint pixel = pixel_of(block, p);
         bool here = shaded(pixel, pixels);
         surfaces[p] = load_surface(pixel, here);
-        wanted[p] = load_wanted(pixel, here, push.normalizer);
+        gradients[p] = load_pixel_gradient(pixel, here, push.normalizer);
         sum[p] = vec3(0.0);
         visibility_begin(p, min(pixel, pixels - 1u));
     }
@@ -63,7 +64,7 @@ void main() {
             float seen = visibility(p, light);
             float reaching = pair_lit ? seen * falloff(rays[p]) : 0.0;
             Lit r = lit_by(surfaces[p], rays[p].l, nl);
-            sum[p] += by_normal(surfaces[p], rays[p].l, r, wanted[p], reaching * emitted[p]);
+            sum[p] += by_normal(surfaces[p], rays[p].l, r, gradients[p], reaching * emitted[p]);
         }
     }
     EACH_PIXEL(p) {

@@ -1,9 +1,10 @@
-// What kernels that shade pixels under prepared lights have in common: a subgroup takes PER_LANE times SUBGROUP pixels, its
-// lanes fetch places of lights, and all go together from one light that a pixel of theirs faces to the next. Include
-// common.glsl and step.glsl before.
+// Shared definitions of kernels that shade pixels under prepared lights.
 //
-// A kernel that includes this and one of the bodies (lights_forward.glsl, lights_bwd.glsl, ...) says in between how far
-// a light is seen, as two functions:
+// A subgroup takes PER_LANE times SUBGROUP pixels. Its lanes fetch positions of lights, and all visit together each light
+// that one of their pixels faces. Include common.glsl and step.glsl before.
+//
+// A kernel that includes this and one of the bodies (lights_forward.glsl, lights_bwd.glsl, ...) defines visibility in
+// between, as two functions:
 //     void visibility_begin(uint slot, uint pixel)   before the first light, for each of the lane's PER_LANE pixels
 //     float visibility(uint slot, uint light)        0 to 1, for the pixel that visibility_begin named last for this slot
 // Slots are constants after unrolling, so arrays by slot stay in registers. points[pixel] is the place of a pixel and

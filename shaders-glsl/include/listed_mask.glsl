@@ -1,7 +1,7 @@
-// The pixels of a map of bits, listed: lanes side by side on the list cost what it has, and no more. A workgroup, which is
-// one subgroup, goes through every so many of the map's words, and returns to its work when the list is nearly full.
+// Compact list of the set bits of a mask; cost follows the number of set bits.
 //
-// Needs SUBGROUP and MASK(word), the map's words.
+// A workgroup, which is one subgroup, visits every n-th word of the mask and processes the list when it is nearly full.
+// Needs SUBGROUP and MASK(word), the mask's words.
 
 const uint BLOCK = 32u * SUBGROUP; // pixels whose words the lanes fetch at once
 const uint ROOM = BLOCK + 768u;

@@ -1,4 +1,4 @@
-// What a step's losses came to: means before their weights, and the weighted total that was minimized.
+// Losses of a step: means before their weights, and the weighted total that was minimized.
 struct LossStats {
     float total;
     float l1;

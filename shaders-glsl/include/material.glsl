@@ -1,6 +1,7 @@
-// Materials of a Gaussian are kept before their activation: albedo lies in (0.01, 0.99), roughness in (0.09, 0.99), metallic
-// in (0, 1). The published range of albedo begins at 0.09, too, which is a third of white on a screen: black things are darker.
-// Training may have another range of albedo; files have this one.
+// Activation of materials: albedo in (0.01, 0.99), roughness in (0.09, 0.99), metallic in (0, 1).
+//
+// Gaussians store materials before activation. The published range of albedo begins at 0.09, which displays as a third of
+// white; black objects are darker. Training may use another range of albedo; files use this one.
 layout(constant_id = 26) const float ALBEDO_LOW = 0.01;
 layout(constant_id = 27) const float ALBEDO_RANGE = 0.98;
 const float ROUGHNESS_LOW = 0.09;

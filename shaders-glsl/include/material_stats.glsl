@@ -1,4 +1,4 @@
-// What the losses of materials came to in a step: before their weights, and with them. What is absent is 0.
+// Losses of materials in a step, unweighted and weighted. Absent terms are 0.
 struct MaterialStats {
     float total;          // of the following, weighted
     float albedo_msg;     // mean over the levels

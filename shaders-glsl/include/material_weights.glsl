@@ -1,4 +1,4 @@
-// What the losses of materials weigh in a step; the host writes it each step.
+// Weights of the material losses in a step; the host writes them each step.
 struct MaterialWeights {
     float albedo_msg;     // of the gradients of albedo at several scales, against the prior's
     float roughness_msg;  // likewise of roughness

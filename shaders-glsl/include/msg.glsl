@@ -1,4 +1,4 @@
-// The levels of the multi-scale gradient loss: how large they are, where they begin, what a loss leaves for its gradient.
+// Levels of the multi-scale gradient loss: their sizes, their offsets, and the results that its backward needs.
 
 const uint LEVELS = 4;
 
@@ -17,7 +17,7 @@ struct MsgLevels {
 
 uvec2 level_size(uvec2 size, uint level) { return max(size >> level, uvec2(1u)); }
 
-// A pixel of a level covers so many pixels of the picture, columns and rows.
+// Columns and rows of image pixels that a pixel of a level covers.
 vec2 level_scale(uvec2 size, uint level) { return vec2(size) / vec2(level_size(size, level)); }
 
 // Level of an element of all levels, and its number there. LEVELS if it is in none.

@@ -1,5 +1,5 @@
-// A unit vector in 32 bits: the octahedron's faces unfolded onto a square, 16 bits each way (Meyer et al. 2010). The
-// pattern 0 means that there is none; encoders never make it.
+// Unit vector in 32 bits: the octahedron's faces unfolded onto a square, 16 bits each way (Meyer et al. 2010). The
+// pattern 0 means no vector; encoders never produce it.
 
 bool octahedral_present(uint packed) { return packed != 0u; }
 

@@ -4,7 +4,7 @@
 // same filter), joined with the pixel's own values, and the sign of L1 is added. Tiles and filters as in the first half.
 //
 // Included with IN_PLACE 0, or 1: then the image has three channels and becomes its own gradient (a pixel's gradient
-// needs of the image that pixel alone), and what the loss owes to each pixel's splats (blend_bwd.glsl) is left beside it.
+// needs only that pixel of the image), and the debt of each pixel (blend_bwd.glsl) is written beside it.
 #include "common.glsl"
 #include "step.glsl"
 #define WINDOW_T vec3

@@ -1,4 +1,4 @@
-// Backward of projection for one splat: from the sums that blending left at its entries to its parameters.
+// Backward of projection for one splat: from the blending sums of its entries to gradients of its parameters.
 // Included after splat.glsl and sh.glsl.
 
 // Not zero unless `x` is: also for numbers that are not finite, which comparisons and max() may lose.
@@ -24,7 +24,8 @@ vec2 screen_gradient(Projection o, float hp, float hy) {
 //
 // The exponent of a pixel d is |U d|² = FACTOR_SCALE² d·C⁻¹d, with (p, q) = U d and C = T Tᵀ + DILATION, T = J W R S. By a column v of T its
 // derivative is -2 / FACTOR_SCALE² ((p, q)·U v) Uᵀ(p, q): nothing but moments of p and q, and U v, which is small where v is long. By
-// way of C long axes would be multiplied by what only just cancels them: a gradient of a needle of condition 1e7 was off by a tenth.
+// way of C long axes would be multiplied by nearly canceling factors: a gradient of a Gaussian of condition number 1e7 had an
+// error of a tenth.
 SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_scale, float moments[6], float depth) {
     SplatGradient g;
     float u11 = o.splat.factor.x, u12 = o.splat.factor.y, u22 = o.splat.factor.z;
@@ -56,7 +57,7 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     vec3 dr2 = -f.x * o.slope.x * dt0 - f.y * o.slope.y * dt1;
     vec2 dslope = vec2(-f.x * dot(dt0, r2), -f.y * dot(dt1, r2));
     vec2 free_slope = o.point.xy * inverse_z;
-    vec2 dfree = camera.focal * g.mean2d + vec2(o.held.x ? 0.0 : dslope.x, o.held.y ? 0.0 : dslope.y);
+    vec2 dfree = camera.focal * g.mean2d + vec2(o.clamped.x ? 0.0 : dslope.x, o.clamped.y ? 0.0 : dslope.y);
     vec3 dpoint = vec3(dfree * inverse_z, 0.0);
     dpoint.z = depth - dot(dfree, free_slope) * inverse_z - dlog_f * inverse_z;
     // Camera space to world.

@@ -1,4 +1,4 @@
-// Counter-based random numbers: a number is a function of its seed and its counters, and of nothing else.
+// Counter-based random numbers: a pure function of the seed and the counters.
 
 // One round of PCG's 32-bit generator with its output permutation (O'Neill 2014; as a hash, Jarzynski and Olano 2020).
 uint pcg(uint x) {

@@ -1,4 +1,4 @@
-// How far two regions' means are apart.
+// Distance between the mean features of two regions.
 
 // The distance; 0, and `direction` with it, where there is none or it is not a number. `counts`: whether this pair does.
 float region_distance(Region a, Region b, out float direction[FEATURES], out bool counts) {

@@ -1,6 +1,7 @@
-// What the kernels of meaning share. Features f become a wide vector by a linear map, v = W f + b = A f', with
-// A = [W b] and f' = (f, 1). The wide vector is never formed: |v|^2 = f'^T (A^T A) f', and a class's dot product is
-// (T A) f'.
+// Shared definitions of the semantic kernels.
+//
+// Features f are decoded to a wide vector by a linear map, v = W f + b = A f', with A = [W b] and f' = (f, 1). The wide
+// vector is never formed: |v|^2 = f'^T (A^T A) f', and a class's dot product is (T A) f'.
 
 #include "finite.glsl"
 
@@ -13,11 +14,11 @@ const uint NO_LABEL = 0xffffffffu;
 
 // One sample of the targets, worked out once.
 struct SemanticTarget {
-    float inverse_norm; // 0 where the target says nothing
+    float inverse_norm; // 0 where the target is invalid
     uint label;         // NO_LABEL where there is none
 };
 
-// A region of one picture.
+// A region of one image.
 struct Region {
     float mean[32]; // of the features, over the region's pixels
     float count;    // of these pixels
@@ -28,7 +29,7 @@ struct Region {
 const float LEAST_PIXELS = 16.0; // smaller regions are no evidence
 
 // Where sample `i` of `samples` along an axis lies between `pixels` ones if the first and last of both coincide. In whole
-// numbers, so that whoever scatters and whoever gathers agree: pixel, and weights of it and the next.
+// numbers, so that scattering and gathering kernels agree: pixel, and weights of it and the next.
 uint aligned(uint i, uint samples, uint pixels, out vec2 weights) {
     uint steps = max(samples, 2u) - 1u;
     uint at = samples > 1u ? i * (pixels - 1u) : 0u;

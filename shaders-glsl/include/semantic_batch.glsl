@@ -1,7 +1,7 @@
-// A batch of samples or pixels, TILES a lane: their features, lengths and classes of what they decode to. Rows of
-// `matrices` (A^T A, then T A) are fetched once for the whole batch.
+// A batch of samples or pixels, TILES a lane: their features, decoded lengths and classes.
 //
-// Needs SUBGROUP, TILES, CLASSES and the buffer `matrices`.
+// Rows of `matrices` (A^T A, then T A) are fetched once for the whole batch. Needs SUBGROUP, TILES, CLASSES and the buffer
+// `matrices`.
 #include "lane_items.glsl"
 
 const uint ROWS = AUGMENTED + CLASSES;
@@ -14,7 +14,7 @@ const float NOTHING = 1e-6; // squared
 float staged[TILES * SPREAD];  // as `f`; can be indexed by a variable, which leaves others in registers
 float f[TILES * SPREAD];       // features brought to at most one; zero where not live
 float u[TILES * SPREAD];       // A^T A f', but for its last number
-float bias[TILES];             // what the bias is multiplied by: 1 over what features were divided by; likewise
+float bias[TILES];             // factor of the bias: 1 over the divisor of the features; likewise
 bool live[TILES];              // counts
 float inverse[TILES];          // 1 / length of the decoded vector; 0 where it has none
 
@@ -67,13 +67,13 @@ float product(uint t) {
     return fma(last, bias[t], sum);
 }
 
-// Takes features from `staged`. Items with features that are not finite die. What is asked of features depends on their
+// Takes features from `staged`. Items with non-finite features are dropped. The loss on features depends on their
 // direction alone, and huge ones would overflow: hence the division.
 void bring() {
     EACH_TILE(t) {
         float x[SPREAD];
         [[unroll]] for (uint k = 0u; k < SPREAD; k++) x[k] = staged[t * SPREAD + k];
-        // As whole numbers, what is not finite is larger than what is.
+        // Compared as integers: the bits of non-finite numbers are larger than those of finite ones.
         uint top[ACROSS];
         EACH_ITEM(n) {
             top[n] = 0u;

@@ -1,21 +1,22 @@
-// The part that semantic_samples and correspondence_bwd share: the gradient of a batch by its features, and what it adds to
-// the sums that the decoder's gradient is made of. With v = A f', n = |v|, the loss's derivative is
+// Shared part of semantic_samples and correspondence_bwd: gradients of a batch by features, and sums for the decoder's.
+//
+// With v = A f', n = |v|, the loss's derivative is
 //     by v:  s t + sum_c e_c T_c + k v
 //     by f:  s (W^T t) + sum_c e_c (T W)_c + k (A^T A f')
 //     by A:  sum s t f'^T  +  T^T (sum e f'^T)  +  A (sum k f' f'^T)
-// and the two sums in parentheses are what is added up here, by workgroup, which is one subgroup. Needs the buffer
-// `partials`, rows by workgroup.
+// A workgroup, which is one subgroup, accumulates the two sums in parentheses. Needs the buffer `partials`, rows by
+// workgroup.
 #include "semantic_batch.glsl"
 
-float a[TILES * SPREAD];  // the gradient by features, before the division by what they were divided by
-float kept[ROWS * HELD];  // the sums, columns over lanes; indexed by a variable
-float ending[ROWS];       // their last column, what this lane's own items add
+float a[TILES * SPREAD];  // the gradient by features, before the division by their divisor
+float row_sums[ROWS * HELD];  // the sums, columns over lanes; indexed by a variable
+float ending[ROWS];       // their last column: sums of this lane's own items
 float weights[TILES];     // of items, for absorb()
 uint label[TILES];        // for descend(): the items' classes, and
-float own[TILES];         // what k has before the cross-entropy
+float own[TILES];         // k before the cross-entropy
 
 void clear_sums() {
-    for (uint i = 0u; i < ROWS * HELD; i++) kept[i] = 0.0;
+    for (uint i = 0u; i < ROWS * HELD; i++) row_sums[i] = 0.0;
     for (uint i = 0u; i < ROWS; i++) ending[i] = 0.0;
 }
 
@@ -34,11 +35,11 @@ void absorb(uint i) {
         }
         end = fma(weights[t], bias[t], end);
     }
-    EACH_HELD(h) kept[i * HELD + h] += sum[h];
+    EACH_HELD(h) row_sums[i * HELD + h] += sum[h];
     ending[i] += end;
 }
 
-// Adds the gradient of the cross-entropy to `label`, times `weight`, and of k, which is `own` and what comes from the
+// Adds the gradient of the cross-entropy to `label`, times `weight`, and of k, which is `own` plus the share from the
 // cross-entropy, to `a` and the sums. Returns the lane's cross-entropies.
 float descend(float weight) {
     float scale[TILES], chosen[TILES];
@@ -86,7 +87,7 @@ float descend(float weight) {
                 float s = subgroupShuffle(f[at + g], lane_of(j)) * factor[t * ACROSS + n];
                 EACH_HELD(h) sum[h] = fma(s, f[at + h], sum[h]);
             }
-            EACH_HELD(h) kept[(g * ACROSS + j) * HELD + h] += sum[h];
+            EACH_HELD(h) row_sums[(g * ACROSS + j) * HELD + h] += sum[h];
         }
     }
     EACH_HELD(h) row[h] = 0.0;
@@ -101,7 +102,7 @@ void write_sums() {
     for (uint i = 0u; i < ROWS; i++) {
         uint to = (gl_WorkGroupID.x * ROWS + i) * PITCH;
         EACH_HELD(h) {
-            float sum = kept[i * HELD + h];
+            float sum = row_sums[i * HELD + h];
             for (uint reach = ACROSS; reach < SUBGROUP; reach *= 2u) sum += subgroupShuffleXor(sum, reach);
             if (gl_SubgroupInvocationID < ACROSS) {
                 partials[to + h * ACROSS + gl_SubgroupInvocationID] = sum;

@@ -1,5 +1,5 @@
-// Rows of 33 numbers that every lane needs whole: the lanes fetch them together, which is a fraction of what fetching
-// costs each of them, and hand them round. Needs SUBGROUP.
+// Rows of 33 numbers that every lane needs whole: lanes fetch them together and broadcast them, which costs a fraction of
+// fetching them in each lane. Needs SUBGROUP.
 
 const uint FETCHES = (AUGMENTED + SUBGROUP - 1u) / SUBGROUP; // numbers of a row that a lane has
 

@@ -1,8 +1,8 @@
 // One Gaussian seen by one camera: the projected record, its footprint, and the tiles that it touches.
 //
-// The footprint is kept as a triangular factor of the inverse covariance, scaled so that
+// The footprint is stored as a triangular factor of the inverse covariance, scaled so that
 //   alpha = opacity * exp2(-(p*p + q*q)),  p = factor.x*dx + factor.y*dy,  q = factor.z*dy.
-// The factored form has no cancellation for needles, where the usual quadratic form loses several digits.
+// The factored form does not cancel for highly anisotropic Gaussians, where the quadratic form loses several digits.
 
 #include "finite.glsl"
 
@@ -17,7 +17,7 @@ const float DILATION = 0.3;         // px² added to the projected covariance
 const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image center
 const float LOG_SCALE_MIN = -16.0;
 const float LOG_SCALE_MAX = 8.0;    // beyond it a splat is flat over any image, and squares would overflow
-const float DEPTH_MAX = 1e18;       // of what is blended: its square is, too, and must stay finite
+const float DEPTH_MAX = 1e18;       // of blended depth: its square is blended, too, and must stay finite
 const float FACTOR_SCALE = 0.84932180028801904; // sqrt(log2(e)/2): exp(-x/2) = exp2(-FACTOR_SCALE² x)
 
 struct Splat {
@@ -38,7 +38,7 @@ float splat_exp2(float x) {
 // Quaternion (w,x,y,z) to unit length; zero or not finite becomes the identity. Scaled first so that huge and tiny
 // ones neither overflow nor vanish.
 vec4 unit_quaternion(vec4 q, out float inverse_norm) {
-    // As whole numbers, what is not finite is larger than what is; max() of numbers may pass over a NaN.
+    // Compared as integers: bits of non-finite numbers are larger. max() of floats may drop a NaN.
     uvec4 bits = floatBitsToUint(q) & 0x7fffffffu;
     uint top = max(max(bits.x, bits.y), max(bits.z, bits.w));
     float m = uintBitsToFloat(top);
@@ -67,13 +67,13 @@ vec3 to_camera(Camera c, vec3 p) {
                 dot(c.world_to_camera[2], vec4(p, 1.0)));
 }
 
-// x/z and y/z held within 1.3 half fields of view of the image center, where the linearization is still good.
-vec2 clamped_slope(Camera c, vec2 slope, out bvec2 held) {
+// x/z and y/z clamped to 1.3 half fields of view of the image center, where the linearization is still good.
+vec2 clamped_slope(Camera c, vec2 slope, out bvec2 clamped) {
     vec2 half_view = 0.5 * vec2(c.size) / c.focal;
     vec2 middle = (0.5 * vec2(c.size) - c.center) / c.focal;
     vec2 low = middle - JACOBIAN_LIMIT * half_view;
     vec2 high = middle + JACOBIAN_LIMIT * half_view;
-    held = bvec2(slope.x < low.x || slope.x > high.x, slope.y < low.y || slope.y > high.y);
+    clamped = bvec2(slope.x < low.x || slope.x > high.x, slope.y < low.y || slope.y > high.y);
     return clamp(slope, low, high);
 }
 
@@ -81,7 +81,7 @@ vec2 clamped_slope(Camera c, vec2 slope, out bvec2 held) {
 struct Projection {
     vec3 point;      // camera space
     vec2 slope;      // clamped x/z, y/z
-    bvec2 held;      // which of them is at its limit
+    bvec2 clamped;      // true where the slope was clamped
     vec3 t0;         // rows of J W R S
     vec3 t1;
     vec3 scale;
@@ -92,9 +92,9 @@ struct Projection {
     Splat splat;
 };
 
-// False if the splat cannot be seen: behind the near plane, too faint, or of a place, a scale or an opacity that is not finite.
+// False if the splat cannot be visible: behind the near plane, too faint, or with a non-finite place, scale or opacity.
 bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, float opacity_logit, out Projection o) {
-    // Before anything is compared or clamped: what compilers make of a NaN there is theirs.
+    // Before any comparison or clamp, whose result for a NaN is undefined.
     if (!finite_bits(mean) || !finite_bits(log_scale) || !finite_bits(opacity_logit)) return false;
     o.point = to_camera(camera, mean);
     o.splat.opacity = 1.0 / (1.0 + exp(-opacity_logit));
@@ -109,7 +109,7 @@ bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, fl
     mat3 q = camera_rotation(camera) * m; // columns are the scaled axes in camera space
     float inverse_z = 1.0 / z;
     vec2 slope = o.point.xy * inverse_z;
-    o.slope = clamped_slope(camera, slope, o.held);
+    o.slope = clamped_slope(camera, slope, o.clamped);
     vec2 f = camera.focal * inverse_z;
     vec3 r0 = vec3(q[0].x, q[1].x, q[2].x);
     vec3 r1 = vec3(q[0].y, q[1].y, q[2].y);

@@ -1,5 +1,5 @@
-// The part that both forms of project_bwd share: one visible splat's gradients, summed over its entries in their order
-// and taken back through projection. Included after the buffers and constants that it names are declared.
+// Shared part of the kernels of project_bwd: sums one visible splat's gradients over its entries in order and takes them
+// back through projection. Included after the buffers and constants that it names are declared.
 
 struct Visible {
     uint gaussian;
@@ -10,7 +10,7 @@ struct Visible {
     vec3 direction;      // unit, camera to mean
     float inverse_range; // 1 / distance
     vec3 normal;         // d/d(raw normal)
-    float weight;        // sum of blending weights, if asked for
+    float weight;        // sum of blending weights, if requested
     vec2 statistic;      // screen gradient of the losses that enter the statistic of densification, pixels
     SplatGradient gradient;
     bool touched;        // anything but zeros
@@ -56,9 +56,9 @@ Visible visible_splat(uint v) {
     Projection p;
     project_splat(camera, s.mean, s.log_scale, s.rotation, opacity_logits[s.gaussian], p);
     uint at = v * CHANNEL_WORDS;
-    vec3 shown = color_of_words(features[at], features[at + 1u], COLOR_BITS == 16u ? 0u : features[at + 2u]);
-    s.color = vec3(shown.x > 0.0 ? colors[0] : 0.0, shown.y > 0.0 ? colors[1u % CHANNELS] : 0.0,
-                   shown.z > 0.0 ? colors[2u % CHANNELS] : 0.0);
+    vec3 stored_color = color_of_words(features[at], features[at + 1u], COLOR_BITS == 16u ? 0u : features[at + 2u]);
+    s.color = vec3(stored_color.x > 0.0 ? colors[0] : 0.0, stored_color.y > 0.0 ? colors[1u % CHANNELS] : 0.0,
+                   stored_color.z > 0.0 ? colors[2u % CHANNELS] : 0.0);
     float depth = 0.0;
     if (HAS_DEPTH) {
         // The last two channels: z and z²; the largest z that they tell has no gradient.
@@ -81,7 +81,7 @@ Visible visible_splat(uint v) {
     return s;
 }
 
-// Adds what the color's dependence on the viewing direction does to the mean; `s_dot[k]` = coefficient k . d/d(color).
+// Adds the mean's gradient through the color's view dependence; `s_dot[k]` = coefficient k . d/d(color).
 vec3 direction_to_mean(Visible s, uint degree, float s_dot[16]) {
     vec3 d = sh_direction_gradient(s.direction, degree, s_dot);
     return (d - s.direction * dot(d, s.direction)) * s.inverse_range;

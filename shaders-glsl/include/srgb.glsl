@@ -1,4 +1,4 @@
-// The encoding of sRGB (IEC 61966-2-1), cut off at black and white, its slope, and its inverse.
+// sRGB encoding (IEC 61966-2-1), clipped at black and white, its slope, and its inverse.
 
 bvec3 finite3(vec3 v) { return bvec3(finite_bits(v.x), finite_bits(v.y), finite_bits(v.z)); }
 
@@ -10,7 +10,7 @@ vec3 srgb_encode(vec3 linear) {
     return mix(12.92 * v, 1.055 * pow(v, vec3(1.0 / 2.4)) - 0.055, greaterThan(v, vec3(0.0031308)));
 }
 
-// Derivative of the encoding of what is cut off to black or white: that of black or white, not zero.
+// Derivative of the encoding of clipped values: that at black or white, not zero.
 vec3 srgb_slope(vec3 linear) {
     vec3 v = clamp(linear, 0.0031308, 1.0);
     return mix(vec3(12.92), (1.055 / 2.4) * pow(v, vec3(1.0 / 2.4 - 1.0)), greaterThan(linear, vec3(0.0031308)));

@@ -1,4 +1,4 @@
-// Which losses' gradients enter the statistic of densification. Needs CHANNELS; the first three channels are colors.
+// Losses whose gradients enter the densification statistic. Needs CHANNELS; the first three channels are colors.
 //
 // The statistic needs two moments of its own where it is not that of all gradients: h p and h dy (blend_bwd.glsl).
 

@@ -1,4 +1,4 @@
-// What changes from step to step and comes through the uniform ring: the camera and the schedule.
+// Per-step parameters in the uniform ring: the camera and the schedule.
 
 struct Camera {
     vec4 world_to_camera[3]; // rows; OpenCV axes: x right, y down, z forward
@@ -27,7 +27,7 @@ struct Step {
     float lr_normals;
     float lr_decoder;        // of the semantic decoder
     float lr_semantics;
-    float lr_share;          // of rates that are given apart from these
+    float lr_share;          // factor of learning rates that are set separately
     float correction1;
     float correction2;
     // loss weights

@@ -1,4 +1,4 @@
-// How one subgroup covers one tile: lanes along x (and as many rows as fit), PER_LANE rows of pixels one below the other.
+// Mapping of one subgroup to one tile: lanes along x (and as many rows as fit), PER_LANE rows of pixels below one another.
 //
 // A workgroup is one subgroup, so lanes share splats by broadcast: no shared memory and no barrier. Needs
 // TILE_WIDTH * TILE_HEIGHT = SUBGROUP * PER_LANE and SUBGROUP a multiple of TILE_WIDTH.

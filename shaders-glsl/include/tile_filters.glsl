@@ -1,9 +1,9 @@
-// Derivative filters of 3 x 3 taps over a tile in shared memory, and the transposed ones.
+// Derivative filters of 3 x 3 taps over a tile in shared memory, and their transposes.
 //
-// Both directions are a difference of neighbors across a weighted sum of three, (SIDE, MIDDLE, SIDE), times SCALE. Values lie
-// in `tile_data` with two pixels of margin; what the loss makes of the filtered values goes to `tile_x` and `tile_y` with one
-// pixel of margin, zero beyond the picture; the transposed filters of these are the gradient. Whoever marches down a column
-// needs each row once.
+// Both directions are a difference of neighbors across a weighted sum of three, (SIDE, MIDDLE, SIDE), times SCALE. Values
+// lie in `tile_data` with two pixels of margin. The loss's derivatives by the filtered values lie in `tile_x` and `tile_y`
+// with one pixel of margin, zero beyond the image; the transposed filters of these are the gradient. A caller that marches
+// down a column reads each row once.
 //
 // Needs constants TILE_X, TILE_Y, SIDE, MIDDLE, SCALE, and REFLECT: whether pixels beyond the border mirror those inside
 // (the border itself is not repeated) or repeat the last one.
@@ -51,7 +51,7 @@ TileTaps tile_taps(int at, int last) {
     return TileTaps(vec3(1.0 - second, 0.0, last_but_one - 1.0), smoothed);
 }
 
-// The same for the transposed filters: what a row of slopes gives to the rows around it.
+// The same for the transposed filters: contributions of a row of slopes to the rows around it.
 TileRow tile_transposed_row(uint at, TileTaps x) {
     vec4 d = x.difference.x * tile_x[at] + x.difference.y * tile_x[at + 1u] + x.difference.z * tile_x[at + 2u];
     vec4 s = x.smoothed.x * tile_y[at] + x.smoothed.y * tile_y[at + 1u] + x.smoothed.z * tile_y[at + 2u];

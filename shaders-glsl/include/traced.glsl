@@ -1,11 +1,13 @@
-// How much light gets through the Gaussians between two points: the product of 1 - alpha over those whose density peaks
-// between them, alpha at the peak, each over what it is at the first point. A product needs no order; and what lies around
-// the first point, such as the surface it is on, hides only as much as it becomes denser along the ray.
+// Transmittance of the Gaussians between two points.
 //
-// Through a compressed wide BVH (Ylitie et al. 2017) as `TracedTree` lays it out: nodes of 20 words, eight children each
-// with a box of bytes. A subgroup goes through it together, to wherever one of its rays goes: rays of neighboring pixels to
-// one light differ little, and nodes and Gaussians are fetched once for all. Where less than 1e-4 is left of a ray, the
-// rest is not looked for. Needs a constant SUBGROUP and the buffers `tree_nodes` and `tree_splats`.
+// It is the product of 1 - alpha over the Gaussians whose density peaks between the points, alpha at the peak, each over
+// its value at the first point. A product needs no order. Gaussians around the first point, such as its own surface,
+// occlude only as far as their density rises along the ray.
+//
+// Traverses a compressed wide BVH (Ylitie et al. 2017) as `TracedTree` lays it out: nodes of 20 words, eight children each
+// with a box of bytes. A subgroup traverses it together, visiting each node that one of its rays hits: rays of neighboring
+// pixels to one light differ little, and nodes and Gaussians are fetched once for all. A ray stops once its transmittance
+// is below 1e-4. Needs a constant SUBGROUP and the buffers `tree_nodes` and `tree_splats`.
 
 const uint TRACED_STACK = 32u;
 const float TRACED_ALPHA_MIN = 1.0 / 255.0;

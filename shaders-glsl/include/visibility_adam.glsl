@@ -1,4 +1,4 @@
-// The body of Adam for the visibility field's tables: with PACKED they are also kept in 16 bits, for lookups.
+// Body of Adam for the visibility field's tables; with PACKED it also stores them in 16 bits for lookups.
 #include "common.glsl"
 #include "visibility_grid.glsl"
 #include "adam.glsl"

@@ -1,16 +1,17 @@
-// The way back through the visibility field, first half: from what the loss asks of each pair of pixel and light to the
-// weights of all layers but the first one's features, to the lights' places, and to the rows of points.
+// Backward of the visibility field, first half: from the gradient of each pair of pixel and light to the weights of all
+// layers but the first one's features, to the lights' positions, and to the rows of points.
 //
-// Everything of a pair is worked out again. Its share of the second layer's gradient is an outer product, so sums are
-// kept by neuron side by side; see visibility_lanes.glsl. Four pixels and one light at a time (with eight, compilers take three times as long); a workgroup is one subgroup and
-// leaves one set of sums. Rows of points are summed over the lights first, so that the rest of the way is gone once a pixel.
+// Recomputes the forward pass of each pair. Its share of the second layer's gradient is an outer product, so lanes hold the
+// sums by neuron; see visibility_lanes.glsl. Processes four pixels and one light at a time (with eight, compilers take three
+// times as long). A workgroup is one subgroup and writes one set of sums. Rows of points are summed over the lights first,
+// so that the second half runs once a pixel.
 //
 // Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and functions:
 //     void pair_begin(uint pixel, bool is_shaded)  before the first light of a pixel, which may be any if it is not shaded
 //     bool pair_matters(uint light)                cheap: whether the next one can be other than zero
 //     float pair_gradient(uint light)              derivative of the loss by the visibility of the light
-// All invocations of a subgroup call them together. Lights are light_of(0) to light_of(light_count() - 1), and light_place(light) is
-// the place of one in the world.
+// All invocations of a subgroup call them together. Lights are light_of(0) to light_of(light_count() - 1), and
+// light_place(light) is the position of a light in the world.
 
 #define ITEM_COUNT 4
 #include "visibility_lanes.glsl"
@@ -173,7 +174,7 @@ void main() {
             bool counts = lane_shaded && sampled(pixel, light);
             vec3 place = light_place(light);
             float by_visibility = pair_gradient(light), moved_logit = 0.0;
-            // First moved, then as it is, which is what goes back.
+            // First the jittered point, then the point itself, whose state the backward pass uses.
             float logit = 0.0;
             [[dont_unroll]] for (uint turn = REGULARIZED ? 0u : 1u; turn < 2u; turn++) {
                 moving = turn == 0u;
@@ -203,14 +204,15 @@ void main() {
                 ITEM_SUMS(stretch)
                 vec3 turn = vec3(turn_x[0], turn_y[0], turn_z[0]);
                 // Moving the light moves direction and distance the other way; at the faces, or in the point, nothing.
-                // What is across the way: by vector products, since a difference leaves a ten-millionth of the rest along it.
+                // The component across the ray, by vector products: a difference would leave a ten-millionth of the component
+                // along it.
                 vec3 across = cross(way.xyz, cross(turn, way.xyz));
-                vec3 by_place = across / max(way.w, 1e-12) + way.xyz * stretch[0];
+                vec3 position_gradient = across / max(way.w, 1e-12) + way.xyz * stretch[0];
                 uvec3 inside = uvec3(greaterThan(place, field.box_min)) * uvec3(lessThan(place, field.box_max));
                 bool whose = column() < ITEMS && way.w > 1e-12;
-                by_place = mix(vec3(0.0), -by_place * field.box_inverse, bvec3(inside * uint(whose)));
+                position_gradient = mix(vec3(0.0), -position_gradient * field.box_inverse, bvec3(inside * uint(whose)));
                 float sums[ITEMS];
-                [[unroll]] for (uint i = 0u; i < ITEMS; i++) sums[i] = i < 3u ? by_place[i] : 0.0;
+                [[unroll]] for (uint i = 0u; i < ITEMS; i++) sums[i] = i < 3u ? position_gradient[i] : 0.0;
                 ITEM_SUMS(sums)
                 if (column() < 3u) {
                     place_sums[((gl_WorkGroupID.x * SIDES + side) * push.most + light) * 3u + column()] += sums[0];

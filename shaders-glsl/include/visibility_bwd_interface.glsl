@@ -1,4 +1,4 @@
-// Constants and buffers of visibility_bwd.glsl. Define FIELD_PIXELS if points and coverage are there already.
+// Constants and buffers of visibility_bwd.glsl. Define FIELD_PIXELS if points and coverage are already declared.
 
 layout(constant_id = 10) const uint LEVELS = 16;
 layout(constant_id = 11) const bool REGULARIZED = true; // with the smoothness term
@@ -19,7 +19,7 @@ IN(float, mlp);
 IN(vec3, points);
 IN(float, coverage);
 #endif
-IN(float, rows);            // count x 32: what the first layer makes of points
+IN(float, rows);            // count x 32: the first layer's response to points
 IN(float, moved_rows);      // likewise, moved
 OUT(float, row_gradients);  // count x 32
 OUT(float, sums_of);        // by workgroup and side

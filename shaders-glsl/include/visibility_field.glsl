@@ -1,16 +1,16 @@
-// The visibility field, an invocation a pixel: how much of a light a point sees, in (0, 1).
+// Visibility field, an invocation a pixel: visibility of a light from a point, in (0, 1).
 //
-// Layers of 2 LEVELS + 4, 32, 32, 1, without biases; rectified, the last one squashed. The first layer is split: what it
-// makes of the point is worked out once a pixel (`field_pixel`), direction and distance are added for each light.
+// An MLP with layers of 2 LEVELS + 4, 32, 32, 1, without biases; ReLU, and a sigmoid at the end. The first layer is split:
+// the point's contribution is computed once a pixel (`field_pixel`), direction and distance are added for each light.
 //
-// Call field_weights(), then field_pixel() for each pixel, then field_visibility() as often as wanted, all of them from
-// uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most
-// 16), FIELD_SPREAD, and buffers `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last),
-// `field_levels`; the tables are visibility_tables.glsl's.
+// Call field_weights(), then field_pixel() for each pixel, then field_visibility() any number of times, all of them from
+// uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most 16), FIELD_SPREAD, and buffers
+// `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last), `field_levels`; the tables
+// are visibility_tables.glsl's.
 //
-// With FIELD_SPREAD the eight lanes of a subgroup work on their eight pixels together, neurons side by side, because processors
-// read weights cheaply from an invocation's own arrays alone; see visibility_lanes.glsl. Without, every invocation works
-// alone, with weights in shared memory. Where MATRIX_UNITS is defined, the second layer is multiplied by the subgroup together,
+// With FIELD_SPREAD the eight lanes of a subgroup process their eight pixels together, lanes over neurons, because CPUs
+// read weights cheaply only from an invocation's own arrays; see visibility_lanes.glsl. Without, every invocation works
+// alone, with weights in shared memory. Where MATRIX_UNITS is defined, the subgroup multiplies the second layer together,
 // with operands of 16 bits (visibility_matrices.glsl), and FIELD_SPREAD must not be set.
 
 #include "visibility_lanes.glsl"
@@ -45,7 +45,7 @@ float spread_first[FIELD_FEATURES * HELD]; // columns of the first layer
 float spread_second[WIDTH * HELD];         // columns of the second layer
 float spread_pair[4u * HELD];              // of the first layer: direction, distance
 float spread_last[HELD];
-float spread_points[ITEMS * HELD];         // what the first layer makes of each item's point
+float spread_points[ITEMS * HELD];         // the first layer's response to each item's point
 float spread_logits[ITEMS];
 vec4 spread_way;                           // of this lane's item: direction, distance
 
@@ -91,7 +91,7 @@ shared vec4 shared_second[8u * WIDTH];         // by block, input, neuron
 #endif
 shared vec4 shared_pair[WIDTH];                // by neuron: direction, distance
 shared float shared_last[WIDTH];
-float alone_point[WIDTH]; // what the first layer makes of this pixel's point
+float alone_point[WIDTH]; // the first layer's response to this pixel's point
 float alone_hidden[WIDTH];
 float alone_logit;
 

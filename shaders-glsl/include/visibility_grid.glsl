@@ -1,7 +1,7 @@
-// The hash grid of the visibility field: which entries of its tables a point touches, and with what weights.
+// Hash grid of the visibility field: the table entries of a point, and their weights.
 //
-// Mueller et al. 2022, section 3: a level is a grid over the box; grids that fit their table are stored as they are, the
-// others are hashed into it. Corners beyond the last one count as the last one.
+// Mueller et al. 2022, section 3: a level is a grid over the box; grids that fit their table are stored densely, the
+// others are hashed into it. Corners beyond the last one are clamped to it.
 
 struct FieldLevel {
     float scale;     // grid steps across the box

@@ -1,4 +1,4 @@
-// How points and lights are moved for the field's smoothness: one draw a pixel and one a light, the same for all pairs.
+// Jitter of points and lights for the field's smoothness loss: one draw a pixel and one a light, the same for all pairs.
 // Needs random.glsl and visibility_grid.glsl.
 
 const uint POINTS = 0x51a7u, LIGHTS = 0xb0c3u;

@@ -1,9 +1,9 @@
-// Products of a layer's matrix with eight items at a time (or four, as ITEM_COUNT says), neurons spread over the lanes: lane c of a side holds neurons
-// c HELD, c HELD + 1 and so on, of all items. A column of the matrix then meets an item's number by handing that round.
+// Products of a layer's matrix with eight items at a time (or four, see ITEM_COUNT), neurons spread over the lanes.
 //
-// Matrices lie in arrays of an invocation, which processors read as cheaply as constants, unlike buffers or shared memory.
-// Compilers give up on unrolling loops that become long, so those over items are written out. Needs SUBGROUP; call from
-// uniform control flow.
+// Lane c of a side holds neurons c HELD, c HELD + 1 and so on, of all items. A column of the matrix multiplies an item's
+// number that its lane broadcasts. Matrices lie in arrays of an invocation, which CPUs read as cheaply as constants,
+// unlike buffers or shared memory. Compilers stop unrolling long loops, so loops over items are written out. Needs
+// SUBGROUP; call from uniform control flow.
 
 const uint WIDTH = 32u;
 #ifndef ITEM_COUNT

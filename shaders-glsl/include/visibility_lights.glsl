@@ -1,4 +1,4 @@
-// Lights seen as the visibility field says. For one pixel a lane.
+// Shadows from the visibility field, one pixel a lane.
 #include "visibility_grid.glsl"
 
 layout(constant_id = 10) const uint LEVELS = 16;

@@ -1,11 +1,13 @@
-// The visibility field's second layer on matrices of 16-bit operands; see matrix_pieces.glsl. Part of visibility_field.glsl where
-// MATRIX_UNITS is defined; the first layer and the last are in 32 bits, as they are there. A workgroup is a subgroup.
+// Second layer of the visibility field on matrices of 16-bit operands; see matrix_tiles.glsl.
+//
+// Part of visibility_field.glsl where MATRIX_UNITS is defined. The first and last layers stay in 32 bits. A workgroup is a
+// subgroup.
 
 layout(constant_id = 12) const uint ROWS = 16;    // of a piece of the layer and of the sums
 layout(constant_id = 13) const uint COLUMNS = 16; // pixels of a piece
 layout(constant_id = 14) const uint DEPTH = 16;   // columns of a piece of the layer
 
-#include "matrix_pieces.glsl"
+#include "matrix_tiles.glsl"
 
 void matrices_weights() {
     matrix_begin();

@@ -1,4 +1,4 @@
-// The body of kernels that write how much of the lights each pixel sees: the mean over them, or one of them.
+// Body of kernels that write the visibility of the lights from each pixel: the mean over lights, or one of them.
 #include "common.glsl"
 #include "coverage.glsl"
 #include "visibility_grid.glsl"
@@ -9,7 +9,7 @@ layout(constant_id = 2) const uint SUBGROUP = 32;
 layout(constant_id = 3) const bool FIELD_SPREAD = false; // see visibility_field.glsl
 layout(constant_id = 4) const uint LEVELS = 16;
 #ifndef MATRIX_UNITS
-layout(constant_id = 5) const bool SPLIT = true;   // false: the first layer anew for each light, for comparison
+layout(constant_id = 5) const bool SPLIT = true;   // false: recomputes the first layer for each light, for comparison
 #endif
 layout(constant_id = 6) const uint ONE = 0xffffffffu; // a light, instead of the mean over all
 
@@ -37,7 +37,7 @@ void main() {
     [[dont_unroll]] for (uint j = begin; j < end; j++) {
 #ifndef MATRIX_UNITS
         if (!SPLIT) {
-            // Never the case, but nobody can tell: otherwise all lights would have it from the first.
+            // Never true, but opaque to the compiler, which would otherwise hoist it out of the loop over lights.
             if (gl_NumWorkGroups.z > j + 2u) field_features[j % FIELD_FEATURES] = 0.0;
             field_project();
         }

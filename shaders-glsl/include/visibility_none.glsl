@@ -1,4 +1,4 @@
-// Lights that nothing hides.
+// Lights without shadows.
 
 void visibility_begin(uint slot, uint pixel) {}
 

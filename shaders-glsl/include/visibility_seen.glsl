@@ -1,5 +1,7 @@
-// Lights seen as lights_trace found, for a stretch of the view's pixels. See lights_pixels.glsl for the two functions; the
-// bodies take what they need of the stretch where BY_STRETCH is defined, and a kernel says after them where it begins:
+// Shadows from the stored results of lights_trace, for a range of the view's pixels.
+//
+// See lights_pixels.glsl for the two functions. The bodies read the range where BY_STRETCH is defined, and a kernel
+// declares its beginning after them:
 //     uint stretch_first() { return push.stretch_first; }
 
 #define BY_STRETCH

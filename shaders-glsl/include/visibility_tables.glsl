@@ -1,5 +1,5 @@
-// The visibility field's tables where they are looked up: two numbers an entry, or with TABLE_BITS 16 a word of two halves.
-// One buffer is bound to both.
+// Lookup of the visibility field's tables: two numbers an entry, or with TABLE_BITS 16 a word of two halves. One buffer
+// is bound to both.
 
 #include "half.glsl"
 

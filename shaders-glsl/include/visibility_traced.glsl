@@ -1,5 +1,6 @@
-// Lights behind what is between them and the surface, traced. Rays begin TRACED_OFFSET above the surface. See
-// lights_pixels.glsl for the two functions; one pixel a lane is enough, since every pixel's way through the tree is its own.
+// Traced shadows. Rays begin TRACED_OFFSET above the surface.
+//
+// See lights_pixels.glsl for the two functions. One pixel a lane is enough, since each pixel traverses the tree by itself.
 
 #include "traced.glsl"
 

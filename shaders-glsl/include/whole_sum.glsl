@@ -1,7 +1,7 @@
-// Sums of 64-bit whole numbers in two words each, by 32-bit atomics: what carries over is known from each addition alone, so
-// the words are right when all are done, in whatever order. Small numbers of either sign mostly cost one atomic.
+// Sums of 64-bit integers in two words each, by 32-bit atomics.
 //
-// Needs a buffer WHOLE_SUMS of words, lower ones first.
+// The carry follows from each addition alone, so the words are right when all are done, in any order. Small numbers of
+// either sign mostly cost one atomic. Needs a buffer WHOLE_SUMS of words, lower ones first.
 
 // Adds a number of magnitude below 2^62, rounded.
 void add_whole(uint at, float x) {

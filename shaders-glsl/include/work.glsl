@@ -1,4 +1,4 @@
-// An amount of work that the GPU found out: arguments of an indirect dispatch, and the number of elements.
+// Work record with a count from the GPU: arguments of an indirect dispatch, and the number of elements.
 struct Work {
     uint x;
     uint y;

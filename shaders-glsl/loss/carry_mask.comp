@@ -1,7 +1,7 @@
-// The pixels of a pseudo-view that show the region of a training view, as bits.
+// Marks the pixels of a pseudo-view that show the region of a training view, as a bit mask.
 //
-// A pixel goes through its depth into the world and into the training view; it belongs if it arrives at a pixel of the
-// region that has the same depth. Each pixel asks for itself, so nothing is scattered and no order matters.
+// Each pixel is unprojected by its depth and reprojected into the training view. It belongs to the region if it lands on a
+// pixel of the region with the same depth. The kernel gathers: results do not depend on the order of invocations.
 #version 460
 #include "common.glsl"
 #include "finite.glsl"
@@ -15,7 +15,7 @@ layout(constant_id = 4) const uint TRAINED_CHANNELS = 8; // likewise of the trai
 layout(constant_id = 5) const uint TRAINED_DEPTH_AT = 6;
 
 layout(push_constant, scalar) uniform Push {
-    float least_opacity; // what is less opaque has no depth
+    float least_opacity; // less opaque pixels have no depth
     float tolerance;     // of depths, relative
 } push;
 
@@ -30,7 +30,7 @@ IN(uint, trained_mask); // a bit a pixel, from word `mask_offset` of the trainin
 OUT(uint, mask);        // a bit a pixel
 
 const uint WORDS = WORKGROUP / 32u;
-const float DEPTH_MIN = 1e-15; // what counts as a depth: products neither overflow nor vanish
+const float DEPTH_MIN = 1e-15; // smallest valid depth: products neither overflow nor underflow
 const float DEPTH_MAX = 1e15;
 
 shared uint words[WORDS];

@@ -1,12 +1,12 @@
-// Light over the background as a picture in sRGB, cut off at white; and how many pixels were cut off.
+// Composes light over the background as an sRGB image clipped at white, and counts the clipped pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool DIRECT = true;  // whether there is light of lamps,
-layout(constant_id = 3) const bool AMBIENT = true; // of the surroundings
+layout(constant_id = 2) const bool DIRECT = true;  // whether trained lights,
+layout(constant_id = 3) const bool AMBIENT = true; // and the environment map shine
 
 #define SUM_T float
 #include "group_sum.glsl"

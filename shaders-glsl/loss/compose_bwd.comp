@@ -1,4 +1,4 @@
-// The gradient of the composed picture, back to the light. What was cut off has none, unless it would come back.
+// Backward of compose: gradients of light. A clipped value has none, unless its gradient would bring it back into range.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -7,7 +7,7 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool DIRECT = true;
 layout(constant_id = 3) const bool AMBIENT = true;
-layout(constant_id = 4) const bool RETURNING = false; // whether what was cut off keeps gradients that lead it back
+layout(constant_id = 4) const bool RETURNING = false; // whether clipped values keep gradients that lead them back
 
 layout(scalar) uniform StepBlock { Step step; } params;
 

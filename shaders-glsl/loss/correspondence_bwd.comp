@@ -1,5 +1,7 @@
-// The correspondence loss of one pseudo-view: its region's pixels should have the class of the training view's region,
-// and its mean features should be the same. Writes the gradient of the region's pixels; others are left alone.
+// Correspondence loss of one pseudo-view against the training view.
+//
+// Its region's pixels should have the class of the training view's region, and the mean features should agree. Writes the
+// gradient of the region's pixels; leaves others unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,5 @@
-// What the pseudo-views' regions ask of the training view's mean features, added to the gradient of its region. Lanes are
-// side by side on the features of a pixel.
+// Gradient of the pseudo-views' correspondence losses by the training view's mean features, added to its region.
+// Lanes hold consecutive features of a pixel.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -26,14 +26,14 @@ INOUT(float, grad_image);
 
 void main() {
     uint pixels = params.step.camera.size.x * params.step.camera.size.y;
-    float wanted[HELD];
-    EACH_HELD(h) wanted[h] = 0.0;
+    float gradient[HELD];
+    EACH_HELD(h) gradient[h] = 0.0;
     for (uint p = 0u; p < PAIRS; p++) {
         LANE_DIRECTION(direction, counts, regions[0], regions[1u + p])
-        EACH_HELD(h) wanted[h] += direction[h];
+        EACH_HELD(h) gradient[h] += direction[h];
     }
     float weight = params.step.weight_correspondence / (float(PAIRS) * max(regions[0].count, 1.0));
-    EACH_HELD(h) wanted[h] *= weight;
+    EACH_HELD(h) gradient[h] *= weight;
     uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels), side = gl_SubgroupInvocationID / ACROSS;
     while (block < blocks) {
         uint count = fill_list(block, pixels);
@@ -44,7 +44,7 @@ void main() {
             // A side has no more than 32 lanes, one word of the votes, and narrow subgroups have one side.
             bool all = subgroupBallot(!finite)[side] == 0u;
             if (from + side < count && all) {
-                EACH_HELD(h) grad_image[at + h * ACROSS] += wanted[h];
+                EACH_HELD(h) grad_image[at + h * ACROSS] += gradient[h];
             }
         }
     }

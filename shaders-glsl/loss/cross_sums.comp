@@ -1,4 +1,5 @@
-// Albedo of the pixels of a region, added up. An invocation takes a word of the mask: most words of a region are empty or full.
+// Sums albedo over the pixels of a region. An invocation takes a word of the mask: most words of a region are empty
+// or full.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,5 @@
-// How far a region's mean albedo in pseudo-views is from that in the training view, and what each pixel is pulled by. One
-// workgroup.
+// Cross-view loss: distance of a region's mean albedo in pseudo-views from that in the training view, and the gradient
+// that each of its pixels gets. One workgroup.
 #version 460
 #include "common.glsl"
 #include "material_weights.glsl"
@@ -7,25 +7,25 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint PICTURES = 3; // the training view and pseudo-views
+layout(constant_id = 2) const uint VIEWS = 3; // the training view and pseudo-views
 
 #define SUM_T vec4
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    uint count; // sums of a picture
-    uint pitch; // from those of one picture to those of the next
+    uint count; // sums of a view
+    uint pitch; // stride from one view to the next
 } push;
 
-layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
-IN(vec4, sums);           // by picture and workgroup: albedo, pixels
-OUT(CrossRegion, regions); // by picture, the training view's first
+IN(vec4, sums);           // by view and workgroup: albedo, pixels
+OUT(CrossRegion, regions); // by view, the training view first
 
 void main() {
     vec4 trained = vec4(0.0);
     vec3 pull = vec3(0.0);
-    for (uint k = 0u; k < PICTURES; k++) {
+    for (uint k = 0u; k < VIEWS; k++) {
         vec4 sum = vec4(0.0);
         for (uint i = gl_LocalInvocationID.x; i < push.count; i += WORKGROUP) sum += sums[k * push.pitch + i];
         barrier(); // before the shared sums are written again
@@ -37,7 +37,7 @@ void main() {
             vec3 difference = sum.rgb - trained.rgb;
             bool counts = min(sum.w, trained.w) >= LEAST_PIXELS;
             float apart = counts ? length(difference) : 0.0;
-            vec3 direction = apart > 0.0 ? given.weights.cross_view * difference / apart : vec3(0.0);
+            vec3 direction = apart > 0.0 ? loss_weights.weights.cross_view * difference / apart : vec3(0.0);
             regions[k] = CrossRegion(sum.rgb, sum.w, direction / max(sum.w, 1.0), apart);
             pull -= direction;
         }

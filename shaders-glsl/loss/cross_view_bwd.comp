@@ -1,4 +1,4 @@
-// What the pixels of a region are pulled by, added to the gradient of their albedo.
+// Adds the cross-view gradient of a region to the albedo gradient of its pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -8,7 +8,7 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push {
-    uint picture; // its number among the regions
+    uint view; // its number among the regions
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -23,5 +23,5 @@ void main() {
     if (pixel >= size.x * size.y) return;
     uint word = mask[params.step.mask_offset + pixel / 32u];
     if ((word >> (pixel % 32u) & 1u) == 0u) return;
-    albedo_gradient[pixel] += regions[push.picture].pull;
+    albedo_gradient[pixel] += regions[push.view].pull;
 }

@@ -1,5 +1,7 @@
-// The gradient by the decoder A: runs of sum t (s f')^T, plus A K plus T^T E, with K (33 x 33) and E (CLASSES x 33) the
-// sums that samples and pixels left. A lane has a row of the gradient in each of TILES.
+// Gradient of the semantic decoder A: runs of sum t (s f')^T, plus A K plus T^T E.
+//
+// K (33 x 33) and E (CLASSES x 33) are the sums that semantic_samples and the region kernels left. A lane has a row of the
+// gradient in each of TILES.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"

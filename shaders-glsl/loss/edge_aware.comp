@@ -1,4 +1,4 @@
-// Edge-aware smoothness of albedo and roughness, and what it adds to their gradients.
+// Edge-aware smoothness of albedo and roughness, and its gradients.
 //
 // A workgroup does one tile: materials and the photograph with two pixels of margin; Sobel filters with one; the transposed
 // filters of the weighted signs. Borders repeat the last pixel.
@@ -22,7 +22,7 @@ const bool REFLECT = false;
 #include "tile_filters.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
-layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
 IN(vec3, albedo_srgb);           // P
 IN(vec3, roughness_gray);        // P, the first channel counts
@@ -98,7 +98,7 @@ void main() {
     barrier();
 
     float pixels = float(size.x) * float(size.y);
-    vec2 weight = vec2(given.weights.albedo_edge / 3.0, given.weights.roughness_edge) / pixels;
+    vec2 weight = vec2(loss_weights.weights.albedo_edge / 3.0, loss_weights.weights.roughness_edge) / pixels;
     for (uint item = gl_LocalInvocationID.x; item < TILE_X * ((TILE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
         uint column = item % TILE_X, first = item / TILE_X * RUN, end = min(first + RUN, TILE_Y);
         int x = origin.x + int(column);

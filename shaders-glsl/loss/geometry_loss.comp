@@ -1,10 +1,10 @@
-// The losses of blended normals and depths, with their gradients: agreement with prior normals, edge-aware smoothness
-// of unit normals and of depth, spread of depth along the ray.
+// Losses of blended normals and depths, with their gradients.
 //
+// Terms: agreement with prior normals, edge-aware smoothness of unit normals and of depth, spread of depth along the ray.
 // A workgroup does one tile: unit normals, depths and the photograph with two pixels of margin; Sobel filters with one,
-// marching down columns so that each value is loaded once for three rows; the transposed filters of the weighted signs,
-// in the same way, and the chain rule back to what was blended. Borders repeat the last pixel, as in the published
-// code; in the transposed filters that changes the middle tap at the border.
+// marching down columns so that each value is loaded once for three rows; the transposed filters of the weighted signs
+// in the same way; then the chain rule to the blended values. Borders repeat the last pixel, as in the published code; in
+// the transposed filters that changes the middle tap at the border.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Adds up the workgroups' partial sums of the losses, in a fixed order, into the step's record. One workgroup.
+// Sums the workgroups' partial losses in a fixed order into the step's record. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Materials as pictures that priors can be compared with: albedo in sRGB, roughness as gray.
+// Material images in the form of the priors: albedo in sRGB, roughness as gray.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -8,7 +8,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool ROUGHNESS = true; // whether roughness is wanted
+layout(constant_id = 2) const bool ROUGHNESS = true; // whether to write roughness
 
 layout(scalar) uniform StepBlock { Step step; } params;
 

@@ -1,4 +1,4 @@
-// Gradients of the pictures of materials, back to the materials. Every pixel belongs to one invocation.
+// Backward of the material images: gradients of the materials. Every pixel belongs to one invocation.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

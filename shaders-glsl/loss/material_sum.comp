@@ -1,4 +1,4 @@
-// Brings the losses of materials together in a record. One workgroup.
+// Sums the losses of materials into one record. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,7 +10,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool MSG = true;    // which of them there are
-layout(constant_id = 3) const uint PICTURES = 3;  // of the loss across views: 0 if there is none
+layout(constant_id = 3) const uint VIEWS = 3;  // of the loss across views: 0 if there is none
 layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
 layout(constant_id = 5) const uint GRAY_ESTIMATES = 0; // likewise, of roughness
 layout(constant_id = 6) const bool OWN_PRIOR = false;  // whether the region is compared with its own prior
@@ -25,7 +25,7 @@ layout(push_constant, scalar) uniform Push {
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
-layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
 IN(float, compose_sums);
 IN(vec2, edge_sums);
@@ -51,7 +51,7 @@ void main() {
         r.albedo_msg = msg[0].albedo;
         r.roughness_msg = msg[0].roughness;
     }
-    for (uint k = 1u; k < PICTURES; k++) {
+    for (uint k = 1u; k < VIEWS; k++) {
         r.cross_view += regions[k].apart;
         r.cross_pairs += uint(min(regions[0].count, regions[k].count) >= LEAST_PIXELS);
     }
@@ -72,7 +72,7 @@ void main() {
         r.own_prior = own[0].square + own[0].albedo;
         r.own_count = uint(own[0].pixels > 0.0);
     }
-    MaterialWeights w = given.weights;
+    MaterialWeights w = loss_weights.weights;
     r.total = w.albedo_msg * r.albedo_msg + w.roughness_msg * r.roughness_msg + w.albedo_edge * r.albedo_edge
             + w.roughness_edge * r.roughness_edge + w.cross_view * r.cross_view + w.relight * r.relight
             + w.own_prior * r.own_prior;

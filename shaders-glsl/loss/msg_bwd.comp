@@ -1,5 +1,5 @@
-// What the levels' slopes come to at a pixel of the picture: the transposed tent is bilinear interpolation between pixels of a
-// level.
+// Backward of the multi-scale gradient loss: gathers the levels' slopes at every pixel of the image. The transposed
+// tent is bilinear interpolation between pixels of a level.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -19,7 +19,7 @@ IN(MsgLevels, result);
 INOUT(vec3, albedo_gradient);    // P, added to
 INOUT(vec3, roughness_gradient); // P, added to the first channel
 
-// What two pixels of a level next to a place of the picture weigh there; `first` may be one before the level begins.
+// Weights of the two pixels of a level next to a position in the image; `first` may be one before the level begins.
 vec2 halves(uint at, float scale, out int first) {
     float place = (float(at) + 0.5) / scale - 0.5;
     float before = floor(place);

@@ -1,4 +1,4 @@
-// Materials minus their priors, where both are: the first level of the multi-scale gradient loss.
+// Level 0 of the multi-scale gradient loss: materials minus their priors, where both are present.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -21,7 +21,7 @@ IN(uint, mask);             // a bit a pixel, from word mask_offset
 OUT(vec4, levels);          // albedo and roughness minus the priors; 0 where there is nothing to compare
 OUT(uint, present);         // HAS_ALBEDO, HAS_ROUGHNESS
 
-// Where less is seen, too much of what is seen is background.
+// Below this coverage too much of the pixel is background.
 const float OPAQUE = 0.5;
 
 void main() {

@@ -1,5 +1,5 @@
-// The coarser levels of the multi-scale gradient loss: differences and masks made smaller by a tent that is as wide as two
-// pixels of the level. A pixel of a level counts if (almost) all of the picture below it does.
+// Coarser levels of the multi-scale gradient loss: differences and masks filtered by a tent that is as wide as two
+// pixels of the level. A pixel of a level counts if (almost) all pixels of the image below it do.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

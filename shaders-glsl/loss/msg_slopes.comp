@@ -1,8 +1,8 @@
-// Magnitudes of the differences' gradients on all levels, their sums, and their derivatives by what a level holds.
+// Gradient magnitudes of the differences on all levels, their sums, and their derivatives by a level's values.
 //
-// A workgroup does one tile of one level: differences and masks with two pixels of margin, derivative filters with one, the
-// transposed filters of what the magnitude's derivative is. Divided by the sum of the tent's weights, so that whoever carries
-// it to the picture need not know them; not by how many pixels count, which nobody knows yet.
+// A workgroup does one tile of one level: differences and masks with two pixels of margin, derivative filters with one, then
+// the transposed filters of the magnitude's derivative. Derivatives are divided by the sum of the tent's weights, so that
+// msg_bwd need not know them. They are not divided by the number of valid pixels, which msg_sum computes later.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,4 @@
-// Adds up the sums of the levels, in a fixed order: the losses, and by what each level's slopes are to be multiplied. One
-// workgroup.
+// Sums the levels in a fixed order: the losses, and the factors of each level's slopes. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -21,14 +20,14 @@ layout(push_constant, scalar) uniform Push {
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
-layout(scalar) uniform WeightsBlock { MaterialWeights weights; } given;
+layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
 IN(vec4, sums);
 OUT(MsgLevels, result);
 
 void main() {
     uvec2 size = params.step.camera.size;
-    MaterialWeights w = given.weights;
+    MaterialWeights w = loss_weights.weights;
     vec2 weights = push.share * (SQUARE ? vec2(OWN ? w.own_prior : w.relight, 0.0) : vec2(w.albedo_msg, w.roughness_msg));
     vec2 losses = vec2(0.0);
     vec2 square = vec2(0.0);

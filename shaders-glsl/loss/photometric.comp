@@ -2,8 +2,8 @@
 //
 // A workgroup does one tile. Columns first, straight from the image (neighbors read neighbors), each sample once:
 // the windowed means of (x, y, x^2 + y^2, xy) go to shared memory. Rows second, from there, again each sample once for
-// all outputs of a run. One barrier. Values are shifted by one half so that variances cancel less; what lies outside
-// the image is zero before the shift, as in the published definition.
+// all outputs of a run. One barrier. Values are shifted by one half so that variances cancel less; pixels outside
+// the image are zero before the shift, as in the published definition.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

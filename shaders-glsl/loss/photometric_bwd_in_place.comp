@@ -1,4 +1,4 @@
-// The photometric loss's gradient in place of the image, with the debt of every pixel: for a loss of color alone.
+// Gradient of the photometric loss in place of the image, with the debt of every pixel; for a loss of color alone.
 #version 460
 #define IN_PLACE 1
 #include "photometric_bwd.glsl"

@@ -1,4 +1,4 @@
-// Mean features of a region, its size, the class of most of its pixels (the first of equals). One workgroup.
+// Mean features of a region, its size, and its majority class (lowest index on ties). One workgroup.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"

@@ -1,6 +1,6 @@
-// The pixels of a training view that belong to the step's region, as bits.
+// Marks the pixels of a training view that belong to the step's region, as a bit mask.
 //
-// One invocation a word: 32 ids are half a cache line, and nobody else wants them.
+// One invocation a word: its 32 ids are half a cache line that no other invocation reads.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -19,7 +19,7 @@ void main() {
     uvec2 size = params.step.camera.size;
     uint pixels = size.x * size.y, first = 32u * word;
     uint region = params.step.region, bits = 0u;
-    // 0 is no region, and what has more than 16 bits is in no map.
+    // 0 is no region, and no map holds ids of more than 16 bits.
     if (region - 1u < 0xffffu && first < pixels) {
         uint count = min(pixels - first, 32u);
         uint at = params.step.target_offset + first, odd = at & 1u;

@@ -1,4 +1,4 @@
-// Sums of the features over a region, and how many of its pixels have which class, by batches of its pixels.
+// Sums features over a region and counts its pixels by class, in batches of its pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,6 @@
-// The gradient of the sampled features, back to the pixels that they were sampled from, at the pixels where somebody wants
-// it. Each pixel adds up its samples in their order, so nothing is added atomically.
+// Backward of feature sampling: gathers gradients of samples at the pixels of `pixel_mask`.
+//
+// Each pixel sums its samples in their order; no atomics.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -14,10 +15,10 @@ layout(constant_id = 4) const uint ACROSS = 8;    // lanes of a pixel
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, grad_features); // samples x 32
-IN(uint, wanted);         // a bit a pixel
-OUT(float, grad_image);   // all features' channels, where wanted
+IN(uint, pixel_mask);         // a bit a pixel
+OUT(float, grad_image);   // all features' channels, where its bit is set
 
-#define MASK(word) wanted[word]
+#define MASK(word) pixel_mask[word]
 #include "listed_mask.glsl"
 
 const uint HELD = FEATURES / ACROSS; // channels of a lane

@@ -1,4 +1,4 @@
-// The class of every pixel of a picture, and how much it has of one class.
+// Class of every pixel of an image, and its relevance to one query class.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -34,12 +34,12 @@ void main() {
         FETCH_ITEMS(min(from + t * SUBGROUP + lane_of(n), pixels - 1u))
         bring();
         measure();
-        float best[TILES], asked[TILES];
+        float best[TILES], query_score[TILES];
         uint label[TILES];
         Softmax s[TILES];
         EACH_TILE(t) {
             best[t] = -1e38;
-            asked[t] = 0.0;
+            query_score[t] = 0.0;
             label[t] = 0u;
             s[t] = Softmax(-1e30, 0.0);
         }
@@ -49,16 +49,16 @@ void main() {
                 float sum = product(t);
                 label[t] = sum > best[t] ? c : label[t];
                 best[t] = max(best[t], sum);
-                asked[t] = c == push.query ? sum * inverse[t] : asked[t];
+                query_score[t] = c == push.query ? sum * inverse[t] : query_score[t];
                 if (!COSINE) add_logit(s[t], sum * inverse[t] * params.step.inverse_temperature);
             }
         }
         EACH_TILE(t) {
             uint pixel = from + t * SUBGROUP + gl_SubgroupInvocationID;
-            float logit = asked[t] * params.step.inverse_temperature;
+            float logit = query_score[t] * params.step.inverse_temperature;
             if (pixel < pixels) {
                 labels[pixel] = live[t] ? label[t] : NO_LABEL;
-                relevance[pixel] = !live[t] ? 0.0 : COSINE ? asked[t] : exp(logit - s[t].top) / s[t].total;
+                relevance[pixel] = !live[t] ? 0.0 : COSINE ? query_score[t] : exp(logit - s[t].top) / s[t].total;
             }
         }
     }

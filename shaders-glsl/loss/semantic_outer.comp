@@ -1,5 +1,7 @@
-// The part of the decoder's gradient that needs the targets themselves: the sum over samples of t (s f')^T. A workgroup
-// does a stripe of the 512 rows over one run of samples; decoder_gradient adds up the runs. Lanes are rows, 2 x WORDS each.
+// Part of the decoder's gradient that needs the targets: the sum over samples of t (s f')^T.
+//
+// A workgroup does a stripe of the 512 rows over one run of samples; decoder_gradient sums the runs. Lanes are rows,
+// 2 x WORDS each.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,6 @@
-// The small matrices that stand for the decoder in a step: the rows of A^T A, then those of T A. Lanes are rows, PER_LANE
-// each. The 512 rows that are summed over are cut into parts; semantic_reduce adds these up.
+// Small matrices that replace the decoder in a step: the rows of A^T A, then those of T A.
+//
+// Lanes are rows, PER_LANE each. The 512 rows of the sum are split into parts; semantic_reduce adds them.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"

@@ -1,6 +1,7 @@
-// Every target of the view through the transposed decoder: F A, 33 numbers a sample. The one product over all targets
-// of the forward half. Lanes are samples, PER_LANE each. The 512 rows are cut into parts; whoever reads the products adds
-// these up.
+// Projects every target of the view by the transposed decoder: F A, 33 numbers a sample.
+//
+// The only product over all targets in the forward half. Lanes are samples, PER_LANE each. The 512 rows are split into
+// parts; the reader of the products adds them.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

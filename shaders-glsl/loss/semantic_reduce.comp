@@ -1,5 +1,5 @@
-// Adds up the sums of several workgroups, in a fixed order: to what was there, or in place of it. PARTS invocations share
-// a sum, if there are many workgroups.
+// Sums the partial results of several workgroups in a fixed order; adds to the destination or replaces it. PARTS
+// invocations share a sum if there are many workgroups.
 #version 460
 #include "common.glsl"
 

@@ -1,5 +1,7 @@
-// The semantic loss of the training view, by batches of samples of its target map: blended features are sampled where
-// the samples lie, decoded in their small form, compared with the targets and classified.
+// Semantic loss of the training view, in batches of samples of its target map.
+//
+// Blended features are sampled at the samples' positions, decoded in their small form, compared with the targets and
+// classified.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -41,7 +43,7 @@ void fetch(uint from, uint count) {
         SHORT for (uint n = 0u; n < ACROSS; n++) {
             uint lane = lane_of(n);
             vec2 across = subgroupShuffle(wx, lane), down = subgroupShuffle(wy, lane);
-            // A neighbor without weight must not be asked: it may not be finite, or not be there.
+            // A neighbor without weight must not be read: it may be non-finite or out of bounds.
             uint right = across.y > 0.0 ? CHANNELS : 0u, below = down.y > 0.0 ? size.x * CHANNELS : 0u;
             uint at = subgroupShuffle(pixel, lane) * CHANNELS + FIRST + column();
             SHORT for (uint h = 0u; h < HELD; h++) {

@@ -1,4 +1,4 @@
-// Adds the losses of meaning to the step's record, which loss_sum wrote. One workgroup.
+// Adds the semantic losses to the step's record, which loss_sum wrote. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

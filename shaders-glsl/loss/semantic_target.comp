@@ -1,5 +1,4 @@
-// What a semantic target says, worked out once: one over its length, and the class whose text it is closest to. One
-// subgroup a sample.
+// Precomputes a semantic target: its inverse norm, and the class whose text embedding is closest. One subgroup a sample.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
@@ -7,13 +6,13 @@
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const bool GIVEN = false; // labels are given, rather than taken from the target itself
+layout(constant_id = 3) const bool HAS_LABELS = false; // labels come from `labels`, rather than from the target itself
 
 layout(push_constant, scalar) uniform Push { uint samples; } push;
 
 IN(uint, features);     // samples x 512 halves
 IN(float, embeddings);  // CLASSES x 512, unit length
-IN(uint, labels);       // of each sample, if they are given
+IN(uint, labels);       // of each sample; read only with HAS_LABELS
 OUT(SemanticTarget, targets);
 
 void main() {
@@ -32,7 +31,7 @@ void main() {
     square = subgroupAdd(finite ? square : 0.0);
     bool valid = finite && square > 0.0;
     uint label = NO_LABEL;
-    if (GIVEN) {
+    if (HAS_LABELS) {
         if (valid && labels[at] < CLASSES) label = labels[at];
     } else if (valid) {
         float best = -1e38;

@@ -1,5 +1,7 @@
-// Where the features of a view are wanted: at the pixels that samples of its target map are interpolated from, and in a
-// region. One invocation a word of 32 pixels.
+// Marks the pixels of a view whose features the loss reads, as a bit mask.
+//
+// These are the pixels that samples of its target map are interpolated from, and those of a region. One invocation a word
+// of 32 pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -11,7 +13,7 @@ layout(constant_id = 1) const bool REGION = false;
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(uint, mask);    // a bit a pixel, from the step's mask_offset
-OUT(uint, wanted); // likewise, from the first word
+OUT(uint, pixel_mask); // likewise, from the first word
 
 // Whether a sample of `samples` along an axis of `pixels` is interpolated from pixel `at`: one that lies less than a pixel
 // away, the first and last of both being on each other.
@@ -35,5 +37,5 @@ void main() {
         bits |= uint(wants) << i;
     }
     if (REGION) bits |= mask[params.step.mask_offset + word];
-    wanted[word] = bits;
+    pixel_mask[word] = bits;
 }

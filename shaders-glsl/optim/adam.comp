@@ -1,5 +1,5 @@
-// Adam for one parameter group with gradients in a buffer. Does nothing when a flag of the step is set, and skips
-// gradients that are not finite, counting them.
+// Adam for one parameter group with gradients in a buffer. Does nothing if a flag of the step is set; skips and counts
+// gradients that are not finite.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,7 @@
-// Adam for the Gaussians that the fused update of a step did not move. Their gradient is what other views left, or zero:
-// then moments decay and carry the parameters on, which makes Adam dense, or they stay as they are.
+// Adam for the Gaussians that the fused update of a step did not move.
+//
+// Their gradient is that of other views, or zero. Then either moments decay and carry the parameters on (dense Adam), or
+// the Gaussians are left unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -17,7 +19,7 @@ layout(constant_id = 5) const bool SPARSE = false; // an exactly-zero gradient l
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, live);
 IN(uint, flags);
-IN(uint, seen);      // not zero for what is none of this pass's business
+IN(uint, seen);      // nonzero for Gaussians that this pass must skip
 IN(float, gradients);
 INOUT(float, parameters);
 INOUT(vec2, moments);

@@ -1,9 +1,9 @@
-// Densification, fifth: who goes where.
+// Densification, step 5: assigns slots.
 //
 // Children take the holes from the lowest up, then the slots past the end. The k-th hole has at most k holes and all
-// kept Gaussians before it, so with k below the number of births it lies below the new end. Holes that are left below
-// the new end are as many as Gaussians that are kept beyond it, and these move in, lowest into lowest. Nobody moves out
-// of a slot that another moves into, so all copies can be made at once.
+// survivors before it, so with k below the number of new Gaussians it lies below the new end. As many holes remain below
+// the new end as survivors lie beyond it; these move in, lowest into lowest. No Gaussian moves out of a slot that another
+// moves into, so all copies can run concurrently.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -19,7 +19,7 @@ IN(uint, holes);
 IN(uint, hole_ranks);
 IN(uint, strong_ranks);
 IN(uint, tie_ranks);
-OUT(Move, entries); // the births, then one for each slot beyond the new end
+OUT(Move, entries); // the new Gaussians, then one for each slot beyond the new end
 INOUT(DensifyStats, stats);
 
 void main() {
@@ -30,13 +30,13 @@ void main() {
     uint kind = verdict_kind(verdict);
     bool beyond = i >= p.after;
     if (kind == PRUNE) {
-        if (beyond) entries[p.births + i - p.after] = Move(i, i, NOWHERE, PRUNE);
+        if (beyond) entries[p.added + i - p.after] = Move(i, i, NOWHERE, PRUNE);
         return;
     }
     uint home = i;
     if (beyond) {
-        uint rank = (i - hole_ranks[i]) - (p.after - hole_ranks[p.after]); // among the kept beyond the new end
-        home = holes[p.births + rank];
+        uint rank = (i - hole_ranks[i]) - (p.after - hole_ranks[p.after]); // among the survivors beyond the new end
+        home = holes[p.added + rank];
     }
     uint birth = NOWHERE;
     if (refined(verdict)) {
@@ -50,5 +50,5 @@ void main() {
         if (kind == SPLIT) atomicAdd(stats[0].split, 1u);
         else atomicAdd(stats[0].cloned, 1u);
     }
-    if (beyond) entries[p.births + i - p.after] = Move(i, home, NOWHERE, birth == NOWHERE ? KEEP : PRUNE);
+    if (beyond) entries[p.added + i - p.after] = Move(i, home, NOWHERE, birth == NOWHERE ? KEEP : PRUNE);
 }

@@ -1,4 +1,4 @@
-// Densification, first: a verdict on every Gaussian, and how many of each kind there are.
+// Densification, step 1: decides on every Gaussian, and counts the decisions by kind.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

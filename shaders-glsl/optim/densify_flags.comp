@@ -1,4 +1,4 @@
-// Densification, third: the verdicts as flags, whose prefix sums rank the Gaussians of each kind.
+// Densification, step 3: the decisions as flags, whose prefix sums rank the Gaussians of each kind.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

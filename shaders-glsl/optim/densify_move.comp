@@ -1,5 +1,5 @@
-// Densification, sixth: the copies, for one parameter group. What only moves keeps its moments; what is new, and that
-// is both halves of a split, starts without.
+// Densification, step 6: copies one parameter group. A moved Gaussian keeps its moments; a new one, including both
+// halves of a split, starts with zero moments.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

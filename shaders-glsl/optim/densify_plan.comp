@@ -1,4 +1,4 @@
-// Densification, second: how many Gaussians there will be, and which are refined if not all can be. One workgroup.
+// Densification, step 2: computes the new count, and selects the Gaussians to refine if not all fit. One workgroup.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -44,28 +44,28 @@ void main() {
         verdicts[spared] = KEEP;
         p.pruned--;
     }
-    uint kept = p.before - p.pruned;
+    uint survivors = p.before - p.pruned;
     uint cap = min(params.densify.cap, push.capacity);
-    uint wanted = counters[COUNT_REFINED];
-    p.births = min(wanted, cap > kept ? cap - kept : 0u);
-    p.after = kept + p.births;
+    uint candidates = counters[COUNT_REFINED];
+    p.added = min(candidates, cap > survivors ? cap - survivors : 0u);
+    p.after = survivors + p.added;
     p.cutoff = 0u;
-    p.strong = wanted;
-    if (p.births < wanted) {
+    p.strong = candidates;
+    if (p.added < candidates) {
         uint above = 0u, share = 0u;
-        while (above + shares[share] <= p.births) above += shares[share++];
+        while (above + shares[share] <= p.added) above += shares[share++];
         uint strength = STRENGTHS - share * SHARE;
-        while (above + count_of(strength) <= p.births) above += count_of(strength--);
+        while (above + count_of(strength) <= p.added) above += count_of(strength--);
         p.cutoff = strength;
         p.strong = above;
     }
-    p.ties = p.births - p.strong;
+    p.ties = p.added - p.strong;
     plan[0] = p;
     before[0] = work_for(p.before, PER_GROUP);
     before[1] = work_for(p.before, SCAN_BLOCK);
-    moves[0] = work_for(max(p.births, p.pruned), PER_GROUP);
+    moves[0] = work_for(max(p.added, p.pruned), PER_GROUP);
     live[0] = work_for(p.after, PER_GROUP);
-    // The one that is spared is not told apart.
+    // Counts the spared Gaussian like the others.
     uint weightless = min(counters[COUNT_WEIGHTLESS], p.pruned - min(invalid, p.pruned));
-    stats[0] = DensifyStats(p.before, p.after, p.pruned, invalid, weightless, 0u, 0u, wanted - p.births);
+    stats[0] = DensifyStats(p.before, p.after, p.pruned, invalid, weightless, 0u, 0u, candidates - p.added);
 }

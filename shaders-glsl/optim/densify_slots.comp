@@ -1,4 +1,4 @@
-// Densification, fourth: the slots of the pruned Gaussians, by rank.
+// Densification, step 4: the slots of the pruned Gaussians, by rank.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -1,4 +1,4 @@
-// Densification, last: the two halves of a split, so far equal to their parent, are drawn from it and made smaller.
+// Densification, step 7: samples the two halves of a split from their parent and makes them smaller.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -20,7 +20,7 @@ layout(push_constant, scalar) uniform Push {
 struct IntrinsicReport {
     uint step;
     uint skipped;          // gradients that were not finite, so far
-    float shaded;          // weighted loss of the shaded picture
+    float shaded;          // weighted loss of the shaded image
     float shaded_l1;
     float shaded_ssim;
     float albedo;          // weighted losses of the priors

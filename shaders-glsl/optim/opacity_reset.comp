@@ -1,5 +1,5 @@
-// Opacities are cut to 0.01 and their moments forgotten (Kerbl et al. 2023, section 5.2: floaters near the cameras
-// fade, and what is needed comes back).
+// Clamps opacities to 0.01 and clears their moments (Kerbl et al. 2023, section 5.2: floaters near the cameras fade, and
+// needed Gaussians recover).
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -13,27 +13,27 @@ struct StepReport {
     uint step;
     uint gaussians;
     uint visible;
-    uint entries;  // wanted, by the view that wants most; more than the capacity if `flags` is set
+    uint entries;  // required by the view that requires most; more than the capacity if `flags` is set
     uint flags;
-    uint skipped;  // splats whose gradients were not finite, so far
+    uint skipped;  // splats whose gradients were not finite
     LossStats losses;
 };
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
 IN(Work, visible);
-IN(uint, wanted);
-IN(uint, wanted0);
-IN(uint, wanted1);
+IN(uint, required);
+IN(uint, required0);
+IN(uint, required1);
 IN(uint, flags);
 IN(uint, skipped);
 IN(LossStats, losses);
 OUT(StepReport, reports);
 
 void main() {
-    uint entries = wanted[0];
-    if (PSEUDO >= 1u) entries = max(entries, wanted0[0]);
-    if (PSEUDO >= 2u) entries = max(entries, wanted1[0]);
+    uint entries = required[0];
+    if (PSEUDO >= 1u) entries = max(entries, required0[0]);
+    if (PSEUDO >= 2u) entries = max(entries, required1[0]);
     reports[params.step.step % RING] =
         StepReport(params.step.step, gaussians[0].count, visible[0].count, entries, flags[0], skipped[0], losses[0]);
 }

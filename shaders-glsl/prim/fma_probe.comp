@@ -1,5 +1,5 @@
-// The arithmetic probe of the benchmark: chains of multiply-adds that touch no memory until the end, eight at a time so
-// that latency hides. Each invocation does 128 operations a round.
+// Arithmetic probe of the benchmark: eight independent chains of multiply-adds that touch no memory until the end, to
+// hide latency. Each invocation does 128 operations a round.
 #version 460
 #include "common.glsl"
 

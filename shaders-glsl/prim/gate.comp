@@ -1,4 +1,4 @@
-// Group counts of a pass that runs only if a word is not zero: nothing, or what is given, or what was found before.
+// Group counts of a conditional pass: zero if a word is zero; otherwise constants or counts from an earlier pass.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// How often each digit occurs in each block: the first third of a pass of the radix sort.
+// Counts each digit in each block: the first third of a pass of the radix sort.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

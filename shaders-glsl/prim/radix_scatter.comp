@@ -1,8 +1,8 @@
 // Moves each element of a block to its place among all with its digit: the last third of a pass of the radix sort.
 //
-// Each subgroup has a run of SUBGROUP * ITEMS elements and counts digits in its own counters, so the order within a
-// run, between runs and between blocks is kept. Elements are put in order in shared memory first: what leaves is
-// contiguous for each digit.
+// Each subgroup has a run of SUBGROUP * ITEMS elements and its own digit counters, so the order within a run, between runs
+// and between blocks is preserved. Elements are ordered in shared memory first, so that stores are contiguous for each
+// digit.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -12,7 +12,7 @@ layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(constant_id = 2) const uint ITEMS = 16;
 layout(constant_id = 3) const uint BITS = 8;
 layout(constant_id = 4) const bool IOTA = false;      // the values are the positions
-layout(constant_id = 5) const bool WRITE_KEYS = true; // somebody reads them
+layout(constant_id = 5) const bool WRITE_KEYS = true; // whether a later pass reads them
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push { uint limit; uint shift; uint stride; } push;
@@ -27,7 +27,7 @@ IN(uint, values); // not read for IOTA
 OUT(uint, keys_sorted);
 OUT(uint, values_sorted);
 
-// Two counters a word: 16 bits are enough for what a block holds.
+// Two counters a word: 16 bits are enough for a block.
 const uint PAIRS = (BINS + 1u) / 2u;
 const uint BLOCK = WORKGROUP * ITEMS;
 const uint COUNTERS = SUBGROUPS * PAIRS;
@@ -44,7 +44,7 @@ void main() {
     uint count = element_count();
     uint block = folded_workgroup();
     if (block * BLOCK >= count) return;
-    uint held = min(count - block * BLOCK, BLOCK);
+    uint block_size = min(count - block * BLOCK, BLOCK);
     uint first = block * BLOCK + gl_SubgroupID * SUBGROUP * ITEMS + gl_SubgroupInvocationID;
     for (uint i = gl_LocalInvocationID.x; i < COUNTERS; i += WORKGROUP) pool[i] = 0u;
 
@@ -111,7 +111,7 @@ void main() {
     [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
         uint i = k * WORKGROUP + gl_LocalInvocationID.x;
         targets[k] = 0u;
-        if (i < held) {
+        if (i < block_size) {
             uint key = pool[i];
             targets[k] = shifts[digit_of(key)] + i;
             if (WRITE_KEYS) keys_sorted[targets[k]] = key;
@@ -125,6 +125,6 @@ void main() {
     barrier();
     [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
         uint i = k * WORKGROUP + gl_LocalInvocationID.x;
-        if (i < held) values_sorted[targets[k]] = pool[i];
+        if (i < block_size) values_sorted[targets[k]] = pool[i];
     }
 }

@@ -1,5 +1,5 @@
-// As radix_scatter, with one subgroup a workgroup that writes elements where they go as it meets them. For devices
-// whose subgroups are small and whose barriers are dear: processors.
+// As radix_scatter, with one subgroup a workgroup that writes elements directly to their places. For devices with small
+// subgroups and expensive barriers: CPUs.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -8,7 +8,7 @@ layout(constant_id = 0) const uint SUBGROUP = 8; // also the workgroup
 layout(constant_id = 1) const uint ITEMS = 256;
 layout(constant_id = 2) const uint BITS = 8;
 layout(constant_id = 3) const bool IOTA = false;      // the values are the positions
-layout(constant_id = 4) const bool WRITE_KEYS = true; // somebody reads them
+layout(constant_id = 4) const bool WRITE_KEYS = true; // whether a later pass reads them
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push { uint limit; uint shift; uint stride; } push;

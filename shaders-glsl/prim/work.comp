@@ -1,5 +1,6 @@
-// From a count that the GPU found out to the Work records of what follows, one for each group size. A count beyond the
-// capacity becomes 0, so that the rest of the frame does nothing, and raises a flag.
+// Converts a count on the GPU to Work records, one for each group size.
+//
+// A count beyond the capacity becomes 0, so that the rest of the frame does nothing, and raises a flag.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -10,7 +11,7 @@ layout(push_constant, scalar) uniform Push { uvec4 group_sizes; uint capacity; u
 
 IN(uint, source);  // the count, 0xFFFFFFFF for anything beyond
 OUT(Work, works);  // one for each group size
-OUT(uint, wanted); // the count before it was refused
+OUT(uint, required); // the count before the check against capacity
 INOUT(uint, flags);
 
 void main() {
@@ -19,6 +20,6 @@ void main() {
     bool fits = count <= push.capacity;
     works[i] = work_for(fits ? count : 0u, push.group_sizes[i]);
     if (i != 0u) return;
-    wanted[0] = count;
+    required[0] = count;
     if (!fits) atomicOr(flags[0], push.flag);
 }

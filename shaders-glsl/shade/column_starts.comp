@@ -1,4 +1,4 @@
-// Where each column of the sparse matrix begins among its entries sorted by column; the last word is where all end.
+// First entry of each column of the sparse matrix, from its entries sorted by column; the last word is their number.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -1,5 +1,5 @@
-// Light of the environment on each pixel's surface: (1 - M) A irradiance(n) + radiance(reflected, roughness) (F0 a + b).
-// With DIFFUSE_ONLY the first part of it alone.
+// Radiance of each pixel under the environment map: (1 - M) A irradiance(n) + radiance(reflected, roughness) (F0 a + b).
+// With DIFFUSE_ONLY the first term alone.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// The environment as the camera sees it behind everything: unfiltered, bilinear.
+// Environment map as the background of a view: unfiltered, bilinear.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

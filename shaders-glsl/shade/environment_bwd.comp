@@ -1,5 +1,5 @@
-// Backward of the environment's light: gradients of materials are added to, those of the filtered texels are summed in
-// fixed point, so that their order does not matter. Normals are detached.
+// Backward of environment: adds gradients of materials; sums those of the filtered texels in fixed point, so that their
+// order does not matter. Normals are detached.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -42,7 +42,7 @@ void add(uint at, float units, bool together) {
     }
     if ((v.x | v.y) == 0u) return;
     uint before = atomicAdd(texel_sums[2u * at], v.x);
-    // Past the largest low word there is a carry; nobody reads in between, so the sum is exact in the end.
+    // The low word carries on overflow. No kernel reads in between, so the final sum is exact.
     v.y += before + v.x < v.x ? 1u : 0u;
     if (v.y != 0u) atomicAdd(texel_sums[2u * at + 1u], v.y);
 }

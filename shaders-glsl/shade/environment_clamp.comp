@@ -1,4 +1,4 @@
-// Negative texels become black.
+// Clamps negative texels to 0.
 #version 460
 #include "common.glsl"
 

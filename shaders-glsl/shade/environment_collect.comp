@@ -1,4 +1,4 @@
-// Sums of the filtered texels' gradients, from fixed point, over the sums of weights that normalized their filters.
+// Gradients of the filtered texels: their fixed-point sums divided by the filters' normalizing weights.
 #version 460
 #include "common.glsl"
 

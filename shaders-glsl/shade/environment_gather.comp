@@ -1,5 +1,5 @@
-// A step's share of the gradients of the filtered texels, added to those of the steps before: as environment_collect, for
-// surroundings that move once in several steps.
+// Adds a step's gradients of the filtered texels to those of earlier steps, as environment_collect; for an environment
+// map that is updated every N steps.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// An environment's texels looked up bilinearly at each pixel of a map of latitude and longitude.
+// Resamples an environment cube bilinearly at each pixel of a latitude-longitude map.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Adjoint of environment_map: derivatives by pixels of a map, gathered to the texels that were looked up there.
+// Adjoint of environment_map: gathers gradients of the map's pixels at the texels that they sampled.
 #version 460
 #include "common.glsl"
 

@@ -1,5 +1,6 @@
-// Squared differences of neighbors in a map, down and to the right, and the derivative by its pixels. The map closes around to the
-// right. Only differences occur, so that nothing cancels where the environment is bright and even.
+// Squared differences of neighbors in a latitude-longitude map, down and to the right, and the gradient by its pixels.
+//
+// The map wraps around to the right. Only differences occur, so nothing cancels where the environment is bright and even.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Gradients of a cube from those of its mips: a texel gets its share of each mip that a part of the loss was made from.
+// Backward of environment_mips: adds each mip's gradients to the texels of the cube.
 #version 460
 #include "common.glsl"
 

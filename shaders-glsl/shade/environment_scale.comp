@@ -1,4 +1,4 @@
-// A bound for what any pixel may give to a texel of the environment, for sums in fixed point.
+// Upper bound of any pixel's contribution to a texel's gradient, for sums in fixed point.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

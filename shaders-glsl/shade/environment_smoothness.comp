@@ -1,5 +1,7 @@
-// A quadratic form of the environment's texels that is zero for constants, and its gradient. Only differences occur:
-// weight sum_i sum_j -1/2 q_ij |x_i - x_j|^2, so that nothing cancels where the environment is bright and even.
+// Quadratic smoothness of the environment's texels, zero for constants, and its gradient.
+//
+// Only differences occur: weight sum_i sum_j -1/2 q_ij |x_i - x_j|^2, so nothing cancels where the environment is bright
+// and even.
 #version 460
 #include "common.glsl"
 

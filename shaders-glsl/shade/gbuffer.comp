@@ -1,4 +1,4 @@
-// What a view sees of the surfaces: from blended normals and depth to a point and a unit normal in the world.
+// G-buffer of a view: a point and a unit normal in the world from blended normals and depth.
 //
 // Depth is the blended z over the opacity, taken along the ray through the pixel's center.
 #version 460

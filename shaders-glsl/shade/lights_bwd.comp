@@ -1,4 +1,4 @@
-// Gradients of the lights that nothing hides.
+// Gradients of lights without shadows.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

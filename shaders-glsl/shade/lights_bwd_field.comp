@@ -1,4 +1,4 @@
-// Gradients of lights that are seen as the visibility field says.
+// Gradients of lights with shadows from the visibility field.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Gradients of lights that Gaussians may hide, as traced before.
+// Gradients of lights with traced shadows, from the stored visibility.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that are seen as the visibility field says.
+// Radiance of pixels with shadows from the visibility field.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

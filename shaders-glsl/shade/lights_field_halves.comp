@@ -1,5 +1,4 @@
-// As lights_field.comp.
-// The second layer as on matrix units, by ordinary instructions: for tests.
+// As lights_field_cooperative.comp, by ordinary instructions: for tests.
 #version 460
 #define MATRIX_UNITS 0
 #include "common.glsl"

@@ -1,7 +1,7 @@
-// How near each light comes to the pixels' points, and to which: partial results of workgroups, for lights_regularize.
+// Nearest surface point of each light: partial results of workgroups, for lights_regularize.
 //
-// A workgroup, which is one subgroup, takes a range of blocks. Every lane keeps the nearest of its own pixels for each light,
-// and lanes are compared once at the end; of equals the lowest pixel counts.
+// A workgroup, which is one subgroup, takes a range of blocks. Every lane keeps the nearest of its own pixels for each
+// light; lanes are compared once at the end. The lowest pixel wins ties.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -28,7 +28,7 @@ IN(vec3, points);
 IN(float, coverage);
 OUT(uint, near_partials); // by workgroup and light: distance squared (as bits), pixel
 
-const float FAR = 1e30; // of what is not there
+const float FAR = 1e30; // distance of an absent point
 
 float best[LIGHTS];
 uint where[LIGHTS];

@@ -1,4 +1,4 @@
-// Gradients of normals under lights that nothing hides.
+// Gradients of normals under lights without shadows.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Gradients of normals under lights that are seen as the visibility field says.
+// Gradients of normals with shadows from the visibility field.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,7 +1,7 @@
-// Raw parameters of the lights to what shading reads, and the list of those that are on. One workgroup.
+// Converts raw parameters of the lights to the layout that shading reads, and lists active lights. One workgroup.
 //
-// With PERTURBED they are moved, dimmed or brightened, and some switched off, at random: a function of the step's seed, of
-// the copy and of the light.
+// With PERTURBED, lights are moved, scaled in brightness and some switched off at random: a function of the step's seed,
+// the copy and the light.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,5 @@
-// From sums over pixels to gradients of the lights' raw parameters, with those of the regularizers. Lights that are off have
-// none.
+// Backward of lights_prepare: gradients of the lights' raw parameters from sums over pixels, plus those of the
+// regularizers. Lights that are off have none.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Switches off lights of which no amplitude comes near the largest of all lights that are on. One workgroup.
+// Switches off lights whose largest amplitude is small against the largest of all active lights. One workgroup.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Adds up the rows that lights_bwd's workgroups left, in their order. PARTS invocations share a number, if there are many rows.
+// Sums the rows that lights_bwd's workgroups left, in order. PARTS invocations share a number if there are many rows.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// What is asked of lights for their own sake: to keep away from surfaces, and to be no brighter than needed. One workgroup.
+// Regularizers of the lights: distance from surfaces, and total brightness. One workgroup.
 #version 460
 #include "common.glsl"
 

@@ -1,6 +1,6 @@
-// Radiance under all lights with each exact saving of it by itself, for `engine-bench savings`: nothing trains or shades with this.
+// Radiance under all lights with each exact optimization separately, for `engine-bench savings` only.
 //
-// One pixel a lane, one light after the other, the same code but for what a constant leaves out.
+// One pixel a lane, one light after the other; specialization constants select the optimization.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

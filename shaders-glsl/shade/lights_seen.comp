@@ -1,4 +1,4 @@
-// How much of the lights that are on the pixels of a stretch see, mean over these: from what lights_trace left.
+// Mean visibility of the active lights over a range of pixels, from the results of lights_trace.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that are seen as the visibility field says, and its diffuse part.
+// Radiance of pixels and its diffuse part, with shadows from the visibility field.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

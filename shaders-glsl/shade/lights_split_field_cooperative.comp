@@ -1,5 +1,4 @@
-// As lights_split_field.comp.
-// The second layer on matrix units of 16-bit operands: visibility_matrices.glsl.
+// As lights_split_field.comp, with the second layer on cooperative matrices of 16-bit operands: visibility_matrices.glsl.
 #version 460
 #extension GL_KHR_cooperative_matrix : require
 #extension GL_KHR_memory_scope_semantics : require

@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that Gaussians may hide, as traced before, and its diffuse part.
+// Radiance of pixels and its diffuse part, with traced shadows from the stored visibility.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,6 @@
-// How far each light that is on is seen from the pixels of a stretch of a view: a byte a pair, four neighboring pixels a word.
-// A workgroup is one subgroup: neighbors and one light, whose rays go through the tree together.
+// Traces the visibility of each active light from a range of pixels: a byte a pair, four neighboring pixels a word.
+//
+// A workgroup is one subgroup: neighboring pixels and one light, whose rays traverse the tree together.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -35,7 +36,7 @@ void main() {
     uint count = params.step.camera.size.x * params.step.camera.size.y, pixel = min(i, count - 1u);
     uint light = light_list[1u + slot];
     vec3 place = prepared[light_at(light)].xyz, point = points[pixel], normal = normals[pixel];
-    // What faces away gets nothing anyway, and nobody looks at it.
+    // A pixel that faces away gets no light, and no kernel reads its visibility.
     bool lit = i < count && is_covered(coverage[pixel]) && dot(normal, place - point) > 0.0;
     vec3 from = point + push.offset * normal, to = place - from;
     float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));

@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that Gaussians may hide.
+// Radiance of pixels with traced shadows.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Radiance of pixels under the lights, and what materials' gradients need.
+// Radiance of pixels under the lights, and the sums that gradients of materials need.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

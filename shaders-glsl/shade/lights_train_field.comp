@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that are seen as the visibility field says, and what materials' gradients need.
+// Radiance of pixels with shadows from the visibility field, and the sums that gradients of materials need.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// Radiance of pixels under lights that Gaussians may hide, as traced before, and what materials' gradients need.
+// Radiance of pixels with traced shadows from the stored visibility, and the sums that gradients of materials need.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

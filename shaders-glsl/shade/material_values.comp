@@ -1,4 +1,4 @@
-// Activates the materials of every Gaussian, once for all pixels that see it.
+// Activates the materials of every Gaussian once for all pixels.
 #version 460
 #include "common.glsl"
 #include "material.glsl"

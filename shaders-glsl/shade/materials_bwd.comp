@@ -1,14 +1,14 @@
 // Gradients of the Gaussians' raw materials: a column of the sparse matrix times the pixels' gradients.
 //
 // Eight lanes share a Gaussian whatever the subgroup, each adding every eighth entry, so that the order of the sum is the
-// same everywhere. Four entries a turn keep the turns of the largest splats within what llvmpipe counts (65535).
+// same on every device. Four entries an iteration keep the iterations of the largest splats within llvmpipe's limit (65535).
 #version 460
 #include "common.glsl"
 #include "material.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool METALLIC = false;
-layout(constant_id = 2) const bool ADD = false; // to what other views of the step left
+layout(constant_id = 2) const bool ADD = false; // to the gradients of other views of the step
 layout(local_size_x_id = 0) in;
 #include "entry_weights.glsl"
 

@@ -1,5 +1,6 @@
-// Normals of every pixel, where Gaussians' normals are learned: a row of the sparse matrix times them, made unit; and what
-// one over its length is, which the way back needs.
+// Normals of every pixel where Gaussians have learned normals: a row of the sparse matrix times the normals, normalized.
+//
+// Also writes the inverse length, which the backward pass needs.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,8 +1,8 @@
-// Gradients of the Gaussians' normals: a column of the sparse matrix times the pixels' gradients, each over the length of what
-// was made unit there.
+// Gradients of the Gaussians' normals: a column of the sparse matrix times the pixels' gradients, each over the length
+// before normalization.
 //
 // Eight lanes share a Gaussian whatever the subgroup, each adding every eighth entry, so that the order of the sum is the
-// same everywhere. Four entries a turn keep the turns of the largest splats within what llvmpipe counts (65535).
+// same on every device. Four entries an iteration keep the iterations of the largest splats within llvmpipe's limit (65535).
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Depth of the surfaces that a view sees, as blending leaves it: z times opacity, and transmittance. For what works on
+// Depth of the visible surfaces in the form of a blended view: z times opacity, and transmittance. For passes that read
 // blended views (carry_mask).
 #version 460
 #include "common.glsl"

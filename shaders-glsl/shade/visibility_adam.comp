@@ -1,5 +1,6 @@
-// Adam for the visibility field's tables, at the entries that were touched, a word of 32 bits an invocation. Leaves their
-// gradients and bits zero, whether or not anything was allowed to move. What has a gradient of exactly zero stays as it is.
+// Adam for the visibility field's tables, at touched entries; an invocation does a word of 32 bits.
+//
+// Clears gradients and bits, whether or not an update was allowed. An entry with a gradient of exactly zero is unchanged.
 #version 460
 #define PACKED 0
 #include "visibility_adam.glsl"

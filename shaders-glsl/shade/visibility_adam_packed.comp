@@ -1,4 +1,4 @@
-// As visibility_adam.comp, and leaves each entry that has moved in 16 bits as well.
+// As visibility_adam.comp; also writes each updated entry in 16 bits.
 #version 460
 #define PACKED 1
 #include "visibility_adam.glsl"

@@ -1,5 +1,6 @@
-// The way back through the visibility field, first half, for lights of constant radiance: a pair's part of the loss is
-// visibility times the light's radiance times the gradient of the pixel's.
+// Backward of the visibility field, first half, for lights of constant radiance.
+//
+// A pair contributes visibility times the light's radiance times the gradient of the pixel's radiance.
 #version 460
 #include "common.glsl"
 #include "coverage.glsl"
@@ -16,7 +17,7 @@ IN(vec3, light_positions); // world
 IN(vec3, light_radiance);
 IN(vec3, radiance_gradient);
 
-vec3 asked;
+vec3 pixel_gradient;
 
 uint light_count() { return by_workgroup(field_params.field.lights); }
 
@@ -24,10 +25,10 @@ uint light_of(uint i) { return i; }
 
 vec3 light_place(uint light) { return light_positions[light]; }
 
-void pair_begin(uint pixel, bool is_shaded) { asked = is_shaded ? radiance_gradient[pixel] : vec3(0.0); }
+void pair_begin(uint pixel, bool is_shaded) { pixel_gradient = is_shaded ? radiance_gradient[pixel] : vec3(0.0); }
 
-bool pair_matters(uint light) { return dot(asked, light_radiance[light]) != 0.0; }
+bool pair_matters(uint light) { return dot(pixel_gradient, light_radiance[light]) != 0.0; }
 
-float pair_gradient(uint light) { return dot(asked, light_radiance[light]); }
+float pair_gradient(uint light) { return dot(pixel_gradient, light_radiance[light]); }
 
 #include "visibility_bwd.glsl"

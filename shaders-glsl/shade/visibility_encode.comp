@@ -1,5 +1,5 @@
-// The visibility field's hash grid: what its first layer makes of each pixel's point, and of the point moved a little.
-// Rows of 32 by pixel, so that whoever goes through lights, in whatever order, need not look into the tables again.
+// Hash-grid encoding of the visibility field: the first layer's response to each pixel's point, and to the jittered
+// point. Rows of 32 by pixel, so that later kernels can visit lights in any order without reading the tables again.
 #version 460
 #include "common.glsl"
 #include "random.glsl"

@@ -1,8 +1,8 @@
-// The way back through the visibility field, second half: from gradients of the rows of points to the first layer's
-// weights of features, and to the tables' entries.
+// Backward of the visibility field, second half: from gradients of the points' rows to the first layer's weights of
+// features, and to the tables' entries.
 //
-// Pixels share entries, so these are summed as whole numbers, in which the order does not matter. Which entries were
-// touched is kept as a bit each.
+// Pixels share entries, so these are summed as integers, whose sum does not depend on order. A bit mask records the
+// touched entries.
 #version 460
 #include "common.glsl"
 #include "coverage.glsl"
@@ -89,7 +89,7 @@ void encode(vec3 position) {
 }
 
 // Not below only if the weights have become something that is no network.
-float held(float g) { return abs(g) < 4e18 ? g : 0.0; }
+float bounded(float g) { return abs(g) < 4e18 ? g : 0.0; }
 
 // Features of a level that lie in one lane.
 const uint TOGETHER = HELD > 1u ? 2u : 1u;
@@ -98,8 +98,8 @@ const uint TOGETHER = HELD > 1u ? 2u : 1u;
 void scatter(uint item, vec3 position, float power) {
     [[dont_unroll]] for (uint h = 0u; h < HELD; h += TOGETHER) {
         uint feature = neuron(h);
-        float one = held(staged[item * HELD + h] * power), two = 0.0;
-        if (TOGETHER > 1u) two = held(staged[item * HELD + h + TOGETHER - 1u] * power);
+        float one = bounded(staged[item * HELD + h] * power), two = 0.0;
+        if (TOGETHER > 1u) two = bounded(staged[item * HELD + h + TOGETHER - 1u] * power);
         if (feature >= FEATURES || (one == 0.0 && two == 0.0)) continue;
         FieldLevel level = field_levels[feature / 2u];
         FieldCell cell = field_cell(level, position);

@@ -1,5 +1,4 @@
-// As visibility.comp.
-// The second layer as on matrix units, by ordinary instructions: for tests.
+// As visibility_cooperative.comp, by ordinary instructions: for tests.
 #version 460
 #define MATRIX_UNITS 0
 #include "visibility_mean.glsl"

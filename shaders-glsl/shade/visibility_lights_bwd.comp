@@ -1,5 +1,6 @@
-// The way back through the visibility field, first half, under prepared lights: a pair's part of the loss is visibility times
-// what the light would add to the pixel's radiance times the gradient of that.
+// Backward of the visibility field, first half, under prepared lights.
+//
+// A pair contributes visibility times the light's unshadowed radiance at the pixel times the gradient of that radiance.
 #version 460
 #include "common.glsl"
 #include "finite.glsl"
@@ -14,7 +15,7 @@
 IN(vec3, radiance_gradient);
 
 // A pixel's material times the gradient of its radiance.
-vec3 asked, matte, reflectance;
+vec3 pixel_gradient, matte, reflectance;
 float edge_on;
 
 uint light_count() { return light_list[0]; }
@@ -25,11 +26,11 @@ vec3 light_place(uint light) { return prepared[light_at(light)].xyz; }
 
 void pair_begin(uint pixel, bool is_shaded) {
     surfaces[0] = load_surface(pixel, is_shaded);
-    asked = matte = vec3(0.0);
+    pixel_gradient = matte = vec3(0.0);
     reflectance = vec3(0.04);
     edge_on = 1.0;
     if (is_shaded) {
-        asked = push.normalizer * radiance_gradient[pixel];
+        pixel_gradient = push.normalizer * radiance_gradient[pixel];
         vec3 albedo = materials[pixel].rgb;
         float metal = 0.0;
         if (METALLIC) {
@@ -37,7 +38,7 @@ void pair_begin(uint pixel, bool is_shaded) {
             reflectance = fresnel0(albedo, metal);
             edge_on = fresnel90(reflectance);
         }
-        matte = (1.0 - metal) / PI * albedo * asked;
+        matte = (1.0 - metal) / PI * albedo * pixel_gradient;
     }
 }
 
@@ -53,7 +54,7 @@ float pair_gradient(uint light) {
         emitted += exp2(-dot(u, u)) * lobe.amplitude;
     }
     Lit r = lit_by(surfaces[0], ray.l, nl);
-    vec3 glossy = r.specular * mix(reflectance, vec3(edge_on), r.fresnel) * asked;
+    vec3 glossy = r.specular * mix(reflectance, vec3(edge_on), r.fresnel) * pixel_gradient;
     return nl * falloff(ray) * dot(matte + glossy, emitted);
 }
 

@@ -1,4 +1,4 @@
-// Adds up what workgroups left of the gradient of the visibility field's layers, in a fixed order.
+// Sums the workgroups' gradients of the visibility field's layers in a fixed order.
 #version 460
 #include "common.glsl"
 

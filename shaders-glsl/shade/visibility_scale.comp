@@ -1,6 +1,6 @@
-// How gradients of the visibility field's tables are brought to whole numbers: by a power of two, so that the largest sum
-// that there can be still fits 63 bits. At most `pixels` times the largest gradient of a feature comes together in an entry,
-// and that is at most the largest gradient of a row times a column of the first layer.
+// Scale of the fixed-point gradients of the visibility field's tables: a power of two for which the largest possible
+// sum fits 63 bits. An entry collects at most `pixels` times the largest gradient of a feature. That gradient is at most
+// the largest gradient of a row times a column of the first layer.
 #version 460
 #include "common.glsl"
 #include "visibility_grid.glsl"

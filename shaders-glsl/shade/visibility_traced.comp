@@ -1,4 +1,4 @@
-// How much of each of some places every pixel sees through the Gaussians. Rows of workgroups are places.
+// Visibility of a list of points from every pixel through the Gaussians. Rows of workgroups are points.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,5 @@
-// The blending weights of a view as rows of a sparse matrix: for every pixel the Gaussians that show there, nearest first,
-// with their weights over the pixel's opacity. Rows that do not fit are not written.
+// Blending weights of a view as rows of a sparse matrix: for every pixel the contributing Gaussians, nearest first, with
+// their weights over the pixel's opacity. Rows beyond the capacity are not written.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -30,14 +30,14 @@ uint next_entry[PER_LANE];
 float inverse[PER_LANE];
 float carried[PER_LANE];
 
-// Parts of 65535 of a row are rounded one after the other, what rounding leaves going on to the next: a row adds up as it did, to half
-// a part, however long it is, and each weight is off by no more than one part.
-uint kept(uint k, float weight) {
+// Rounds the weights of a row to units of 1/65535 in sequence and carries the rounding error to the next weight. A row keeps
+// its sum to half a unit, however long it is, and each weight is off by at most one unit.
+uint quantized(uint k, float weight) {
     if (WEIGHT_BITS != 16u) return floatBitsToUint(weight);
-    precise float wanted = weight * 65535.0 + carried[k];
-    precise float parts = clamp(roundEven(wanted), 0.0, 65535.0);
-    carried[k] = wanted - parts;
-    return uint(parts);
+    precise float exact = weight * 65535.0 + carried[k];
+    precise float units = clamp(roundEven(exact), 0.0, 65535.0);
+    carried[k] = exact - units;
+    return uint(units);
 }
 
 #define START(k, pixel)                 \
@@ -47,7 +47,7 @@ uint kept(uint k, float weight) {
 #define VISIT(k, pixel, v, w)                   \
     if (next_entry[k] < columns.length()) {     \
         columns[next_entry[k]] = splat_ids[v];  \
-        weights[next_entry[k]] = kept(k, w * inverse[k]); \
+        weights[next_entry[k]] = quantized(k, w * inverse[k]); \
         pixels[next_entry[k]] = pixel;          \
     }                                           \
     ++next_entry[k];

@@ -1,4 +1,4 @@
-// How many splats show at every pixel: the lengths of the rows that `weights` fills.
+// Number of contributing splats of every pixel: the lengths of the rows that `weights` fills.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -18,10 +18,10 @@ IN(uint, entry_splats);
 IN(Splat, splats);
 OUT(uint, counts); // zero at first
 
-uint shown[PER_LANE];
-#define START(k, pixel) shown[k] = 0u;
-#define VISIT(k, pixel, v, w) ++shown[k];
-#define FINISH(k, pixel) counts[pixel] = shown[k];
+uint visible[PER_LANE];
+#define START(k, pixel) visible[k] = 0u;
+#define VISIT(k, pixel, v, w) ++visible[k];
+#define FINISH(k, pixel) counts[pixel] = visible[k];
 #include "blend_visit.glsl"
 
 void main() { visit_blend(); }

@@ -1,4 +1,5 @@
-// As weights_transpose.comp, of weights in parts of 65535 that are kept two a word in either order. Two entries an invocation.
+// As weights_transpose.comp, for weights in units of 1/65535, stored two a word in either order. Two entries an
+// invocation.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

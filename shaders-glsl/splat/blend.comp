@@ -1,7 +1,7 @@
-// Blends the splats of a tile front to back, any number of channels in one go.
+// Blends the splats of a tile front to back, for any number of channels.
 //
-// alpha = min(0.99, opacity * exp(-power)); below 1/255 skipped; a pixel stops before its transmittance would fall
-// below 1e-4. The background goes behind the colors, which are the first three channels.
+// alpha = min(0.99, opacity * exp(-power)); an alpha below 1/255 is skipped; a pixel stops before its transmittance would
+// fall below 1e-4. The background goes behind the colors, which are the first three channels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,6 @@
-// Backward of blend: as blend_bwd, but the sums of a splat and tile are added to the splat's own by atomics, in whatever order
-// tiles come. There is room for splats in place of entries; the same step does not leave the same bits.
+// Backward of blend as blend_bwd, but adds the sums of a splat and tile to the splat's own by atomics.
+//
+// Buffers hold splats in place of entries. The order of additions varies, so results are not bitwise reproducible.
 #version 460
 #extension GL_EXT_shader_atomic_float : require
 #define ATOMIC

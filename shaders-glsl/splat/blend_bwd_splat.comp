@@ -1,5 +1,5 @@
-// Backward of blend, the other way round: lanes are splats, pixels are walked one by one, transmittance and debt run
-// along the lanes by prefix operations. Sums stay in their lane: nothing is reduced at the end.
+// Backward of blend, one lane a splat: pixels are walked one by one, transmittance and debt run along the lanes by
+// prefix operations. Sums stay in their lane, so no final reduction is needed.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,6 +1,7 @@
-// What the loss owes to the splats behind each pixel, before the first of them (see blend_bwd.glsl): one number, so that
-// the picture itself is not needed any more when blending goes backward. With STATISTIC only the losses that enter the
-// statistic of densification count.
+// Debt of each pixel before its first splat (see blend_bwd.glsl): the loss gradient that the splats still distribute.
+//
+// One number a pixel replaces the image in the backward pass. With STATISTIC only the losses that enter the densification
+// statistic count.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

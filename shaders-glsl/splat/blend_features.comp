@@ -1,17 +1,17 @@
-// Blends raw features of the Gaussians (semantics) at the pixels where somebody wants them, with the weights that blend
-// gives to everything else. Elsewhere the picture of features is not written. A tile has a workgroup for every SPAN pixels
-// that it may have to do.
+// Blends raw features of the Gaussians (semantics) at the pixels of `pixel_mask`, with the weights of blend.
+//
+// Other pixels of the feature image are not written. A tile has a workgroup for every SPAN pixels that it may have to do.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
-layout(constant_id = 1) const uint PER_LANE = 2; // wanted pixels of a lane at a time
+layout(constant_id = 1) const uint PER_LANE = 2; // selected pixels of a lane at a time
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint FEATURES = 32;
-layout(constant_id = 5) const uint SPAN = 64;    // wanted pixels of a workgroup
+layout(constant_id = 5) const uint SPAN = 64;    // selected pixels of a workgroup
 layout(local_size_x_id = 0) in;
 
 const uint SPANS = (TILE_WIDTH * TILE_HEIGHT + SPAN - 1u) / SPAN; // of a tile
@@ -24,11 +24,11 @@ IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);   // [Gaussians * FEATURES]
 IN(uint, packed_features);
-IN(uint, wanted);          // a bit a pixel
-OUT(float, feature_image); // [pixels * FEATURES], where wanted
+IN(uint, pixel_mask);          // a bit a pixel
+OUT(float, feature_image); // [pixels * FEATURES], where its bit is set
 
 #include "lane_features.glsl"
-#include "wanted.glsl"
+#include "pixel_mask.glsl"
 #include "lane_hits.glsl"
 
 void main() {
@@ -36,7 +36,7 @@ void main() {
     uint tile = folded_workgroup() / SPANS, first = folded_workgroup() % SPANS * SPAN;
     if (tile >= camera.tiles.x * camera.tiles.y) return;
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
-    uint pixels = list_wanted(corner, camera.size, first);
+    uint pixels = list_marked_pixels(corner, camera.size, first);
     if (pixels <= first) return;
     uint begin = tile_ranges[2u * tile], end = tile_ranges[2u * tile + 1u];
     for (uint from = first; from < min(first + SPAN, pixels); from += SUBGROUP * PER_LANE) {

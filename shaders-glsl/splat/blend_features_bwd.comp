@@ -1,8 +1,8 @@
-// Backward of blend_features: what every entry's features, opacity and footprint get from the wanted pixels.
+// Backward of blend_features: gradients of every entry's features, opacity and footprint from the selected pixels.
 //
-// Gradients of opacity and footprint are linear in the gradients of the channels, so those that come through features are
-// worked out here by themselves and added to the others' where the entries of a splat are summed. An entry that shows at
-// no wanted pixel is not written; its flag stays down. The first dispatch does all wanted pixels of tiles of up to SHORT
+// Gradients of opacity and footprint are linear in the gradients of the channels. Those that come through features are
+// computed separately here and added to the others where the entries of a splat are summed. An entry that covers no
+// selected pixel is not written; its flag stays 0. The first dispatch does all selected pixels of tiles of up to SHORT
 // entries, and SPAN of longer ones; the next does the SPAN of these from `first` on.
 #version 460
 #include "common.glsl"
@@ -32,15 +32,15 @@ IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);
 IN(uint, packed_features);
-IN(uint, wanted);
+IN(uint, pixel_mask);
 IN(float, feature_image);
-IN(float, grad_features);     // [pixels * FEATURES], where wanted
+IN(float, grad_features);     // [pixels * FEATURES], where its bit is set
 INOUT(float, entry_features); // [entries * GRADIENTS]: moments, then features; where the flag is up
 INOUT(uint, entry_flags);     // by entry; zero at first
 
 #include "lane_sums.glsl"
 #include "lane_features.glsl"
-#include "wanted.glsl"
+#include "pixel_mask.glsl"
 #include "lane_hits.glsl"
 
 void main() {
@@ -51,7 +51,7 @@ void main() {
     bool is_short = end - begin <= SHORT;
     if (is_short && push.first > 0u) return;
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
-    uint pixels = list_wanted(corner, camera.size, push.first);
+    uint pixels = list_marked_pixels(corner, camera.size, push.first);
     if (pixels <= push.first) return;
     uint until = is_short ? pixels : min(push.first + SPAN, pixels);
     for (uint from = push.first; from < until; from += SUBGROUP * PER_LANE) {
@@ -82,7 +82,7 @@ void main() {
             Splat s = splats[v];
             uint gaussian = splat_ids[v];
             uint left = entry_flags[entry]; // whether an earlier part of the list has left something
-            bool shown = false;
+            bool contributes = false;
             uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center);
             while ((hits.x | hits.y) != 0u) {
                 uint i = next_lane(hits);
@@ -125,7 +125,7 @@ void main() {
                 if (subgroupAny(shows > 0.0)) {
                     uint at_entry = subgroupShuffle(entry, i);
                     bool first = subgroupShuffle(left, i) == 0u;
-                    shown = shown || i == gl_SubgroupInvocationID;
+                    contributes = contributes || i == gl_SubgroupInvocationID;
                     [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
                         float lane_sum[SUBGROUP];
                         [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) lane_sum[j] = sum[part * SUBGROUP + j];
@@ -138,9 +138,9 @@ void main() {
                     }
                 }
             }
-            // An entry is this lane's own in every part of the list, and nobody else ever touches it.
+            // Only this lane writes the entry, in every part of the list.
             // (Lanes past the end have the last entry, and never show.)
-            if (shown) entry_flags[entry] = 1u;
+            if (contributes) entry_flags[entry] = 1u;
         }
     }
 }

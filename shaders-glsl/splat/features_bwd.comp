@@ -1,5 +1,5 @@
-// Gradients of raw features: the sums over the entries of each visible splat, in their order, added to what other views
-// left. A step of one view fuses them with Adam instead (features_bwd_adam).
+// Gradients of raw features: sums over the entries of each visible splat in order, added to those of other views. A step
+// of one view fuses them with Adam instead (features_bwd_adam).
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -1,6 +1,7 @@
-// Gradients of raw features summed over the entries of each visible splat, and Adam on the spot. A feature whose gradient
-// is exactly zero was not seen and stays as it is, unless Adam is dense; one that is not finite changes nothing and is
-// counted; a raised flag leaves everything as it was.
+// Gradients of raw features summed over the entries of each visible splat, fused with Adam.
+//
+// A feature whose gradient is exactly zero counts as unseen and is left unchanged, unless Adam is dense. A non-finite
+// gradient changes nothing and is counted. A raised flag leaves everything unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,4 +1,4 @@
-// The Gaussians' features in 16 bits, two a word, for blending in this step.
+// Packs the Gaussians' features as halves, two a word, for blending in this step.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -1,5 +1,6 @@
-// Writes one entry for each tile that a splat touches, splats in depth order: a stable sort by tile then keeps each
-// tile's entries in depth order while its keys stay as short as the number of tiles.
+// Writes one entry for each tile that a splat touches, splats in depth order.
+//
+// A stable sort by tile then keeps each tile's entries in depth order, with keys as short as the number of tiles.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,5 +1,5 @@
-// Whether any tile has more entries than a kernel may go through at once; group counts of the dispatches that are needed
-// only then, or none.
+// Detects tiles with more entries than one dispatch may process; writes group counts of the additional dispatches, or
+// zeros.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Adds the workgroups' shares of the camera gradient, in their order.
+// Sums the workgroups' camera gradients in order.
 #version 460
 #include "common.glsl"
 #include "work.glsl"

@@ -1,7 +1,8 @@
-// Packs one layer of a blended view into texels of an image format, and counts for the host what did not fit.
+// Packs one layer of a blended view into texels of an image format, and reports overflow to the host.
 //
-// Colors are display-referred (sRGB-encoded) and stay so unless LINEAR asks for linear light; an image whose format
-// decodes sRGB gets the encoded values as they are. Shaded pictures are linear, and are encoded here. Depth and normals are the blended values, not divided by alpha.
+// Colors are display-referred (sRGB-encoded) and stay so unless LINEAR requests linear light; an image whose format
+// decodes sRGB gets the encoded values unchanged. Shaded images are linear and are encoded here. Depth and normals are the
+// blended values, not divided by alpha.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -20,9 +21,9 @@ layout(scalar) uniform StepBlock { Step step; } params;
 IN(float, image);         // [pixels * CHANNELS]
 IN(float, transmittance); // [pixels]
 IN(uint, flags);          // [1] not zero if the entries did not fit
-IN(uint, wanted);         // [1] entries that there should have been
+IN(uint, required);         // [1] entries that the frame requires
 OUT(uint, texels);        // [pixels * words of a texel]
-INOUT(uint, report);      // [3] frames; frames that did not fit; most entries wanted
+INOUT(uint, report);      // [3] frames; frames that did not fit; most entries that a frame required
 
 float linear(float v) { return v <= 0.04045 ? v / 12.92 : pow((v + 0.055) / 1.055, 2.4); }
 
@@ -38,7 +39,7 @@ void main() {
     if (i == 0u) {
         report[0] = report[0] + 1u;
         report[1] = report[1] + (flags[0] != 0u ? 1u : 0u);
-        report[2] = max(report[2], wanted[0]);
+        report[2] = max(report[2], required[0]);
     }
     uvec2 size = params.step.camera.size;
     if (i >= size.x * size.y) return;

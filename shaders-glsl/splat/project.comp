@@ -1,5 +1,5 @@
-// Projects the Gaussians that `project_count` marked as visible into a compact list: footprint, depth, channels, number of
-// tiles. Culled ones are not read.
+// Projects the Gaussians that `project_count` marked as visible into a compact list: footprint, depth, channels, number
+// of tiles. Culled Gaussians are not read.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

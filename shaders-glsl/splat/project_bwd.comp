@@ -1,5 +1,5 @@
-// Backward of projection with every gradient written out: for tests, hosts with an optimizer of their own, and the
-// camera's pose. Training uses the form that is fused with Adam.
+// Backward of projection with every gradient written out: for tests, hosts with their own optimizer, and the camera
+// pose. Training uses the form that is fused with Adam.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

@@ -1,6 +1,7 @@
-// Backward of projection fused with Adam: gradients of this view never reach memory; those that other views left (`extra`)
-// are added. Only splats that were seen and touched move; a raised flag (an overflow earlier in the step) leaves everything
-// as it was.
+// Backward of projection fused with Adam: gradients of this view never reach memory.
+//
+// Gradients of other views (`extra`) are added. Only splats that were seen and touched move. A raised flag (an overflow
+// earlier in the step) leaves everything unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -107,7 +108,7 @@ void main() {
         touched = touched || any_extra != 0u;
     }
     if (!touched) return;
-    // Another pass moves what nobody has marked by the extra gradients alone: not what was skipped here.
+    // Another pass moves the unmarked Gaussians by the extra gradients alone; Gaussians skipped here must not move there.
     if (EXTRA && MARK_SEEN) seen[i] = 1u;
     float check = dot(gm, vec3(1.0)) + dot(gs, vec3(1.0)) + dot(gr, vec4(1.0)) + go +
                   dot(s.color, vec3(1.0)) + dot(s.normal, vec3(1.0));

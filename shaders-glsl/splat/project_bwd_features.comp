@@ -1,6 +1,7 @@
-// Backward of projection for what came through features alone: their moments are summed over the entries of each visible
-// splat, in their order, taken back to its place, shape and opacity, and added to what other views left there. For views
-// of which nothing but features is compared.
+// Backward of projection for gradients from features alone, for views whose loss reads only features.
+//
+// Sums moments over the entries of each visible splat in order, converts them to gradients of its place, shape and
+// opacity, and adds these to those of other views.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -25,7 +26,7 @@ IN(vec3, means);
 IN(vec3, log_scales);
 IN(vec4, rotations);
 IN(float, opacity_logits);
-INOUT(float, extra); // [Gaussians * EXTRA_WIDTH]; what shows at no wanted pixel stays as it is
+INOUT(float, extra); // [Gaussians * EXTRA_WIDTH]; splats that cover no selected pixel are unchanged
 
 void main() {
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;

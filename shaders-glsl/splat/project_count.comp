@@ -1,5 +1,7 @@
-// Decides which Gaussians the camera sees, once for the whole step: one bit each, and how many of each workgroup. That is the
-// first half of compaction by reduce-then-scan; `project` follows these bits, since its own arithmetic may differ by an ulp.
+// Frustum-culls the Gaussians once for the whole step: one visibility bit each, and the count of each workgroup.
+//
+// This is the first half of compaction by reduce-then-scan. `project` follows these bits, since its own arithmetic may
+// differ by an ulp.
 #version 460
 #include "common.glsl"
 #include "step.glsl"

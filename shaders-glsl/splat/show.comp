@@ -1,4 +1,4 @@
-// A picture as a window shows it: gain, encoding, marks and letters over it, packed as the window's format has it.
+// Displays an image in a window: gain, encoding, overlaid marks and letters, packed in the window's format.
 #version 460
 #include "common.glsl"
 #include "finite.glsl"
@@ -11,10 +11,10 @@ layout(constant_id = 3) const uint FIRST_LETTER = 32;
 layout(constant_id = 4) const uint LETTERS = 96;
 layout(local_size_x = 8, local_size_y = 8) in;
 
-layout(push_constant, scalar) uniform Push { uvec2 size; uvec2 picture_size; } push;
+layout(push_constant, scalar) uniform Push { uvec2 size; uvec2 image_size; } push;
 
 struct ShowStep {
-    uint kind;        // what the picture holds: 0 encoded color, 1 linear light, 2 values, 3 directions
+    uint kind;        // the image holds: 0 encoded color, 1 linear light, 2 values, 3 directions
     float gain;       // of light, of values
     uint marks;       // how many there are
     uint columns;     // letters in a line
@@ -30,20 +30,20 @@ struct Mark {
 };
 
 layout(scalar) uniform StepBlock { ShowStep step; } params;
-layout(rgba16f) uniform restrict readonly image2D picture;
+layout(rgba16f) uniform restrict readonly image2D image;
 IN(Mark, marks);
-IN(uint, text);  // a byte a cell, line by line; 0 leaves the picture
+IN(uint, text);  // a byte a cell, line by line; 0 leaves the image as it is
 IN(uint, font);  // a byte a pixel, letter by letter
 OUT(uint, texels);
 
 vec3 texel(ivec2 at) {
-    return only_finite(imageLoad(picture, clamp(at, ivec2(0), ivec2(push.picture_size) - 1)).xyz);
+    return only_finite(imageLoad(image, clamp(at, ivec2(0), ivec2(push.image_size) - 1)).xyz);
 }
 
-// The picture at a pixel of the window; a picture of another size is interpolated bilinearly.
-vec3 picture_at(uvec2 at) {
-    if (push.picture_size == push.size) return texel(ivec2(at));
-    vec2 place = (vec2(at) + 0.5) * vec2(push.picture_size) / vec2(push.size) - 0.5;
+// The image at a pixel of the window; an image of another size is interpolated bilinearly.
+vec3 image_at(uvec2 at) {
+    if (push.image_size == push.size) return texel(ivec2(at));
+    vec2 place = (vec2(at) + 0.5) * vec2(push.image_size) / vec2(push.size) - 0.5;
     ivec2 low = ivec2(floor(place));
     vec2 t = place - vec2(low);
     vec3 above = mix(texel(low), texel(low + ivec2(1, 0)), t.x);
@@ -58,7 +58,7 @@ void main() {
     if (any(greaterThanEqual(at, push.size))) return;
     uint kind = by_workgroup(params.step.kind);
     float gain = params.step.gain;
-    vec3 v = picture_at(at);
+    vec3 v = image_at(at);
     // Decoding and encoding again would change bits.
     if (kind == 0u) {
         v = gain == 1.0 ? v : srgb_encode(srgb_decode(v) * gain);
@@ -82,7 +82,7 @@ void main() {
         v = mix(v, mark.color, inside);
         v = mix(v, vec3(0.05), rim);
         if ((mark.look & 1u) != 0u) {
-            // A dark line around the light one, for what is white.
+            // A dark line around the light one, visible on white.
             float ring = clamp(3.5 - away, 0.0, 1.0) - clamp(1.5 - away, 0.0, 1.0);
             float around = clamp(4.5 - away, 0.0, 1.0) - clamp(3.5 - away, 0.0, 1.0);
             v = mix(mix(v, vec3(0.05), around), vec3(1.0), ring);

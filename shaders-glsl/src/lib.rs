@@ -1,7 +1,7 @@
 //! The kernels: GLSL in, SPIR-V and typed metadata out.
 //!
 //! Everything below is generated from the GLSL files of this folder: a kernel's push constants and shared structs field
-//! by field with checked offsets, its bindings by name with what the code does to each, its specialization constants.
+//! by field with checked offsets, its bindings by name with the access of the code, its specialization constants.
 //! A leaf: it knows no Vulkan and no Gaussians' meaning.
 
 /// How the code behind a binding touches it.
@@ -17,7 +17,7 @@ pub enum Access {
     Accumulate,
 }
 
-/// What a binding takes.
+/// Kind of a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BindingKind {
     /// A storage buffer.
@@ -50,9 +50,9 @@ pub struct Binding {
     pub name: &'static str,
     /// Number.
     pub number: u32,
-    /// What is bound.
+    /// Kind of the bound resource.
     pub kind: BindingKind,
-    /// What the code does.
+    /// Access of the code.
     pub access: Access,
 }
 

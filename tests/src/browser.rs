@@ -141,7 +141,7 @@ impl Browser {
     /// What the page asked for beside itself and what it holds, and what went wrong in it.
     pub fn complaints(&mut self) -> Vec<String> {
         self.eval("1");
-        let said = |e: &Value| match e["method"].as_str().unwrap_or_default() {
+        let report_text = |e: &Value| match e["method"].as_str().unwrap_or_default() {
             "Network.requestWillBeSent" => {
                 let url = e["params"]["request"]["url"].as_str().unwrap_or_default();
                 (!url.starts_with("data:") && e["params"]["type"] != "Document").then(|| format!("asks for {url}"))
@@ -149,7 +149,7 @@ impl Browser {
             "Runtime.exceptionThrown" | "Log.entryAdded" => Some(e["params"].to_string()),
             _ => None,
         };
-        self.heard.iter().filter_map(said).collect()
+        self.heard.iter().filter_map(report_text).collect()
     }
 }
 

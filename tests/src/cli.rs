@@ -35,9 +35,9 @@ impl Finished {
         let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
         assert!(self.status.is_some_and(|s| [1, 2, 42, 75].contains(&s)), "{context}");
         self.assert_no_panic();
-        let said: Vec<&str> =
+        let message: Vec<&str> =
             self.stderr.lines().filter(|l| !l.trim_start().starts_with("WARN") && !l.trim().is_empty()).collect();
-        let [sentence] = said[..] else { panic!("one line was expected: {context}") };
+        let [sentence] = message[..] else { panic!("one line was expected: {context}") };
         assert!(sentence.starts_with("sgs: ") && sentence.len() < 700, "{context}");
         if self.arguments.split(' ').any(|a| a == "--json") {
             assert_eq!(self.json()["error"], sentence["sgs: ".len()..], "{context}");
@@ -119,7 +119,7 @@ pub fn sgs_after<S: AsRef<str>>(preparation: &str, arguments: &[S]) -> Finished 
 }
 
 /// Runs the program where nobody reads what it prints.
-pub fn sgs_unheard<S: AsRef<str>>(arguments: &[S]) -> Finished {
+pub fn sgs_with_closed_stdout<S: AsRef<str>>(arguments: &[S]) -> Finished {
     let (reader, writer) = std::io::pipe().unwrap_or_else(|e| panic!("there is no pipe: {e}"));
     drop(reader);
     let output = command(arguments).stdout(writer).output();

@@ -1,4 +1,4 @@
-//! Views whose features are compared, for tests: cameras, weights, the twin's loss, and their part of a graph.
+//! Views whose features are compared, for tests: cameras, weights, the reference's loss, and their part of a graph.
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
@@ -56,7 +56,7 @@ impl View {
         }
     }
 
-    /// By the twin, of Gaussians without normals.
+    /// By the reference, of Gaussians without normals.
     pub fn loss(&self, g: &Gaussians) -> f64 {
         let all = render(g, &self.camera, 0, false, [0.0; 3]).image;
         let features = all.chunks_exact(3 + WIDE).flat_map(|pixel| &pixel[3..]);
@@ -72,7 +72,7 @@ pub struct Declared {
     pub visible: Visible,
     /// Its tiles.
     pub entries: Entries,
-    /// The picture of features.
+    /// The image of features.
     pub image: Buffer,
     /// What features left at the entries.
     pub features: EntryFeatures,
@@ -88,10 +88,10 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     let visible = project(g, &t, &screen, handles, Channels::default()).unwrap();
     let entries = intersect(g, &t, &screen, &visible, 1 << 13, flags).unwrap();
     let pixels = screen.pixels();
-    let wanted = g.input("wanted", 4 * wanted_words(pixels));
+    let requested = g.input("wanted", 4 * wanted_words(pixels));
     let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
-    let shown = Wanted { pixels: wanted, dense: view.dense };
+    let shown = Wanted { pixels: requested, dense: view.dense };
     let handles = &features_pack(g, &t, handles).unwrap();
     blend_features(g, &t, &screen, handles, &visible, &entries, shown, image).unwrap();
     let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, shown, image, gradient).unwrap();
@@ -102,7 +102,7 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     let weights = view.weights.iter().enumerate();
     let weights: Vec<f32> = weights.map(|(i, x)| if wants(i / WIDE) { *x as f32 } else { f32::NAN }).collect();
     let inputs =
-        vec![(step, bytes(&[Step { camera, ..values }])), (wanted, bytes(&words)), (gradient, bytes(&weights))];
+        vec![(step, bytes(&[Step { camera, ..values }])), (requested, bytes(&words)), (gradient, bytes(&weights))];
     Declared { screen, visible, entries, image, features, inputs }
 }
 

@@ -1,10 +1,10 @@
-//! A visibility field with a picture and lights, run by the device and by the reference.
+//! A visibility field with an image and lights, run by the device and by the reference.
 
 use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::visibility as twin;
+use sgs_passes::reference::visibility as reference;
 use sgs_passes::shade::visibility::{
     BackwardOptions, Constant, Field, FieldConfig, Gradients, View, packed_tables, visibility, visibility_bwd,
 };
@@ -14,7 +14,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A field, a picture and lights.
+/// A field, an image and lights.
 #[derive(Clone)]
 pub struct Case {
     /// Its shape.
@@ -81,8 +81,8 @@ impl Case {
     }
 
     /// For the reference.
-    pub fn twin(&self) -> twin::Field {
-        twin::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high).stored(self.table_bits)
+    pub fn reference(&self) -> reference::Field {
+        reference::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high).stored(self.table_bits)
     }
 
     /// In double precision.
@@ -92,18 +92,18 @@ impl Case {
 
     /// In a graph, with what its buffers hold.
     pub fn declare(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> (Field, View) {
-        let mut given = |name: &str, data: Vec<u8>| {
+        let mut provided = |name: &str, data: Vec<u8>| {
             let buffer = g.input(name, data.len() as u64);
             inputs.push((buffer, data));
             buffer
         };
-        let levels = given("levels", bytes(&self.config.table_levels()));
-        let tables = given("tables", bytes(&self.tables));
-        let mlp = given("mlp", bytes(&self.mlp));
-        let points = given("points", bytes(&self.points));
-        let coverage = given("coverage", bytes(&self.coverage));
-        let lights = given("lights", bytes(&self.lights));
-        let packed = (self.table_bits == 16).then(|| given("packed", bytes(&packed_tables(&self.tables))));
+        let levels = provided("levels", bytes(&self.config.table_levels()));
+        let tables = provided("tables", bytes(&self.tables));
+        let mlp = provided("mlp", bytes(&self.mlp));
+        let points = provided("points", bytes(&self.points));
+        let coverage = provided("coverage", bytes(&self.coverage));
+        let lights = provided("lights", bytes(&self.lights));
+        let packed = (self.table_bits == 16).then(|| provided("packed", bytes(&packed_tables(&self.tables))));
         let step = g.uniform("field", size_of::<FieldStep>() as u64);
         inputs.push((step, bytes(&[self.step])));
         let field = Field { config: self.config, step, levels, tables, packed, mlp };
@@ -126,13 +126,13 @@ impl Case {
 
     /// The same by the reference.
     pub fn expected(&self, one: Option<u32>) -> Vec<f64> {
-        let field = self.twin();
+        let field = self.reference();
         self.expected_of(one, |point, light| field.visibility(point, light))
     }
 
     /// The same by the reference whose second layer has operands of 16 bits.
     pub fn expected_half(&self, one: Option<u32>) -> Vec<f64> {
-        let field = self.twin();
+        let field = self.reference();
         self.expected_of(one, |point, light| field.visibility_half(point, light))
     }
 
@@ -151,7 +151,7 @@ impl Case {
 
 /// A pixel's point, moved as the smoothness term moves it.
 pub fn jittered(case: &Case, pixel: usize) -> [f64; 3] {
-    let by = twin::jitter(case.step.seed, 0, pixel as u32, f64::from(case.step.jitter));
+    let by = reference::jitter(case.step.seed, 0, pixel as u32, f64::from(case.step.jitter));
     [0, 1, 2].map(|k| f64::from(case.points[pixel][k]) + by[k])
 }
 
@@ -171,8 +171,8 @@ pub struct Found {
     pub scale: f32,
 }
 
-/// What the loss asks: gradients of pixels, radiance of lights.
-pub struct Asked {
+/// Gradients of the loss by pixel, and radiance of lights.
+pub struct LossGradients {
     /// By pixel.
     pub pixels: Vec<[f32; 3]>,
     /// By light.
@@ -181,15 +181,15 @@ pub struct Asked {
     pub options: BackwardOptions,
 }
 
-impl Asked {
+impl LossGradients {
     /// Numbers of about the root of `scale`.
-    pub fn random(case: &Case, scale: f64, seed: u32) -> Asked {
+    pub fn random(case: &Case, scale: f64, seed: u32) -> LossGradients {
         let mut rng = Pcg::new(seed);
         let mut colors = |n: usize, low: f64| -> Vec<[f32; 3]> {
             (0..n).map(|_| [0; 3].map(|_| (scale.sqrt() * rng.range(low, 1.0)) as f32)).collect()
         };
         let (pixels, lights) = (colors(case.points.len(), -1.0), colors(case.lights.len(), 0.0));
-        Asked { pixels, lights, options: BackwardOptions::default() }
+        LossGradients { pixels, lights, options: BackwardOptions::default() }
     }
 
     /// What is asked of a pair.
@@ -206,21 +206,21 @@ pub fn whole(words: &[u32], inverse: f32) -> f32 {
 
 impl Case {
     /// Gradients by the device.
-    pub fn backward(&self, gpu: &Gpu, asked: &Asked) -> Found {
+    pub fn backward(&self, gpu: &Gpu, asked: &LossGradients) -> Found {
         let (mut g, mut inputs) = (Graph::new("visibility_bwd"), Vec::new());
         let (field, view) = self.declare(&mut g, &mut inputs);
-        let mut given = |name: &str, data: Vec<u8>| {
+        let mut provided = |name: &str, data: Vec<u8>| {
             let buffer = g.external(name, data.len() as u64);
             inputs.push((buffer, data));
             buffer
         };
         let constant = Constant {
-            radiance: given("radiance", bytes(&asked.lights)),
-            radiance_gradient: given("radiance_gradient", bytes(&asked.pixels)),
+            radiance: provided("radiance", bytes(&asked.lights)),
+            radiance_gradient: provided("radiance_gradient", bytes(&asked.pixels)),
         };
         let entries = self.config.entries() as usize;
-        let tables = given("table_gradients", vec![0; 16 * entries]);
-        let touched = given("touched", vec![0; 4 * entries.div_ceil(32)]);
+        let tables = provided("table_gradients", vec![0; 16 * entries]);
+        let touched = provided("touched", vec![0; 4 * entries.div_ceil(32)]);
         let most = self.lights.len() as u32 + 2;
         let into = Gradients {
             mlp: g.external("mlp_gradient", 4 * self.config.weights() as u64),
@@ -252,8 +252,8 @@ impl Case {
         &self,
         options: &BackwardOptions,
         by_visibility: impl Fn(usize, usize) -> f64,
-    ) -> twin::Gradients {
-        let field = self.twin();
+    ) -> reference::Gradients {
+        let field = self.reference();
         let lights: Vec<[f64; 3]> = self.lights.iter().map(|l| Case::wide(*l)).collect();
         let mut into = field.zeros(lights.len());
         for i in (0..self.points.len()).filter(|i| self.coverage[*i] >= 1e-3) {
@@ -261,7 +261,7 @@ impl Case {
             for j in 0..lights.len() {
                 let mut gradient = by_visibility(i, j);
                 if options.regularized {
-                    let by = twin::jitter(self.step.seed, 1, j as u32, f64::from(self.step.jitter));
+                    let by = reference::jitter(self.step.seed, 1, j as u32, f64::from(self.step.jitter));
                     let moved = [0, 1, 2].map(|k| lights[j][k] + by[k]);
                     let other = field.visibility(jittered(self, i), moved);
                     let sign = (field.visibility(point, lights[j]) - other).signum();
@@ -274,7 +274,7 @@ impl Case {
     }
 
     /// Fails unless device and reference agree, to a share of the largest of each kind.
-    pub fn check_gradients(&self, gpu: &Gpu, asked: &Asked, share: f64) -> Found {
+    pub fn check_gradients(&self, gpu: &Gpu, asked: &LossGradients, share: f64) -> Found {
         let found = self.backward(gpu, asked);
         let expected = self.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
         found.check(&expected, asked.options.places, share);
@@ -284,7 +284,7 @@ impl Case {
 
 impl Found {
     /// Fails unless these are the reference's gradients, to a share of the largest of each kind.
-    pub fn check(&self, expected: &twin::Gradients, places: bool, share: f64) {
+    pub fn check(&self, expected: &reference::Gradients, places: bool, share: f64) {
         let close = |what: &str, expected: &[f64], found: &[f32]| {
             let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
             assert_close(what, expected, found, Tolerance::new(share * largest, 1e-3));

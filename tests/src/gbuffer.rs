@@ -132,19 +132,19 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
     let metals = !raw.metallic.is_empty();
     let floats = |g: &mut Graph, name: &str, width: u64| g.external(name, 4 * width * u64::from(n));
     let albedo_range = raw.albedo_range.map(|v| v as f32);
-    let given = RawMaterials {
+    let provided = RawMaterials {
         albedo_range,
         albedo: floats(&mut g, "albedo", 3),
         roughness: floats(&mut g, "roughness", 1),
         metallic: metals.then(|| floats(&mut g, "metallic", 1)),
     };
-    let picture = PixelMaterials {
+    let rendered = PixelMaterials {
         materials: g.external("materials", 16 * pixels),
         metallic: metals.then(|| g.external("metallic_seen", 4 * pixels)),
     };
-    let active = values(&mut g, &t, &given, n).unwrap();
-    materials(&mut g, &t, &screen, &active, &matrix, &picture).unwrap();
-    let asked = PixelMaterials {
+    let active = values(&mut g, &t, &provided, n).unwrap();
+    materials(&mut g, &t, &screen, &active, &matrix, &rendered).unwrap();
+    let requested = PixelMaterials {
         materials: g.external("materials_gradient", 16 * pixels),
         metallic: metals.then(|| g.external("metallic_gradient", 4 * pixels)),
     };
@@ -154,7 +154,7 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
         roughness: floats(&mut g, "grad_roughness", 1),
         metallic: metals.then(|| floats(&mut g, "grad_metallic", 1)),
     };
-    materials_bwd(&mut g, &t, &given, &matrix, n, &asked, false, &grads).unwrap();
+    materials_bwd(&mut g, &t, &provided, &matrix, n, &requested, false, &grads).unwrap();
     let mut values = Step { camera: scenes::gpu_camera(camera), ..Default::default() };
     values.camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
     let data = scenes::data(scene);
@@ -163,15 +163,15 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
     let mut inputs: Vec<(Buffer, Vec<u8>)> = vec![
         (step, bytes(&[values])),
         (flags, bytes(&[0u32])),
-        (given.albedo, single(&raw.albedo)),
-        (given.roughness, single(&raw.roughness)),
-        (asked.materials, bytes(&four)),
+        (provided.albedo, single(&raw.albedo)),
+        (provided.roughness, single(&raw.roughness)),
+        (requested.materials, bytes(&four)),
         (handles.work, bytes(&[n.div_ceil(256).max(1), 1, 1, n])),
     ];
     for group in model.groups() {
         inputs.push((handles.group(group), bytes(data.group(group))));
     }
-    if let (Some(metallic), Some(gradient)) = (given.metallic, asked.metallic) {
+    if let (Some(metallic), Some(gradient)) = (provided.metallic, requested.metallic) {
         inputs.push((metallic, single(&raw.metallic)));
         inputs.push((gradient, bytes(&one)));
     }
@@ -192,8 +192,8 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
         row_weights: of_words(out.get(matrix.row_weights)),
         flags: out.get::<u32>(flags)[0],
         wanted: out.get::<u32>(wanted)[0],
-        materials: out.get(picture.materials),
-        metallic: picture.metallic.map(|b| out.get(b)).unwrap_or_default(),
+        materials: out.get(rendered.materials),
+        metallic: rendered.metallic.map(|b| out.get(b)).unwrap_or_default(),
         grad_albedo: out.get(grads.albedo),
         grad_roughness: out.get(grads.roughness),
         grad_metallic: grads.metallic.map(|b| out.get(b)).unwrap_or_default(),

@@ -68,7 +68,7 @@ impl Gpu {
         let plan = Arc::new(graph.compile(&CompileOptions::default()).unwrap_or_else(|e| panic!("{e}")));
         let options = ExecOptions { poison: true, ..Default::default() };
         let mut exec = Executor::new(&self.device, plan.clone(), options).unwrap_or_else(|e| panic!("{e}"));
-        let given = |i: usize| inputs.iter().find(|(b, _)| b.index() == i).map(|(_, d)| d.as_slice());
+        let provided = |i: usize| inputs.iter().find(|(b, _)| b.index() == i).map(|(_, d)| d.as_slice());
         let mut memory: Vec<Option<DeviceBuffer>> = Vec::new();
         for (i, info) in plan.buffers.iter().enumerate() {
             if info.kind != BufferKind::External {
@@ -77,7 +77,7 @@ impl Gpu {
             }
             let buffer = self.device.buffer(&info.name, info.bytes, Location::Device).unwrap();
             self.device.fill(&buffer, u32::MAX).unwrap();
-            if let Some(data) = given(i) {
+            if let Some(data) = provided(i) {
                 assert!(data.len() as u64 <= info.bytes, "\"{}\" is given more than it holds", info.name);
                 self.device.upload(&buffer, 0, data).unwrap();
             }

@@ -1,11 +1,11 @@
-//! Gradients of the whole render (projection, harmonics, blending): a case for the kernels and for the twin.
+//! Gradients of the whole render (projection, harmonics, blending): a case for the kernels and for the reference.
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
 use sgs_passes::pipeline::Step;
-use sgs_passes::reference::blend::{Blended as Picture, blend_at};
+use sgs_passes::reference::blend::{Blended as RenderedImage, blend_at};
 use sgs_passes::reference::project::{Camera, Gaussians, project_at};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
@@ -22,7 +22,7 @@ pub struct Case {
     pub camera: Camera,
     /// Whether depth and its square are blended.
     pub depth: bool,
-    /// Weights of the picture's channels.
+    /// Weights of the image's channels.
     pub image: Vec<f64>,
     /// Weights of transmittances.
     pub transmittance: Vec<f64>,
@@ -76,9 +76,9 @@ impl Case {
         (0..4).rev().find(|b| !self.gaussians.sh[*b].is_empty()).unwrap_or(0)
     }
 
-    /// The twin's picture, with semantic features behind the other channels. What rounding of stored numbers has changed at the scene of the case stays that change as parameters move:
-    /// gradients pass it by.
-    pub fn twin(&self, g: &Gaussians, camera: &Camera) -> Picture {
+    /// The reference's image, with semantic features behind the other channels. What rounding of stored numbers has changed
+    /// at the scene of the case stays that change as parameters move: gradients pass it by.
+    pub fn reference(&self, g: &Gaussians, camera: &Camera) -> RenderedImage {
         let exact = Accuracy { color_bits: 32, feature_bits: 32, ..self.accuracy };
         let seen = |g: &Gaussians, camera: &Camera, a: &Accuracy| project_at(g, camera, self.degree(), self.depth, a);
         let mut splats = seen(g, camera, &exact);
@@ -95,14 +95,14 @@ impl Case {
         blend_at(&splats, camera.size, channels, BACKGROUND, &self.accuracy)
     }
 
-    /// The twin's loss.
+    /// The reference's loss.
     pub fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
-        let r = self.twin(g, camera);
+        let r = self.reference(g, camera);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let weights: Vec<f64> = if self.features.is_empty() {
             self.image.clone()
         } else {
-            // The twin has features behind the other channels of a pixel.
+            // The reference has features behind the other channels of a pixel.
             let base = self.image.len() / self.transmittance.len();
             let pixels = self.image.chunks_exact(base).zip(self.features.chunks_exact(SEMANTIC_FEATURES as usize));
             pixels.flat_map(|(a, b)| a.iter().chain(b).copied()).collect()
@@ -110,9 +110,9 @@ impl Case {
         dot(&r.image, &weights) + dot(&r.transmittance, &self.transmittance)
     }
 
-    /// Blended features against the twin where they are wanted; elsewhere nothing may be written.
+    /// Blended features against the reference where they are wanted; elsewhere nothing may be written.
     fn check_features(&self, found: &[f32]) {
-        let r = self.twin(&self.gaussians, &self.camera);
+        let r = self.reference(&self.gaussians, &self.camera);
         let (f, all) = (SEMANTIC_FEATURES as usize, r.image.len() / r.transmittance.len());
         for (p, pixel) in found.chunks_exact(f).enumerate() {
             if !wants(p) {
@@ -163,13 +163,13 @@ impl Case {
         let pixels = screen.pixels();
         let packed = features_pack(&mut g, &t, &handles).unwrap();
         let wide = model.semantics.then(|| {
-            let wanted = g.input("wanted", 4 * wanted_words(pixels));
+            let requested = g.input("wanted", 4 * wanted_words(pixels));
             let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
-            let all = Wanted { pixels: wanted, dense: true };
+            let all = Wanted { pixels: requested, dense: true };
             blend_features(&mut g, &t, &screen, &packed, &visible, &entries, all, image).unwrap();
             let left = blend_features_bwd(&mut g, &t, &screen, &packed, &visible, &entries, all, image, gradient);
-            (wanted, gradient, left.unwrap(), image)
+            (requested, gradient, left.unwrap(), image)
         });
         if self.features_move {
             sums.features = wide.map(|(_, _, left, _)| left);
@@ -203,10 +203,10 @@ impl Case {
             (gradient.transmittance, single(&self.transmittance)),
             (handles.work, bytemuck::bytes_of(&work).to_vec()),
         ];
-        if let Some((wanted, gradient, ..)) = wide {
+        if let Some((requested, gradient, ..)) = wide {
             let mut words = vec![0_u32; wanted_words(pixels) as usize];
             (0..pixels as usize).filter(|&p| wants(p)).for_each(|p| words[p / 32] |= 1 << (p % 32));
-            inputs.push((wanted, bytemuck::cast_slice(&words).to_vec()));
+            inputs.push((requested, bytemuck::cast_slice(&words).to_vec()));
             // Where nothing is wanted stands what nobody may read.
             let weights = self.features.iter().enumerate();
             let weights =

@@ -3,7 +3,7 @@
 use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{Material, V3, unit};
-use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
+use sgs_passes::reference::lights::{self as reference, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Perturbation, Shape, lights, lights_bwd,
@@ -109,8 +109,8 @@ impl Lit {
     }
 
     /// The reference's lights.
-    pub fn lights(&self) -> Vec<Option<twin::Light>> {
-        twin::lights_prepare(&self.raw)
+    pub fn lights(&self) -> Vec<Option<reference::Light>> {
+        reference::lights_prepare(&self.raw)
     }
 
     /// Puts the case into a graph, for views of up to `largest`.
@@ -216,8 +216,8 @@ pub fn run_culled(
     let sums = lights_train(&mut g, &what, again).unwrap();
     let materials = g.external("materials_gradient", 16 * room);
     let metallic = g.external("metallic_gradient", 4 * room);
-    let wanted = case.metallic.then_some(metallic);
-    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
+    let requested = case.metallic.then_some(metallic);
+    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, requested).unwrap();
     let into = LightParameterGradients {
         positions: g.external("positions_gradient", model.position_bytes()),
         lobes: g.external("lobes_gradient", model.lobe_bytes()),

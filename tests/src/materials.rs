@@ -1,4 +1,4 @@
-//! Pictures of materials for the tests of their losses, and the losses on a device.
+//! Images of materials for the tests of their losses, and the losses on a device.
 
 use crate::Gpu;
 use sgs_engine::graph::{Buffer, Graph};
@@ -9,7 +9,7 @@ use sgs_passes::loss::{
 };
 use sgs_passes::reference::cross_view::{Picture, cross_view as cross, cross_view_bwd as cross_bwd};
 use sgs_passes::reference::edge_aware::{edge_aware as edge, edge_aware_bwd as edge_bwd};
-use sgs_passes::reference::msg::{Difference, msg as twin, square};
+use sgs_passes::reference::msg::{Difference, msg as msg_reference, square};
 use sgs_passes::reference::photometric::unpack;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
@@ -32,7 +32,7 @@ pub const WEIGHTS: MaterialWeights = MaterialWeights {
     own_prior: 0.4375,
 };
 
-/// A view's pictures and what they are compared with; the first is the training view, others are pseudo-views.
+/// A view's images and what they are compared with; the first is the training view, others are pseudo-views.
 #[derive(Clone)]
 pub struct Painted {
     /// Columns and rows.
@@ -103,7 +103,7 @@ impl Painted {
         let mut coverage: Vec<f64> = (0..pixels).map(|_| narrow(rng.range(0.6, 1.0))).collect();
         // In the upper third, so that coarse levels have something left.
         let third = (pixels / 3).max(1);
-        let mut picture = |holes: usize| -> Vec<u32> {
+        let mut image = |holes: usize| -> Vec<u32> {
             let mut noisy = |p: usize, c: usize| (200.0 * wave(p, c) + 40.0 * rng.uniform()) as u32;
             let mut packed: Vec<u32> =
                 (0..pixels).map(|p| noisy(p, 1) | noisy(p, 2) << 8 | noisy(p, 3) << 16 | 0xff00_0000).collect();
@@ -113,8 +113,8 @@ impl Painted {
             packed
         };
         let holes = pixels / 300;
-        let (photo, albedo_prior, roughness_prior) = (picture(0), picture(holes), picture(holes));
-        let estimates = [picture(holes), picture(0)];
+        let (photo, albedo_prior, roughness_prior) = (image(0), image(holes), image(holes));
+        let estimates = [image(holes), image(0)];
         for _ in 0..holes {
             coverage[rng.next_u32() as usize % third] = narrow(rng.range(0.0, 0.499));
         }
@@ -178,7 +178,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
     let mut inputs: Vec<(Buffer, Vec<u8>)> = Vec::new();
     let weights = g.uniform("weights", size_of::<MaterialWeights>() as u64);
     inputs.push((weights, bytes(&[WEIGHTS])));
-    let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+    let mut provided = |g: &mut Graph, name: &str, data: Vec<u8>| {
         let buffer = g.input(name, data.len() as u64);
         inputs.push((buffer, data));
         buffer
@@ -192,18 +192,18 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
         let mut values = Step { target_offset: OFFSET as u32, mask_offset: MASK_OFFSET as u32, ..Default::default() };
         values.camera.size = v.size.map(|s| s as u32);
         steps.push((step, bytes(&[values])));
-        let albedo = given(&mut g, &format!("albedo{k}"), single(v.albedo.iter().copied(), 3));
-        let mask = given(&mut g, &format!("mask{k}"), padded(&pack_mask(&v.mask), MASK_OFFSET));
+        let albedo = provided(&mut g, &format!("albedo{k}"), single(v.albedo.iter().copied(), 3));
+        let mask = provided(&mut g, &format!("mask{k}"), padded(&pack_mask(&v.mask), MASK_OFFSET));
         let albedo_gradient = g.external(format!("by_albedo{k}"), 12 * (v.pixels() + SPARE) as u64);
         gradients.push((albedo_gradient, v.pixels()));
         crosses.push(CrossPicture { step, albedo, mask, albedo_gradient, largest });
     }
-    let gray = given(&mut g, "gray", single(v.roughness.iter().flat_map(|&r| [r, f64::NAN, f64::NAN]), 3));
-    let coverage = given(&mut g, "coverage", single(v.coverage.iter().copied(), 1));
-    let targets = given(&mut g, "targets", padded(&v.photo, OFFSET));
-    let albedo_prior = given(&mut g, "albedo_prior", padded(&v.albedo_prior, OFFSET));
-    let roughness_prior = given(&mut g, "roughness_prior", padded(&v.roughness_prior, OFFSET));
-    let estimates = [0, 1].map(|i| given(&mut g, &format!("estimate{i}"), padded(&v.estimates[i], 0)));
+    let gray = provided(&mut g, "gray", single(v.roughness.iter().flat_map(|&r| [r, f64::NAN, f64::NAN]), 3));
+    let coverage = provided(&mut g, "coverage", single(v.coverage.iter().copied(), 1));
+    let targets = provided(&mut g, "targets", padded(&v.photo, OFFSET));
+    let albedo_prior = provided(&mut g, "albedo_prior", padded(&v.albedo_prior, OFFSET));
+    let roughness_prior = provided(&mut g, "roughness_prior", padded(&v.roughness_prior, OFFSET));
+    let estimates = [0, 1].map(|i| provided(&mut g, &format!("estimate{i}"), padded(&v.estimates[i], 0)));
     let by_gray = g.external("by_gray", 12 * (v.pixels() + SPARE) as u64);
     gradients.push((by_gray, v.pixels()));
     for &(buffer, pixels) in &gradients {
@@ -283,11 +283,11 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
         to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
     };
     if asked.msg {
-        let (loss, gradient) = twin(&v.albedo_difference(&v.albedo_prior, asked.masked));
+        let (loss, gradient) = msg_reference(&v.albedo_difference(&v.albedo_prior, asked.masked));
         terms[0] = loss;
         add(&mut albedo[0], &gradient, WEIGHTS.albedo_msg);
         if asked.roughness {
-            let (loss, gradient) = twin(&v.roughness_difference(asked.masked));
+            let (loss, gradient) = msg_reference(&v.roughness_difference(asked.masked));
             terms[1] = loss;
             add(&mut roughness, &gradient, WEIGHTS.roughness_msg);
         }
@@ -311,14 +311,14 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
     for estimate in &v.estimates[..asked.estimates] {
         let share = 1.0 / asked.estimates as f32;
         let d = v.albedo_difference(estimate, true);
-        for (loss, gradient) in [twin(&d), square(&d)] {
+        for (loss, gradient) in [msg_reference(&d), square(&d)] {
             terms[5] += f64::from(share) * loss;
             add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
         }
     }
     if asked.own {
         let d = v.albedo_difference(&v.albedo_prior, true);
-        for (loss, gradient) in [twin(&d), square(&d)] {
+        for (loss, gradient) in [msg_reference(&d), square(&d)] {
             terms[6] += loss;
             add(&mut albedo[0], &gradient, WEIGHTS.own_prior);
         }

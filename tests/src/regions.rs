@@ -7,14 +7,14 @@ use sgs_passes::loss::{
     semantic_prepare, semantic_sum,
 };
 use sgs_passes::reference::correspondence::Picture;
-use sgs_passes::reference::semantic::Head as TwinHead;
+use sgs_passes::reference::semantic::Head as ReferenceHead;
 use sgs_passes::scene::FEATURES;
 use sgs_shaders::structs::{LossStats, Step};
 
 const CHANNELS: usize = 40;
 const FIRST: usize = 8;
 const MASK_OFFSET: usize = 2;
-/// Room that pictures have.
+/// Room that images have.
 pub const LARGEST: [u32; 2] = [37, 29];
 /// Of the loss.
 pub const WEIGHT: f64 = 0.375;
@@ -40,14 +40,14 @@ pub struct Found {
 }
 
 /// Runs the loss of a training view and pseudo-views.
-pub fn run(gpu: &Gpu, h: &TwinHead, pictures: &[([usize; 2], Picture)]) -> Found {
+pub fn run(gpu: &Gpu, h: &ReferenceHead, pictures: &[([usize; 2], Picture)]) -> Found {
     run_with(gpu, h, pictures, [WEIGHT, TEMPERATURE], BEFORE)
 }
 
 /// With a weight, a temperature, and something in the training view's gradient before.
 pub fn run_with(
     gpu: &Gpu,
-    h: &TwinHead,
+    h: &ReferenceHead,
     pictures: &[([usize; 2], Picture)],
     [weight, temperature]: [f64; 2],
     before: f32,
@@ -110,11 +110,11 @@ pub fn run_with(
     semantic_sum(&mut g, tuning, train.step, None, Some((&left, &shared)), stats).unwrap();
     let out = gpu.run(g, &inputs);
     let mut found: Vec<Vec<f32>> = Vec::new();
-    for (i, ((size, picture), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
+    for (i, ((size, rendered), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
         let mut features = Vec::new();
         for (p, pixel) in out.get::<f32>(*buffer).chunks(CHANNELS).enumerate() {
             let inside = p < size[0] * size[1];
-            let mine = inside && picture.mask[p];
+            let mine = inside && rendered.mask[p];
             for (c, x) in pixel.iter().enumerate() {
                 let untouched = if i == 0 { *x == before } else { x.to_bits() == u32::MAX };
                 let feature = (FIRST..FIRST + FEATURES).contains(&c);

@@ -111,12 +111,12 @@ impl Room {
         let cameras = self.cameras();
         let (train, test) = self.split();
         for folder in ["images", "priors/normal", "gt/normal", "gt/depth"] {
-            let wanted = match folder.split('/').next() {
+            let requested = match folder.split('/').next() {
                 Some("priors") => self.priors,
                 Some("gt") => self.truth,
                 _ => true,
             };
-            if wanted {
+            if requested {
                 std::fs::create_dir_all(root.join(folder)).unwrap();
             }
         }

@@ -93,7 +93,7 @@ pub fn ordinary(count: usize, degree: usize, normals: bool, seed: u64) -> Gaussi
 }
 
 /// Needles, discs, giants, specks, splats through the near plane and beside the view, quaternions that are not unit,
-/// opacities at both ends: all in one picture.
+/// opacities at both ends: all in one image.
 pub fn hard(seed: u64) -> Gaussians {
     let mut g = ordinary(60, 3, false, seed);
     let mut r = Rng::new(seed + 1);
@@ -113,7 +113,7 @@ pub fn hard(seed: u64) -> Gaussians {
     add([-0.4, 0.2, 2.5], [1.5, -14.0, -12.0], [0.3, 0.2, 0.1, -0.8], 2.0); // long thin needle
     add([0.3, -0.3, 4.0], [-0.5, -0.7, -12.0], q, 0.5); // disc
     add([0.0, 0.0, 30.0], [3.0, 3.2, 2.5], q, -1.0); // giant behind all
-    add([0.0, 0.0, 5.0], [7.5, 7.5, 7.5], q, -3.5); // flat over the whole picture
+    add([0.0, 0.0, 5.0], [7.5, 7.5, 7.5], q, -3.5); // flat over the whole image
     add([0.1, 0.0, 0.05], [-4.0, -3.5, -4.5], q, 0.0); // close
     add([0.3, 0.2, -0.15], [0.5, 0.4, 0.3], q, 3.0); // around the near plane, just in front of it
     add([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], q, 3.0); // behind

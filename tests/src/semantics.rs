@@ -9,7 +9,7 @@ use sgs_passes::loss::{
     sampled_pixels, semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
 };
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::semantic as twin;
+use sgs_passes::reference::semantic as reference;
 use sgs_passes::reference::semantic::{View, Weights};
 use sgs_passes::scene::{Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 use sgs_shaders::structs::{LossStats, SemanticTarget, Step, Work};
@@ -28,10 +28,10 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 }
 
 /// A decoder as it starts, and texts.
-pub fn head(classes: usize, seed: u32) -> twin::Head {
+pub fn head(classes: usize, seed: u32) -> reference::Head {
     let mut rng = Pcg::new(seed);
     let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
-    twin::Head {
+    reference::Head {
         features: FEATURES,
         embedding: EMBEDDING,
         decoder: Decoder::initial(seed).into_iter().map(f64::from).collect(),
@@ -40,7 +40,7 @@ pub fn head(classes: usize, seed: u32) -> twin::Head {
 }
 
 /// Features as large as they become, and targets near what some class says; labels are the targets' own.
-pub fn view(size: [usize; 2], map: [usize; 2], head: &twin::Head, seed: u32) -> View {
+pub fn view(size: [usize; 2], map: [usize; 2], head: &reference::Head, seed: u32) -> View {
     let mut rng = Pcg::new(seed + 100);
     let samples = map[0] * map[1];
     let image = (0..size[0] * size[1] * FEATURES).map(|_| narrow(2.0 * rng.normal())).collect();
@@ -70,14 +70,14 @@ pub struct Found {
 }
 
 /// Runs the loss of a view. `given`: whether labels go to the device, or it takes the targets' own.
-pub fn run(gpu: &Gpu, h: &twin::Head, v: &View, given: bool, largest: [u32; 2], weights: &Weights) -> Found {
+pub fn run(gpu: &Gpu, h: &reference::Head, v: &View, given: bool, largest: [u32; 2], weights: &Weights) -> Found {
     run_steps(gpu, h, v, given, largest, weights, 0)
 }
 
 /// As [`run`], and the decoder takes so many steps.
 pub fn run_steps(
     gpu: &Gpu,
-    h: &twin::Head,
+    h: &reference::Head,
     v: &View,
     given: bool,
     largest: [u32; 2],
@@ -115,7 +115,7 @@ pub fn run_steps(
     let touched = sampled_pixels(v.size.map(|n| n as u32), v.map.map(|n| n as u32));
     let wanted: Vec<bool> = touched.iter().enumerate().map(|(p, &t)| t || p % 5 == 2).collect();
     let mut wanted_words = pack_mask(&wanted);
-    // Bits past the picture say nothing.
+    // Bits past the image say nothing.
     let spare = wanted.len() % 32;
     if let Some(last) = wanted_words.last_mut().filter(|_| spare > 0) {
         *last |= u32::MAX << spare;

@@ -2,7 +2,7 @@
 
 use crate::lit::narrow;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::traced::{self as twin, Splat, V3};
+use sgs_passes::reference::traced::{self as reference, Splat, V3};
 use sgs_passes::scene::{GaussianData, Group};
 
 /// As kernels take them.
@@ -54,12 +54,12 @@ pub fn doubt(splats: &[Splat], from: V3, to: V3) -> f64 {
     let along = v.map(|x| x / reach);
     let mut doubt = 0.0;
     for s in splats {
-        let m = twin::meet(s, from, along);
+        let m = reference::meet(s, from, along);
         if m.at.abs().min((m.at - reach).abs()) < 1e-4 {
             doubt += m.alpha;
         }
         let [more, less] = [2e-3, -2e-3].map(|d| Splat { opacity_logit: s.opacity_logit + d, ..*s });
-        let [a, b] = [more, less].map(|s| twin::meet(&s, from, along));
+        let [a, b] = [more, less].map(|s| reference::meet(&s, from, along));
         if (a.alpha > 0.0) != (b.alpha > 0.0) || (a.before > 0.0) != (b.before > 0.0) {
             doubt += 0.005;
         }

@@ -1,11 +1,11 @@
-//! A picture, and whole training steps, of Gaussians that a test makes.
+//! An image, and whole training steps, of Gaussians that a test makes.
 
 use crate::{Gpu, scenes};
 use sgs_config::Settings;
 use sgs_engine::Location;
 use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Renderer, Status, StepReport};
-use sgs_passes::reference::project::{Camera, Gaussians as Twin};
+use sgs_passes::reference::project::{Camera, Gaussians as ReferenceGaussians};
 use sgs_passes::scene::{GaussianData, Gaussians, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_train::Schedule;
@@ -14,11 +14,11 @@ use sgs_train::Schedule;
 pub const BACKGROUND: [f64; 3] = [0.2, 0.5, 0.8];
 
 /// Highest band that all Gaussians have.
-pub fn degree(g: &Twin) -> u32 {
+pub fn degree(g: &ReferenceGaussians) -> u32 {
     (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32
 }
 
-fn upload(gpu: &Gpu, g: &Twin, training: bool) -> sgs_engine::Result<Gaussians> {
+fn upload(gpu: &Gpu, g: &ReferenceGaussians, training: bool) -> sgs_engine::Result<Gaussians> {
     let model = Model { sh_degree: degree(g), normals: !g.normals.is_empty(), semantics: false };
     let gaussians = Gaussians::new(gpu.device(), model, (g.len() as u32).max(1), training)?;
     gaussians.upload(gpu.device(), &scenes::data(g))?;
@@ -26,7 +26,7 @@ fn upload(gpu: &Gpu, g: &Twin, training: bool) -> sgs_engine::Result<Gaussians> 
 }
 
 /// Colors and what else the Gaussians have and is asked for.
-fn channels(g: &Twin, depth: bool) -> Channels {
+fn channels(g: &ReferenceGaussians, depth: bool) -> Channels {
     Channels { colors: true, normals: !g.normals.is_empty(), depth }
 }
 
@@ -34,7 +34,7 @@ fn channels(g: &Twin, depth: bool) -> Channels {
 ///
 /// # Errors
 /// What the engine says.
-pub fn picture(gpu: &Gpu, g: &Twin, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
+pub fn picture(gpu: &Gpu, g: &ReferenceGaussians, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
     channels_of(gpu, g, camera, false)
 }
 
@@ -42,7 +42,12 @@ pub fn picture(gpu: &Gpu, g: &Twin, camera: &Camera) -> sgs_engine::Result<(Vec<
 ///
 /// # Errors
 /// What the engine says.
-pub fn channels_of(gpu: &Gpu, g: &Twin, camera: &Camera, depth: bool) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
+pub fn channels_of(
+    gpu: &Gpu,
+    g: &ReferenceGaussians,
+    camera: &Camera,
+    depth: bool,
+) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
     let gaussians = upload(gpu, g, false)?;
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels(g, depth))?;
     let background = BACKGROUND.map(|b| b as f32);
@@ -54,7 +59,12 @@ pub fn channels_of(gpu: &Gpu, g: &Twin, camera: &Camera, depth: bool) -> sgs_eng
 ///
 /// # Errors
 /// What the engine says.
-pub fn steps(gpu: &Gpu, g: &Twin, camera: &Camera, count: u32) -> sgs_engine::Result<(Vec<StepReport>, GaussianData)> {
+pub fn steps(
+    gpu: &Gpu,
+    g: &ReferenceGaussians,
+    camera: &Camera,
+    count: u32,
+) -> sgs_engine::Result<(Vec<StepReport>, GaussianData)> {
     steps_of(gpu, g, camera, false, count)
 }
 
@@ -64,7 +74,7 @@ pub fn steps(gpu: &Gpu, g: &Twin, camera: &Camera, count: u32) -> sgs_engine::Re
 /// What the engine says.
 pub fn steps_of(
     gpu: &Gpu,
-    g: &Twin,
+    g: &ReferenceGaussians,
     camera: &Camera,
     depth: bool,
     count: u32,

@@ -132,7 +132,7 @@ fn thresholds_keep_their_bounds() {
 }
 
 /// What is promised of pictures with a preset, against double precision that stops at no transmittance, of splats whose depths the
-/// shortest keys tell apart: see the table of presets in docs/TRADEOFF.md.
+/// shortest keys tell apart: see the table of presets in docs/how/accuracy.md.
 #[test]
 fn presets_keep_their_bounds() {
     let gpu = Gpu::new();

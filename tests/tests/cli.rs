@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde_json::json;
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_tests::cli::{Finished, sgs, sgs_unheard};
+use sgs_tests::cli::{Finished, sgs, sgs_with_closed_stdout};
 use sgs_tests::rooms::{Room, transforms, write_json};
 use std::path::Path;
 
@@ -303,7 +303,7 @@ fn wrong_usage_exits_with_2() {
 /// As in `sgs devices | head`, after `head` has seen enough.
 #[test]
 fn a_closed_pipe_ends_it_quietly() {
-    let finished = sgs_unheard(&["devices"]);
+    let finished = sgs_with_closed_stdout(&["devices"]);
     assert_eq!((finished.status, finished.stderr.as_str()), (Some(141), ""));
     finished.assert_no_panic();
 }

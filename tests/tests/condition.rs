@@ -83,5 +83,5 @@ fn switches_need_no_new_recording() {
         w.exec.finish().unwrap();
         assert_eq!(parts(&gpu, &w.out), [10, 0, 30, if on { 40 } else { 0 }]);
     }
-    assert_eq!(w.exec.host_times().recorded, 2);
+    assert_eq!(w.exec.host_times().recordings, 2);
 }

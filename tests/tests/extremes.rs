@@ -1,4 +1,4 @@
-//! Extreme inputs of rendering and training, one line and one test each; docs/EXTREMES.md lists them.
+//! Extreme inputs of rendering and training, one line and one test each; docs/how/extremes.md lists them.
 //!
 //! Every line is rendered and held to the double-precision twin where that is sure of itself, and what is extreme about it shows there.
 //! Then it is trained for three steps: losses stay finite, and so do parameters that were; no gradient is skipped for not being finite.
@@ -303,15 +303,15 @@ fn a_picture_of_4096_by_4096() {
 /// The list in the documentation is the list of this file.
 #[test]
 fn the_documentation_lists_every_line() {
-    let text = include_str!("../../docs/EXTREMES.md");
+    let text = include_str!("../../docs/how/extremes.md");
     let others = [("a_picture_of_4096_by_4096", "a picture of 4096 x 4096")];
     let (text, _) = text.split_once("## Hazards").expect("hazards come behind");
     let rows: Vec<&str> = text.lines().filter(|l| l.contains("| `extremes::")).collect();
     for (name, what) in LINES.iter().chain(&others) {
         let row = format!("| {what} | `extremes::{name}` |");
-        assert!(rows.contains(&row.as_str()), "docs/EXTREMES.md lacks\n{row}");
+        assert!(rows.contains(&row.as_str()), "docs/how/extremes.md lacks\n{row}");
     }
-    assert_eq!(rows.len(), LINES.len() + others.len(), "docs/EXTREMES.md has a line too many");
+    assert_eq!(rows.len(), LINES.len() + others.len(), "docs/how/extremes.md has a line too many");
 }
 
 /// Of training: file, test, what is special.
@@ -340,15 +340,15 @@ const TRAININGS: &[(&str, &str, &str)] = &[
 /// The same of trainings, whose tests are those of other files.
 #[test]
 fn the_documentation_lists_every_training() {
-    let text = include_str!("../../docs/EXTREMES.md");
+    let text = include_str!("../../docs/how/extremes.md");
     for (file, name, what) in TRAININGS {
         let row = format!("| {what} | `{file}::{name}` |");
-        assert!(text.lines().any(|l| l == row), "docs/EXTREMES.md lacks\n{row}");
+        assert!(text.lines().any(|l| l == row), "docs/how/extremes.md lacks\n{row}");
         let source = if *file == "long" { include_str!("long.rs") } else { include_str!("divergence.rs") };
         assert!(source.contains(&format!("fn {name}()")), "there is no {file}::{name}");
     }
     let rows = text.lines().filter(|l| l.contains("| `divergence::") || l.contains("| `long::")).count();
-    assert_eq!(rows, TRAININGS.len(), "docs/EXTREMES.md has a training too many");
+    assert_eq!(rows, TRAININGS.len(), "docs/how/extremes.md has a training too many");
 }
 
 /// A hazard, what is done about it, and its tests: files with their functions.
@@ -359,7 +359,7 @@ const HAZARDS: &[Hazard] = &[
     (
         "roughness near zero",
         "its square at least 1e-3; the peak is written without what cancels",
-        &[("lights", "lights_at_extremes"), ("shading_properties", "lights_agree_with_the_twin")],
+        &[("lights", "lights_at_extremes"), ("shading_properties", "shaded_lights_match_reference")],
     ),
     (
         "pixels of the background, whatever they hold",
@@ -369,7 +369,7 @@ const HAZARDS: &[Hazard] = &[
     (
         "grazing views and lights",
         "the cosine of the view is at least 1e-4, lights below the horizon add nothing",
-        &[("lights", "lights_at_extremes"), ("shading_properties", "lights_agree_with_the_twin")],
+        &[("lights", "lights_at_extremes"), ("shading_properties", "shaded_lights_match_reference")],
     ),
     (
         "normals that face away",
@@ -395,10 +395,10 @@ const HAZARDS: &[Hazard] = &[
     (
         "saturated pixels",
         "no gradient, or only one that leads back; they are counted",
-        &[("material_pictures", "composed_pictures_are_those_of_the_reference")],
+        &[("material_images", "composed_images_match_reference")],
     ),
     (
-        "texels of the surroundings below zero",
+        "texels of the environment map below zero",
         "zero after each step",
         &[
             ("environment", "the_background_is_the_cube_along_rays_and_negative_texels_become_black"),
@@ -411,7 +411,7 @@ const HAZARDS: &[Hazard] = &[
         &[
             ("splat_bwd", "hard_splats_have_finite_gradients"),
             ("extremes", "opacities_at_both_ends"),
-            ("properties", "gradients_agree_with_the_twin"),
+            ("properties", "render_gradients_match_reference"),
         ],
     ),
     (
@@ -441,7 +441,7 @@ const HAZARDS: &[Hazard] = &[
         &[
             ("extremes", "scales_down_to_nothing"),
             ("extremes", "scales_beyond_the_room"),
-            ("properties", "a_needle_of_condition_1e17_is_where_it_is"),
+            ("properties", "gaussian_of_condition_1e17_is_rendered_in_place"),
         ],
     ),
     (
@@ -473,7 +473,7 @@ const HAZARDS: &[Hazard] = &[
         "fewer than 16 pixels are no evidence",
         &[
             ("correspondence", "small_regions_are_no_evidence"),
-            ("material_losses", "small_regions_and_equal_means_pull_nothing"),
+            ("material_losses", "small_regions_and_equal_means_have_zero_gradient"),
         ],
     ),
     (
@@ -490,15 +490,15 @@ const HAZARDS: &[Hazard] = &[
         "priors that are not numbers",
         "masked, each pixel by itself",
         &[
-            ("meaning", "bad_priors_are_left_out_or_refused_by_name"),
-            ("nan_priors", "priors_of_nothing_but_nan_are_as_none"),
+            ("meaning", "invalid_semantic_priors_are_skipped_or_named"),
+            ("nan_priors", "all_nan_priors_equal_no_priors"),
         ],
     ),
     (
         "priors that are missing",
         "the loss is absent",
         &[
-            ("nan_priors", "priors_of_nothing_but_nan_are_as_none"),
+            ("nan_priors", "all_nan_priors_equal_no_priors"),
             ("geometry_loss", "geometry_loss_of_a_model_that_lacks_something"),
         ],
     ),
@@ -516,13 +516,13 @@ const HAZARDS: &[Hazard] = &[
         "no gradient",
         &[
             ("correspondence", "correspondence_at_extremes"),
-            ("material_losses", "small_regions_and_equal_means_pull_nothing"),
+            ("material_losses", "small_regions_and_equal_means_have_zero_gradient"),
         ],
     ),
     (
         "the cosine with a vector of zero",
         "left out of the sum, no gradient",
-        &[("semantic", "semantic_loss_at_extremes"), ("semantic", "what_says_nothing_is_left_out_and_counted")],
+        &[("semantic", "semantic_loss_at_extremes"), ("semantic", "pixels_without_labels_are_skipped_and_counted")],
     ),
     (
         "Adam of gradients next to nothing",
@@ -533,7 +533,7 @@ const HAZARDS: &[Hazard] = &[
         "sums whose order is chance",
         "a fixed order, or integers; atomics of floats only where they are asked for",
         &[
-            ("splat_bwd", "the_kernels_agree_on_a_crowd_and_repeat_bit_for_bit"),
+            ("splat_bwd", "backward_kernels_agree_on_many_gaussians_bit_for_bit"),
             ("environment", "sums_do_not_depend_on_order_or_groups"),
         ],
     ),
@@ -552,14 +552,14 @@ const HAZARDS: &[Hazard] = &[
 /// The same of hazards; a test is a function of a file of this folder, or of another by its path.
 #[test]
 fn the_documentation_lists_every_hazard() {
-    let text = include_str!("../../docs/EXTREMES.md");
+    let text = include_str!("../../docs/how/extremes.md");
     let (_, section) =
         text.split_once("| hazard | what is done | test |\n|---|---|---|\n").expect("a table of hazards");
     let rows: Vec<&str> = section.lines().take_while(|l| l.starts_with('|')).collect();
-    assert_eq!(rows.len(), HAZARDS.len(), "hazards in docs/EXTREMES.md");
+    assert_eq!(rows.len(), HAZARDS.len(), "hazards in docs/how/extremes.md");
     for ((hazard, done, tests), row) in HAZARDS.iter().zip(rows) {
         let all: Vec<String> = tests.iter().map(|(file, name)| format!("`{file}::{name}`")).collect();
-        assert_eq!(row, format!("| {hazard} | {done} | {} |", all.join(", ")), "docs/EXTREMES.md");
+        assert_eq!(row, format!("| {hazard} | {done} | {} |", all.join(", ")), "docs/how/extremes.md");
         for (file, name) in *tests {
             let place = if file.contains('/') { format!("../{file}.rs") } else { format!("tests/{file}.rs") };
             let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(place);

@@ -10,7 +10,7 @@ use sgs_passes::reference::visibility as twin;
 use sgs_passes::shade::visibility::FieldConfig;
 use sgs_tests::Gpu;
 use sgs_tests::drawn::{runner, signed, spread};
-use sgs_tests::field::{Asked, Case};
+use sgs_tests::field::{Case, LossGradients};
 
 /// By how much tables and weights are moved.
 const MOVE: f64 = 5e-7;
@@ -110,8 +110,8 @@ impl Drawn {
         case
     }
 
-    fn asked(&self, case: &Case) -> Asked {
-        let mut asked = Asked::random(case, self.asked, self.seed);
+    fn asked(&self, case: &Case) -> LossGradients {
+        let mut asked = LossGradients::random(case, self.asked, self.seed);
         asked.options.regularized = false;
         asked
     }
@@ -130,7 +130,7 @@ fn moved(field: &twin::Field, rng: &mut Pcg) -> twin::Field {
 
 /// Fails unless what points see of lights is the twin's.
 fn check_values(gpu: &Gpu, case: &Case, planted: f64) -> Result<(), TestCaseError> {
-    let field = case.twin();
+    let field = case.reference();
     let mut rng = Pcg::new(1);
     let others: Vec<twin::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
     for (j, light) in case.lights.iter().enumerate() {
@@ -158,9 +158,14 @@ fn row(g: &twin::Gradients) -> Vec<f64> {
 }
 
 /// Fails unless gradients are the twin's; says how many were compared. `planted`: which of them is a hundredth off.
-fn check_gradients(gpu: &Gpu, case: &Case, asked: &Asked, planted: Option<usize>) -> Result<usize, TestCaseError> {
+fn check_gradients(
+    gpu: &Gpu,
+    case: &Case,
+    asked: &LossGradients,
+    planted: Option<usize>,
+) -> Result<usize, TestCaseError> {
     let mut case = case.clone();
-    let field = case.twin();
+    let field = case.reference();
     let lights: Vec<[f64; 3]> = case.lights.iter().map(|l| Case::wide(*l)).collect();
     // Pixels that rounding may decide about, or whose slopes single precision does not hold, are not shaded.
     for (i, point) in case.points.iter().enumerate() {
@@ -248,7 +253,7 @@ fn checks_of_fields_can_fail() {
     let gpu = Gpu::new();
     let case = Case::random(FieldConfig::new(5, 8, 4, 40), 9, 2, 3);
     assert!(check_values(&gpu, &case, 1.0).is_ok() && check_values(&gpu, &case, 1.001).is_err());
-    let mut asked = Asked::random(&case, 1.0, 9);
+    let mut asked = LossGradients::random(&case, 1.0, 9);
     asked.options.regularized = false;
     assert!(check_gradients(&gpu, &case, &asked, None).is_ok());
     let expected = case.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));

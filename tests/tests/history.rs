@@ -41,7 +41,7 @@ fn each_replay_reads_what_the_last_one_wrote() {
             }
         }
         let slots = frames_in_flight.next_multiple_of(2) as u64;
-        assert_eq!(exec.host_times().recorded, slots, "nothing is recorded again");
+        assert_eq!(exec.host_times().recordings, slots, "nothing is recorded again");
 
         exec.reset_histories().unwrap();
         assert_eq!(read(&exec, state.current), expected(0));
@@ -49,7 +49,7 @@ fn each_replay_reads_what_the_last_one_wrote() {
         exec.submit(&[]).unwrap();
         exec.finish().unwrap();
         assert_eq!(read(&exec, state.current), expected(2));
-        assert_eq!(exec.host_times().recorded, slots);
+        assert_eq!(exec.host_times().recordings, slots);
         let none = shift().0.external("none", 4);
         assert!(exec.history(none).is_err());
     }

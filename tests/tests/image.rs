@@ -6,7 +6,7 @@ use sgs_tests::Gpu;
 #[test]
 fn texels_come_back_in_every_format() {
     let gpu = Gpu::new();
-    for format in ImageFormat::EACH {
+    for format in ImageFormat::ALL {
         let image = gpu.device().image("texels", [13, 7], format).unwrap();
         let texels: Vec<u8> = (0..image.packed_bytes()).map(|i| (i * 37 % 251) as u8).collect();
         gpu.device().upload_image(&image, &texels).unwrap();
@@ -37,5 +37,5 @@ fn impossible_images_are_refused_by_name() {
     assert!(matches!(gpu.device().image("wide", [u32::MAX, 1], ImageFormat::R32Float), Err(Error::ImageSize { .. })));
     let image = gpu.device().image("small", [2, 2], ImageFormat::R32Float).unwrap();
     let error = gpu.device().upload_image(&image, &[0; 15]).unwrap_err();
-    assert_eq!(error.to_string(), "Image \"small\" is given 15 bytes, but its texels take 16.");
+    assert_eq!(error.to_string(), "Image \"small\" receives 15 bytes, but its texels take 16.");
 }

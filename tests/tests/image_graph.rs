@@ -17,7 +17,7 @@ const BYTES: u64 = 16 * TEXELS as u64;
 fn probe(g: &mut Graph, name: &str, addend: Image, sum: Image, shown: Image, scale: f32) {
     let push = image_probe::Push { size: SIZE, scale };
     let pass = stage_with(g, name, &image_probe::KERNEL, [], bytemuck::bytes_of(&push));
-    let pass = pass.bind_image("addend", addend).bind_image("sum", sum).bind_image_discard("shown", shown);
+    let pass = pass.bind_image("addend", addend).bind_image("sum", sum).bind_image_discard("displayed", shown);
     pass.dispatch([3, 2, 1]).unwrap();
 }
 
@@ -36,7 +36,7 @@ fn reflection_sees_what_is_done_to_texels() {
     let float = BindingKind::Image(sgs_shaders::ImageFormat::Rgba32Float);
     let bytes = BindingKind::Image(sgs_shaders::ImageFormat::Rgba8Unorm);
     let expected =
-        [("addend", Access::Read, float), ("sum", Access::ReadWrite, float), ("shown", Access::Write, bytes)];
+        [("addend", Access::Read, float), ("sum", Access::ReadWrite, float), ("displayed", Access::Write, bytes)];
     assert_eq!(found, expected);
 }
 
@@ -86,7 +86,7 @@ fn kernels_and_copies_on_images() {
         exec.submit(&[]).unwrap();
     }
     exec.finish().unwrap();
-    assert_eq!(exec.host_times().recorded, 2, "each slot is recorded once");
+    assert_eq!(exec.host_times().recordings, 2, "each slot is recorded once");
 
     let base = [0.0, 0.25, 0.5, 1.0f32];
     let expected: Vec<f32> = values.iter().enumerate().map(|(i, v)| base[i % 4] + v + v).collect();

@@ -40,7 +40,7 @@ fn check(gpu: &Gpu, views: &[Painted], asked: Asked) -> Found {
 const SIZES: [[usize; 2]; 9] = [[1, 1], [2, 2], [17, 3], [1, 40], [40, 1], [28, 16], [29, 17], [57, 33], [121, 83]];
 
 #[test]
-fn smoothness_is_that_of_the_reference() {
+fn smoothness_loss_matches_reference() {
     let gpu = Gpu::new();
     for (i, size) in SIZES.into_iter().enumerate() {
         for roughness in [true, false] {
@@ -50,7 +50,7 @@ fn smoothness_is_that_of_the_reference() {
 }
 
 #[test]
-fn gradients_at_several_scales_are_those_of_the_reference() {
+fn multiscale_gradient_loss_matches_reference() {
     let gpu = Gpu::new();
     for (i, size) in SIZES.into_iter().enumerate() {
         let v = [Painted::new(size, 20 + i as u32)];
@@ -60,7 +60,7 @@ fn gradients_at_several_scales_are_those_of_the_reference() {
 }
 
 #[test]
-fn estimates_under_other_light_are_compared_as_the_reference_does() {
+fn relight_loss_matches_reference() {
     let gpu = Gpu::new();
     for (i, size) in [[1, 1], [29, 17], [57, 33], [90, 70]].into_iter().enumerate() {
         for estimates in 1..=2 {
@@ -75,7 +75,7 @@ fn estimates_under_other_light_are_compared_as_the_reference_does() {
 }
 
 #[test]
-fn regions_in_several_views_are_those_of_the_reference() {
+fn cross_view_region_loss_matches_reference() {
     let gpu = Gpu::new();
     for pseudo in [1, 2, 4] {
         let sizes = [[45, 33], [120, 80], [31, 9], [57, 33], [64, 2]];
@@ -86,13 +86,13 @@ fn regions_in_several_views_are_those_of_the_reference() {
 }
 
 #[test]
-fn small_regions_and_equal_means_pull_nothing() {
+fn small_regions_and_equal_means_have_zero_gradient() {
     let gpu = Gpu::new();
     let asked = Asked { cross: true, ..Default::default() };
     let mut views = vec![Painted::new([24, 18], 1), Painted::new([20, 20], 2), Painted::new([24, 18], 1)];
     views[1].mask = (0..400).map(|p| p < 15).collect();
     let found = check(&gpu, &views, asked);
-    // The third is the same picture, the second has too small a region.
+    // The third is the same image, the second has too small a region.
     assert_eq!(found.stats.cross_pairs, 1);
     assert!(found.albedo.iter().flatten().all(|g| *g == 0.0));
     views[1].mask[15] = true;
@@ -104,7 +104,7 @@ fn small_regions_and_equal_means_pull_nothing() {
 }
 
 #[test]
-fn where_nothing_counts_there_is_nothing() {
+fn losses_without_valid_pixels_are_zero() {
     let gpu = Gpu::new();
     let asked = Asked { msg: true, roughness: true, masked: true, estimates: 2, ..Default::default() };
     let mut v = Painted::new([33, 21], 5);
@@ -129,7 +129,7 @@ fn where_nothing_counts_there_is_nothing() {
     assert_eq!(before.albedo, after.albedo);
 }
 
-/// What is tested above reaches the coarsest level, and holes reach the picture.
+/// What is tested above reaches the coarsest level, and holes reach the image.
 #[test]
 fn all_levels_are_tried() {
     let v = Painted::new([121, 83], 28);
@@ -138,7 +138,7 @@ fn all_levels_are_tried() {
     assert!(counted(&v) >= 20);
 }
 
-/// Pixels of the coarsest level below which, and around which, no pixel of the picture is missing.
+/// Pixels of the coarsest level below which, and around which, no pixel of the image is missing.
 fn counted(v: &Painted) -> usize {
     let d = v.albedo_difference(&v.albedo_prior, false);
     let [width, height] = v.size.map(|n| n / 8);
@@ -152,7 +152,7 @@ fn counted(v: &Painted) -> usize {
 
 /// Everything at once, twice: sums and the bits.
 #[test]
-fn losses_add_up_and_are_the_same_every_time() {
+fn losses_accumulate_and_are_deterministic() {
     let gpu = Gpu::new();
     let views: Vec<Painted> =
         [[97, 61], [60, 40], [33, 80]].iter().enumerate().map(|(k, &s)| Painted::new(s, 80 + k as u32)).collect();

@@ -47,13 +47,13 @@ type Losses = Vec<(u32, [f32; 4])>;
 fn train(device: &Device, scene: &Scene, s: &Settings) -> (Geometry, Losses) {
     let mut losses = Vec::new();
     let mut training = Geometry::new(device, scene, s, None).unwrap();
-    let heard = |p: &Progress| {
+    let on_progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             let l = &r.losses;
             losses.push((r.step, [l.semantic, l.semantic_class, l.correspondence, l.correspondence_class]));
         }
     };
-    training.train(s.geometry.steps, heard, || true).unwrap();
+    training.train(s.geometry.steps, on_progress, || true).unwrap();
     (training, losses)
 }
 
@@ -97,7 +97,7 @@ fn classes_are_learned_and_regions_correspond() {
 /// Room for one entry and for enough, stopped and gone on with on either side of where pseudo-views begin, beside
 /// densification and opacity resets.
 #[test]
-fn neither_room_nor_interruptions_matter() {
+fn semantic_training_is_independent_of_capacity_and_resume() {
     let gpu = Gpu::new();
     for (masks, dense, feature_bits) in [(false, false, 32), (true, true, 32), (true, false, 16)] {
         let room = Room::default();
@@ -112,7 +112,7 @@ fn neither_room_nor_interruptions_matter() {
             (d.enabled, d.from, d.interval, d.reset_interval, d.grad_threshold) = (true, 5, 5, 12, 5e-5);
             d.max_gaussians = 3000;
             let mut reports = Vec::new();
-            let mut heard = |p: &Progress| match p {
+            let mut on_progress = |p: &Progress| match p {
                 Progress::Decided(_) => {}
                 Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
                 Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
@@ -120,12 +120,12 @@ fn neither_room_nor_interruptions_matter() {
             let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
             if let Some(at) = resumed_at {
                 let file = place.path("state");
-                training.train(at, &mut heard, || true).unwrap();
+                training.train(at, &mut on_progress, || true).unwrap();
                 training.save(&file).unwrap();
                 training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
                 training.restore(&file).unwrap();
             }
-            training.train(26, &mut heard, || true).unwrap();
+            training.train(26, &mut on_progress, || true).unwrap();
             (training.splats().unwrap(), training.head().unwrap().unwrap(), reports)
         };
         let expected = run(1 << 16, None);
@@ -170,7 +170,7 @@ fn semantic_maps_may_have_the_size_of_the_image() {
 
 /// Without the option, features change nothing that can be seen; with it they do.
 #[test]
-fn features_move_geometry_only_if_they_may() {
+fn features_move_geometry_only_if_enabled() {
     // With normals, depth is blended in any case: rounding is the same.
     let place = place(Room { priors: true, ..Room::default() }, Meaning::default());
     let (device, scene) = (device(), open(&place));
@@ -192,7 +192,7 @@ fn features_move_geometry_only_if_they_may() {
 }
 
 #[test]
-fn bad_priors_are_left_out_or_refused_by_name() {
+fn invalid_semantic_priors_are_skipped_or_named() {
     let room = Room { views: 6, ..Room::default() };
     let device = device();
     // What is not a number, zeros, and a view without a map: masked.
@@ -247,10 +247,10 @@ fn bad_priors_are_left_out_or_refused_by_name() {
     assert_eq!(WALLS.len(), 6);
 }
 
-/// Nothing that belongs to a pixel is 512 wide: what a larger picture adds to the memory of a step is features and their
+/// Nothing that belongs to a pixel is 512 wide: what a larger image adds to the memory of a step is features and their
 /// gradients, at most three times 32 numbers of each view, and less than half of one vector of 512.
 #[test]
-fn memory_of_pixels_does_not_know_the_width_of_embeddings() {
+fn pixel_memory_is_independent_of_embedding_width() {
     let device = device();
     let tuning = Tuning::for_device(device.info());
     let model = Model { semantics: true, ..Model::default() };
@@ -289,17 +289,17 @@ fn memory_of_pixels_does_not_know_the_width_of_embeddings() {
 
 /// A process says where the region is; what happens when it does not is the user's choice.
 #[test]
-fn a_provider_of_masks_is_asked_while_training() {
+fn mask_provider_is_queried_during_training() {
     let place = place(Room::default(), Meaning::default());
     let (device, scene) = (device(), open(&place));
-    let asked = |what: &str, on_failure: Fallback| {
+    let requested = |what: &str, on_failure: Fallback| {
         let mut s = settings(9, 5);
         s.provider.command = provider(what);
         (s.provider.on_failure, s.provider.answer_seconds) = (on_failure, 5.0);
         s
     };
     let stand_in = format!("'stand-in={}'", place.text("scene"));
-    let s = asked(&stand_in, Fallback::Stop);
+    let s = requested(&stand_in, Fallback::Stop);
     let (training, losses) = train(&device, &scene, &s);
     let compared = losses.iter().filter(|(_, l)| l[2] > 0.0).map(|(step, _)| *step).collect::<Vec<u32>>();
     assert!(compared.len() >= 3 && compared.iter().all(|step| *step >= 5), "{losses:?}");
@@ -319,11 +319,11 @@ fn a_provider_of_masks_is_asked_while_training() {
         Ok(mut training) => training.train(9, |_| {}, || true).unwrap_err().to_string(),
     };
     for what in ["misbehave=exit", "misbehave=bool-two"] {
-        let said = error(&asked(what, Fallback::Stop));
-        assert!(said.ends_with('.') && !said.contains('\n'), "{what}: {said}");
-        let (training, losses) = train(&device, &scene, &asked(what, Fallback::GoOn));
+        let output = error(&requested(what, Fallback::Stop));
+        assert!(output.ends_with('.') && !output.contains('\n'), "{what}: {output}");
+        let (training, losses) = train(&device, &scene, &requested(what, Fallback::GoOn));
         assert!(training.step() == 9 && losses.iter().all(|(_, l)| l[2] == 0.0), "{what}: {losses:?}");
     }
-    let none = asked("misbehave=cannot-load", Fallback::Stop);
+    let none = requested("misbehave=cannot-load", Fallback::Stop);
     assert!(!error(&none).contains('\n'));
 }

@@ -1,11 +1,11 @@
 //! The semantic loss of views, and the correspondence of regions, whose numbers are drawn log-uniformly, against their
-//! double-precision twins. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
+//! double-precision references. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
 
 use half::f16;
 use proptest::prelude::*;
 use sgs_passes::reference::correspondence::{self, Picture};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::semantic::{self as twin, Gradient, Head, Terms, View, Weights};
+use sgs_passes::reference::semantic::{self as reference, Gradient, Head, Terms, View, Weights};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, FEATURES};
 use sgs_tests::drawn::{log_uniform, powers, runner, spread};
 use sgs_tests::surfaces::narrow;
@@ -134,12 +134,12 @@ impl Seen {
             let length = vector.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-30);
             let scale = log_uniform(&mut rng, self.targets) / length;
             let noise = self.noise * length / (EMBEDDING as f64).sqrt();
-            let kept = if rng.uniform() < self.holes { [0.0, f64::NAN][i % 2] } else { 1.0 };
+            let retained = if rng.uniform() < self.holes { [0.0, f64::NAN][i % 2] } else { 1.0 };
             let most = 60000.0;
             targets.extend(
-                vector
-                    .iter()
-                    .map(|x| f16::from_f64((kept * scale * (x + noise * rng.normal())).clamp(-most, most)).to_f64()),
+                vector.iter().map(|x| {
+                    f16::from_f64((retained * scale * (x + noise * rng.normal())).clamp(-most, most)).to_f64()
+                }),
             );
             labels.push((rng.uniform() >= self.holes).then_some(class));
         }
@@ -178,7 +178,7 @@ fn spread_out(off: &mut [f64], one: &[f64], other: &[f64]) {
 fn check_view(gpu: &Gpu, drawn: &Seen, planted: f64, sure: &Cell<u32>) -> Result<(), TestCaseError> {
     let (head, weights) = (drawn.decoder.head(), drawn.weights());
     let view = drawn.view(&head);
-    let (terms, gradient, made_of) = twin::semantic_loss_rounding(&head, &view, &weights);
+    let (terms, gradient, made_of) = reference::semantic_loss_rounding(&head, &view, &weights);
     if !made_of.sure {
         return Ok(());
     }
@@ -190,7 +190,7 @@ fn check_view(gpu: &Gpu, drawn: &Seen, planted: f64, sure: &Cell<u32>) -> Result
     for _ in 0..DRAWS {
         let image = view.image.iter().map(|x| x * (1.0 + MOVE * rng.range(-1.0, 1.0))).collect();
         let other = View { image, ..view.clone() };
-        let (t, g) = twin::semantic_loss(&moved(&head, &mut rng), &other, &weights);
+        let (t, g) = reference::semantic_loss(&moved(&head, &mut rng), &other, &weights);
         spread_out(&mut off.image, &g.image, &gradient.image);
         spread_out(&mut off.decoder, &g.decoder, &gradient.decoder);
         off_terms.cosine = off_terms.cosine.max((t.cosine - terms.cosine).abs());
@@ -204,7 +204,7 @@ fn check_view(gpu: &Gpu, drawn: &Seen, planted: f64, sure: &Cell<u32>) -> Result
 }
 
 #[test]
-fn semantic_losses_agree_with_the_twin() {
+fn semantic_losses_match_reference() {
     let (gpu, sure, all) = (Gpu::new(), Cell::new(0), Cell::new(0));
     let one = |d: Seen| {
         all.set(all.get() + 1);
@@ -305,7 +305,7 @@ fn check_region(gpu: &Gpu, drawn: &Region, planted: f64, sure: &Cell<u32>) -> Re
 }
 
 #[test]
-fn correspondences_agree_with_the_twin() {
+fn correspondences_match_reference() {
     let (gpu, sure, all) = (Gpu::new(), Cell::new(0), Cell::new(0));
     let one = |d: Region| {
         all.set(all.get() + 1);
@@ -317,7 +317,7 @@ fn correspondences_agree_with_the_twin() {
 
 /// A hundredth is noticed.
 #[test]
-fn checks_of_meaning_can_fail() {
+fn semantic_property_checks_can_fail() {
     let (gpu, sure) = (Gpu::new(), Cell::new(0));
     let decoder = Decoder { classes: 9, weights: 1.0, bias: 1.0, alike: 0.0, seed: 3 };
     let drawn = Seen {

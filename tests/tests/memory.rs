@@ -21,14 +21,14 @@ fn settings(steps: u32) -> Settings {
 }
 
 #[test]
-fn what_exceeds_a_budget_is_refused_with_the_figures() {
+fn plans_over_budget_are_refused_with_sizes() {
     let select = std::env::var("SGS_TEST_DEVICE").ok();
     let options = DeviceOptions { select, validation: true, memory_budget: Some(1 << 20), ..Default::default() };
     let device = Device::open(&options).unwrap();
     let b = device.budget();
-    assert_eq!((b.budget, b.used, b.source), (1 << 20, 0, BudgetSource::Given));
+    assert_eq!((b.budget, b.used, b.source), (1 << 20, 0, BudgetSource::Configured));
     assert!(b.heap >= b.budget);
-    let kept = device.buffer("kept", 1 << 19, Location::Device).unwrap();
+    let retained = device.buffer("kept", 1 << 19, Location::Device).unwrap();
     let error = device.buffer("too much", (1 << 19) + 4, Location::Device).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -40,16 +40,16 @@ fn what_exceeds_a_budget_is_refused_with_the_figures() {
     // Exactly the budget fits, and what was refused has left nothing.
     let rest = device.buffer("rest", 1 << 19, Location::Device).unwrap();
     assert_eq!(device.budget().left(), 0);
-    drop(kept);
+    drop(retained);
     assert_eq!(device.budget().used, 1 << 19);
     device.set_memory_budget(None);
-    assert_ne!(device.budget().source, BudgetSource::Given);
+    assert_ne!(device.budget().source, BudgetSource::Configured);
     drop((device.buffer("more", 4 << 20, Location::Device).unwrap(), rest));
     assert_eq!(device.messages().take(), Vec::<String>::new());
 }
 
 #[test]
-fn the_sum_before_the_first_step_is_what_is_taken() {
+fn training_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::new();
@@ -97,9 +97,10 @@ fn the_sum_before_the_first_step_is_what_is_taken() {
     }
 }
 
-/// What the intrinsic stage is reckoned to take is what it takes, with all kinds of steps; less is refused with the figures.
+/// What the intrinsic stage is estimated to take is what it takes, with all kinds of steps; less is refused with the
+/// figures.
 #[test]
-fn the_intrinsic_stage_takes_what_was_reckoned() {
+fn intrinsic_memory_matches_estimate() {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);
     for kind in ["albedo", "masks"] {
@@ -155,9 +156,11 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
         let mut some = splats.clone();
         let mut training = Intrinsic::within(gpu.device(), &scene, &s, &mut some).unwrap();
         assert!(some.len() < splats.len() && some == splats.strongest(some.len()), "{} are left", some.len());
-        let said: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
+        let output: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
         assert!(
-            said.iter().any(|d| d.starts_with("the faintest splats left out: materials and lights of all do not fit"))
+            output
+                .iter()
+                .any(|d| d.starts_with("the faintest splats left out: materials and lights of all do not fit"))
         );
         training.train(12, |_| {}, || true).unwrap();
         training.save(&place.path("state")).unwrap();
@@ -165,7 +168,7 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &some).unwrap();
         training.restore(&place.path("state")).unwrap();
         assert!(
-            training.decisions().iter().map(ToString::to_string).eq(said),
+            training.decisions().iter().map(ToString::to_string).eq(output),
             "being stopped has changed what is said"
         );
         drop(training);
@@ -210,7 +213,7 @@ fn the_intrinsic_stage_takes_what_was_reckoned() {
 
 /// Of shadows that are traced, too.
 #[test]
-fn traced_shadows_take_what_was_reckoned() {
+fn traced_shadow_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let splats = Splats::from_points(&scene.points, 1).unwrap();
@@ -229,7 +232,7 @@ fn traced_shadows_take_what_was_reckoned() {
 /// What a training comes to that grows, with semantics and pseudo-views, was foretold from what its first views saw, to a twentieth; and
 /// so was how many Gaussians a budget holds.
 #[test]
-fn what_growth_comes_to_was_foretold() {
+fn densification_memory_matches_estimate() {
     let room = Room { views: 8, size: [64, 48], spacing: 1, priors: true, ..Room::default() };
     let place = Place::new(room);
     Meaning::default().write(&room, &place.path("scene"));
@@ -283,9 +286,9 @@ fn what_growth_comes_to_was_foretold() {
     }
 }
 
-/// Pictures that a network is asked about are among what is reckoned, and where they do not fit training goes on without.
+/// Images that a network is asked about are among what is estimated, and where they do not fit training goes on without.
 #[test]
-fn asking_a_network_takes_what_was_reckoned() {
+fn field_query_memory_matches_estimate() {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);
     Meaning::default().write(&room, &place.path("scene"));
@@ -298,12 +301,12 @@ fn asking_a_network_takes_what_was_reckoned() {
     let train = |s: &Settings| {
         let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
         let mut pairs = 0;
-        let heard = |p: &Progress| {
+        let on_progress = |p: &Progress| {
             if let Progress::Step(r) = p {
                 pairs += r.losses.correspondence_pairs;
             }
         };
-        training.train(12, heard, || true).unwrap();
+        training.train(12, on_progress, || true).unwrap();
         (*training.needs(), pairs, gpu.device().memory_use())
     };
     let (needs, pairs, (now, _)) = train(&s);
@@ -315,9 +318,9 @@ fn asking_a_network_takes_what_was_reckoned() {
     gpu.device().set_memory_budget(None);
 }
 
-/// Looking at what could be left out takes memory, too: what steps give up meanwhile, and what is reckoned beyond.
+/// Looking at what could be left out takes memory, too: what steps give up meanwhile, and what is estimated beyond.
 #[test]
-fn looking_takes_what_was_reckoned() {
+fn viewer_memory_matches_estimate() {
     let mut s = sgs_tests::intrinsic::settings(12);
     // Many splats, and little else: looking has a copy of them.
     let room = Room { priors: true, spacing: 1, ..Room::default() };
@@ -326,7 +329,7 @@ fn looking_takes_what_was_reckoned() {
         if compared {
             room.write_materials(&place.path("scene"));
         }
-        // It is looked, and what is judged is so by pictures without it.
+        // It is looked, and what is judged is so by images without it.
         let a = &mut s.intrinsic.automatic;
         (a.enabled, a.sizes, a.metallic, a.gain, a.ready, a.settled) = (true, false, false, 0.0, 1e3, 1e3);
         (a.lights, a.lobes, a.environment, a.visibility) = (judged, judged, judged, judged);
@@ -356,7 +359,7 @@ fn looking_takes_what_was_reckoned() {
 
 /// Tile entries that do not fit must be given room; when that is refused, training says so and can go on later.
 #[test]
-fn refused_growth_loses_nothing() {
+fn refused_growth_preserves_gaussians() {
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::new();
@@ -402,12 +405,12 @@ fn densification_stops_where_memory_ends() {
         let mut after = Vec::new();
         let gpu = Gpu::new();
         let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
-        let heard = |p: &Progress| {
+        let on_progress = |p: &Progress| {
             if let Progress::Densified { stats, .. } = p {
                 after.push(stats.after);
             }
         };
-        training.train(16, heard, || true).unwrap();
+        training.train(16, on_progress, || true).unwrap();
         (after, gpu.device().memory_use().1, training.needs().total())
     };
     let (free, _, needs) = train(&s);
@@ -453,20 +456,20 @@ fn a_budget_just_above_the_start_is_enough() {
         let train = |at: Option<u32>| {
             let gpu = Gpu::new();
             let mut losses = Vec::new();
-            let mut heard = |p: &Progress| {
+            let mut on_progress = |p: &Progress| {
                 if let Progress::Step(r) = p {
                     losses.push((r.losses.total, r.gaussians));
                 }
             };
             let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
             if let Some(at) = at {
-                training.train(at, &mut heard, || true).unwrap();
+                training.train(at, &mut on_progress, || true).unwrap();
                 training.save(&place.path("state")).unwrap();
                 drop(training);
                 training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
                 training.restore(&place.path("state")).unwrap();
             }
-            training.train(24, &mut heard, || true).unwrap();
+            training.train(24, &mut on_progress, || true).unwrap();
             let decisions: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
             let peak = gpu.device().memory_use().1;
             assert!(peak <= s.memory.budget, "{peak} of {} bytes", s.memory.budget);
@@ -481,18 +484,18 @@ fn a_budget_just_above_the_start_is_enough() {
             losses.iter().all(|l| l.0.is_finite()) && losses[6..12].iter().all(|l| l.0 < losses[0].0),
             "{losses:?}"
         );
-        let said = |what: &str| decisions.iter().any(|d| d.starts_with(what));
-        assert_eq!(said("the faintest Gaussians left out"), pruned, "{decisions:?}");
+        let output = |what: &str| decisions.iter().any(|d| d.starts_with(what));
+        assert_eq!(output("the faintest Gaussians left out"), pruned, "{decisions:?}");
         for at in [3, 7, 15] {
-            let (again, _, told) = train(Some(at));
-            assert_eq!(told, decisions, "resumed at {at}");
+            let (again, _, reported) = train(Some(at));
+            assert_eq!(reported, decisions, "resumed at {at}");
             assert!(again == splats, "resumed at {at}: the splats differ");
         }
     }
 }
 
 #[test]
-fn the_program_says_what_does_not_fit() {
+fn cli_reports_memory_shortage() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
     let (scene, run) = (place.text("scene"), place.text("run"));
     let arguments = |more: &[&str]| -> Vec<String> {
@@ -546,8 +549,8 @@ fn the_program_says_what_does_not_fit() {
     assert!(densified.len() >= 8 && densified.iter().any(|l| number(l, "refused") > 0), "{log}");
 }
 
-/// The process does not grow while it trains. Drivers on a processor may compile kernels anew for every value of a uniform and
-/// keep them all: a megabyte a step, once.
+/// The process does not grow while it trains. Drivers on a processor may compile kernels again for every value of a uniform
+/// and keep them all: a megabyte a step, once.
 #[test]
 fn a_training_process_does_not_grow() {
     let place = Place::new(Room { priors: true, ..Room::default() });

@@ -1,4 +1,4 @@
-//! Measures of pictures against other people's implementations, on the same pictures: `tests/data/metrics/make.py` ran
+//! Measures of images against other people's implementations, on the same images: `tests/data/metrics/make.py` ran
 //! scikit-image, scipy and flip-evaluator, and wrote what they say.
 
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ fn data() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/metrics")
 }
 
-/// Pictures by name, read as a scene's photographs are.
+/// Images by name, read as a scene's photographs are.
 fn pictures(names: &[String]) -> Vec<Image> {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
@@ -48,7 +48,7 @@ fn disagreements(expected: &Value, found: &[(&str, f64)]) -> Vec<String> {
 }
 
 #[test]
-fn measures_are_those_of_others() {
+fn metrics_match_independent_implementations() {
     let text = std::fs::read_to_string(data().join("expected.json")).unwrap();
     let expected: Value = serde_json::from_str(&text).unwrap();
     let pairs = expected["pairs"].as_object().unwrap();
@@ -68,7 +68,7 @@ fn measures_are_those_of_others() {
         ];
         println!("{name}: {found:?}");
         assert_eq!(disagreements(&pairs[name], &found), [""; 0], "{name}");
-        // Every measure tells this picture from another.
+        // Every measure tells this image from another.
         let other = if name == "blur" { "noise" } else { "blur" };
         assert_eq!(disagreements(&pairs[other], &found).len(), found.len(), "{name}");
     }
@@ -76,7 +76,7 @@ fn measures_are_those_of_others() {
 }
 
 #[test]
-fn disagreement_is_noticed() {
+fn metric_mismatch_is_detected() {
     let expected = json!({"psnr": 30.0, "ssim": 0.9});
     assert!(disagreements(&expected, &[("psnr", 30.00005), ("ssim", 0.9)]).is_empty());
     let found = [("psnr", 30.0002), ("ssim", f64::NAN), ("flip", 0.1)];

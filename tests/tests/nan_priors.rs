@@ -45,7 +45,7 @@ fn place() -> Place {
 }
 
 #[test]
-fn priors_of_nothing_but_nan_are_as_none() {
+fn all_nan_priors_equal_no_priors() {
     let (gpu, place) = (Gpu::new(), place());
     let device = gpu.device();
     let mut s = settings(12);
@@ -54,12 +54,12 @@ fn priors_of_nothing_but_nan_are_as_none() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut geometry = Geometry::new(device, &scene, &s, None).unwrap();
     let mut losses = Vec::new();
-    let heard = |p: &Progress| {
+    let on_progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             losses.push(r.losses);
         }
     };
-    geometry.train(12, heard, || true).unwrap();
+    geometry.train(12, on_progress, || true).unwrap();
     assert_eq!(losses.len(), 12);
     for l in &losses {
         assert!(l.total.is_finite() && l.l1 > 0.0, "{l:?}");

@@ -2,7 +2,7 @@
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
-use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::{Step, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -93,7 +93,7 @@ impl Group {
             }
             let (p, [m, v]) = match untouched {
                 true => (f64::from(p), [f64::from(m), f64::from(v)]),
-                false => twin::adam(f64::from(p), [f64::from(m), f64::from(v)], f64::from(g), rates),
+                false => reference::adam(f64::from(p), [f64::from(m), f64::from(v)], f64::from(g), rates),
             };
             expected.push(p);
             expected_m.push(m);
@@ -109,12 +109,12 @@ impl Group {
     }
 }
 
-fn rates(t: u32) -> twin::Rates {
-    twin::Rates::at(1e-3, t)
+fn rates(t: u32) -> reference::Rates {
+    reference::Rates::at(1e-3, t)
 }
 
 #[test]
-fn adam_is_its_reference() {
+fn adam_matches_reference() {
     let gpu = Gpu::new();
     for (i, width) in [1, 3, 4, 21].into_iter().enumerate() {
         for (live, capacity) in [(0, 3), (1, 1), (300, 300), (777, 1000)] {
@@ -156,7 +156,7 @@ fn adam_survives_extreme_gradients() {
 }
 
 #[test]
-fn adam_does_nothing_under_a_flag() {
+fn adam_skips_flagged_steps() {
     let gpu = Gpu::new();
     let group = Group::random(3, 100, 100, 4);
     for flags in [&[1_u32][..], &[0, 0, 0x8000_0000]] {
@@ -176,7 +176,7 @@ fn adam_check_can_fail() {
     let expected: Vec<f64> = (0..300)
         .map(|i| {
             let [m, v] = group.moments[i].map(f64::from);
-            twin::adam(f64::from(group.parameters[i]), [m, v], f64::from(group.gradients[i]), rates(3)).0
+            reference::adam(f64::from(group.parameters[i]), [m, v], f64::from(group.gradients[i]), rates(3)).0
         })
         .collect();
     assert_close("parameters", &expected, &parameters, Tolerance::new(1e-8, 2e-7));
@@ -185,7 +185,7 @@ fn adam_check_can_fail() {
 /// Dense Adam's other half: what was seen stays as it is, what was not decays by the reference, what never had a
 /// gradient does not move, and a raised flag stops everything.
 #[test]
-fn unseen_gaussians_follow_the_reference_and_nothing_else_moves() {
+fn unseen_gaussians_decay_as_in_reference() {
     use sgs_passes::optim::{AdamUnseen, adam_unseen};
     let gpu = Gpu::new();
     for (width, live, flag) in [(3usize, 700usize, 0u32), (21, 333, 0), (1, 5, 0), (4, 300, 8)] {
@@ -208,7 +208,7 @@ fn unseen_gaussians_follow_the_reference_and_nothing_else_moves() {
             skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), "adam_unseen", &a).unwrap();
-        let rates = twin::Rates::at(0.25, 4);
+        let rates = reference::Rates::at(0.25, 4);
         let step = Step {
             lr_scales: rates.lr as f32,
             correction1: rates.correction1 as f32,
@@ -233,7 +233,7 @@ fn unseen_gaussians_follow_the_reference_and_nothing_else_moves() {
                 assert_eq!((parameters[j].to_bits(), moments[j]), (p.to_bits(), *m), "scalar {j} was touched");
                 expected.push(f64::from(*p));
             } else {
-                let (p, m) = twin::adam(f64::from(*p), m.map(f64::from), 0.0, rates);
+                let (p, m) = reference::adam(f64::from(*p), m.map(f64::from), 0.0, rates);
                 assert_close("moments", &m, &moments[j], Tolerance::new(1e-12, 1e-6));
                 expected.push(p);
             }

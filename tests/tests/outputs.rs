@@ -86,7 +86,7 @@ fn resuming_a_finished_run_leaves_every_file() {
 }
 
 #[test]
-fn scenes_files_and_other_directories_are_no_output() {
+fn invalid_output_directories_are_refused() {
     let place = place();
     let before = files(&place.path("scene"));
     std::fs::create_dir(place.path("notes")).unwrap();
@@ -139,9 +139,9 @@ fn one_training_at_a_time_writes_into_a_run() {
     let second = |more: &[&str]| sgs(&place.arguments("run", 80, more));
     second(&["--force"]).refused_with(1, &["is locked", &process]);
     second(&["--resume"]).refused_with(1, &["is locked", &process]);
-    let said = second(&["--force", "--json"]).json();
-    assert_eq!(said["kind"], "locked");
-    assert!(said["error"].as_str().unwrap().contains(&process), "{said}");
+    let output = second(&["--force", "--json"]).json();
+    assert_eq!(output["kind"], "locked");
+    assert!(output["error"].as_str().unwrap().contains(&process), "{output}");
     // A killed one leaves its lock, which the next one takes over.
     signal(&child, "KILL");
     wait(child);

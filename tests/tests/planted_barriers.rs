@@ -41,24 +41,24 @@ type Case = (&'static str, &'static str, fn(&mut Graph));
 /// What the layer sees.
 const SEEN: [Case; 11] = [
     ("a kernel reads what a kernel wrote", "READ-AFTER-WRITE", |g| {
-        let [a, b, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
+        let [a, b, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
         pass(g, "second", "map", &[a, b]);
     }),
     ("a kernel overwrites what a kernel read", "WRITE-AFTER-READ", |g| {
-        let [a, b, .., given] = buffers(g);
+        let [a, b, .., provided] = buffers(g);
         pass(g, "first", "map", &[a, b]);
-        pass(g, "second", "map", &[given, a]);
+        pass(g, "second", "map", &[provided, a]);
     }),
     ("a kernel adds to what a kernel wrote", "READ-AFTER-WRITE", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
-        pass(g, "second", "sum", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
+        pass(g, "second", "sum", &[provided, a]);
     }),
     ("a kernel changes what a kernel added to", "WRITE-AFTER-READ", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "sum", &[given, a]);
-        pass(g, "second", "change", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "sum", &[provided, a]);
+        pass(g, "second", "change", &[provided, a]);
     }),
     ("a kernel reads what a fill wrote", "READ-AFTER-WRITE", |g| {
         let [a, b, ..] = buffers(g);
@@ -66,9 +66,9 @@ const SEEN: [Case; 11] = [
         pass(g, "second", "map", &[a, b]);
     }),
     ("a kernel adds to what a fill wrote", "READ-AFTER-WRITE", |g| {
-        let [a, .., given] = buffers(g);
+        let [a, .., provided] = buffers(g);
         g.fill("first", a, 1).unwrap();
-        pass(g, "second", "sum", &[given, a]);
+        pass(g, "second", "sum", &[provided, a]);
     }),
     ("a fill overwrites what a kernel read", "WRITE-AFTER-READ", |g| {
         let [a, b, ..] = buffers(g);
@@ -76,25 +76,25 @@ const SEEN: [Case; 11] = [
         g.fill("second", a, 1).unwrap();
     }),
     ("a copy reads what a kernel wrote", "READ-AFTER-WRITE", |g| {
-        let [a, b, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
+        let [a, b, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
         g.copy("second", a, b).unwrap();
     }),
     ("a copy overwrites some of what a fill wrote", "WRITE-AFTER-WRITE", |g| {
-        let [a, .., given] = buffers(g);
+        let [a, .., provided] = buffers(g);
         g.fill("first", a, 1).unwrap();
-        g.copy("second", given.slice(0, 64), a.slice(64, 64)).unwrap();
+        g.copy("second", provided.slice(0, 64), a.slice(64, 64)).unwrap();
     }),
     ("a fill overwrites some of what a kernel wrote", "WRITE-AFTER-WRITE", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
         g.fill("second", a.slice(64, 64), 1).unwrap();
     }),
     ("the device reads group counts that a kernel wrote", "READ-AFTER-WRITE", |g| {
-        let [a, b, .., given] = buffers(g);
-        pass(g, "first", "counts", &[given, a]);
+        let [a, b, .., provided] = buffers(g);
+        pass(g, "first", "counts", &[provided, a]);
         let map = kernel("map");
-        let second = g.pass("second", &map).push(&[0; 4]).bind("from", given).bind("to", b);
+        let second = g.pass("second", &map).push(&[0; 4]).bind("from", provided).bind("to", b);
         second.dispatch_indirect(a, 0).unwrap();
     }),
 ];
@@ -103,23 +103,23 @@ const SEEN: [Case; 11] = [
 /// and that atomics write; it takes them for reads.
 const UNSEEN: [Case; 4] = [
     ("a kernel overwrites some of what a kernel wrote", "WRITE-AFTER-WRITE", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
-        pass(g, "second", "part", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
+        pass(g, "second", "part", &[provided, a]);
     }),
     ("a kernel changes what a kernel wrote", "WRITE", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "map", &[given, a]);
-        pass(g, "second", "change", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "map", &[provided, a]);
+        pass(g, "second", "change", &[provided, a]);
     }),
     ("a kernel changes what a kernel changed", "WRITE", |g| {
-        let [a, .., given] = buffers(g);
-        pass(g, "first", "change", &[given, a]);
-        pass(g, "second", "change", &[given, a]);
+        let [a, .., provided] = buffers(g);
+        pass(g, "first", "change", &[provided, a]);
+        pass(g, "second", "change", &[provided, a]);
     }),
     ("a kernel reads what a kernel added to", "READ-AFTER-WRITE", |g| {
-        let [a, b, .., given] = buffers(g);
-        pass(g, "first", "sum", &[given, a]);
+        let [a, b, .., provided] = buffers(g);
+        pass(g, "first", "sum", &[provided, a]);
         pass(g, "second", "map", &[a, b]);
     }),
 ];
@@ -184,11 +184,11 @@ fn a_weakened_barrier_is_refused_and_reported() {
 }
 
 #[test]
-fn memory_that_changes_hands_without_a_barrier_is_refused_and_reported() {
+fn aliased_memory_without_a_barrier_is_refused_and_reported() {
     let mut graph = Graph::new("hands");
-    let [a, b, .., given] = buffers(&mut graph);
+    let [a, b, .., provided] = buffers(&mut graph);
     let [first, second] = ["first", "second"].map(|name| graph.transient(name, BYTES));
-    pass(&mut graph, "make first", "map", &[given, first]);
+    pass(&mut graph, "make first", "map", &[provided, first]);
     pass(&mut graph, "use first", "map", &[first, a]);
     // It follows the pass before, so that the two transients do not live at the same time.
     pass(&mut graph, "make second", "map", &[a, second]);
@@ -209,7 +209,7 @@ fn memory_that_changes_hands_without_a_barrier_is_refused_and_reported() {
 }
 
 #[test]
-fn what_the_layer_cannot_see_the_verifier_does() {
+fn verifier_finds_hazards_missed_by_validation_layer() {
     let device = device();
     let blind = device.validation_version().is_some_and(|version| version <= (1, 3, 239));
     for (what, hazard, declare) in UNSEEN {
@@ -220,7 +220,7 @@ fn what_the_layer_cannot_see_the_verifier_does() {
         assert!(matches!(verify(&damaged), Err(VerifyError::Hazard { .. })), "{what}: {:?}", verify(&damaged));
         let messages = run(&device, &damaged);
         if blind {
-            assert_eq!(messages, [""; 0], "{what}: the layer sees more than docs/TESTING.md says");
+            assert_eq!(messages, [""; 0], "{what}: the layer sees more than docs/project/testing.md says");
         } else {
             // Newer layers see some of these. Whatever they say must be about this.
             assert!(messages.iter().all(|m| m.contains(hazard)), "{what}: {messages:?}");
@@ -234,8 +234,8 @@ fn messages_name_the_plan_the_group_the_pass_and_the_objects() {
     let mut graph = Graph::new("labeled plan");
     let middle = graph.external("middle buffer", BYTES);
     let out = graph.external("out buffer", BYTES);
-    let given = graph.input("given", BYTES);
-    pass(&mut graph, "maker pass", "map", &[given, middle]);
+    let provided = graph.input("given", BYTES);
+    pass(&mut graph, "maker pass", "map", &[provided, middle]);
     pass(&mut graph, "reader pass", "twice", &[middle, out]);
     let mut plan = graph.compile(&CompileOptions::default()).unwrap();
     assert_eq!(run(&device, &plan), [""; 0]);

@@ -69,27 +69,27 @@ fn run(gpu: &Gpu, view: &View, as_: &Presented, flag: u32, wanted: u32, replays:
 fn wrong(view: &View, as_: &Presented, bytes: &[u8]) -> Option<String> {
     let double = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
     let expected = reference::present(&double(&view.image), &double(&view.transmittance), view.channels, as_);
-    for (i, (texel, want)) in bytes.chunks_exact(as_.format.bytes() as usize).zip(&expected).enumerate() {
+    for (i, (texel, expected_value)) in bytes.chunks_exact(as_.format.bytes() as usize).zip(&expected).enumerate() {
         let fine = match as_.format {
             TexelFormat::Rgba32Float => {
                 let got: [f32; 4] = bytemuck::pod_read_unaligned(texel);
-                got.iter().zip(want).all(|(g, w)| (f64::from(*g) - w).abs() <= 1e-5 * (1.0 + w.abs()))
+                got.iter().zip(expected_value).all(|(g, w)| (f64::from(*g) - w).abs() <= 1e-5 * (1.0 + w.abs()))
             }
             TexelFormat::Rgba16Float => {
                 let got: [f16; 4] = bytemuck::pod_read_unaligned(texel);
                 // Vulkan leaves the direction of rounding open: a unit in the last place, of 11 bits.
-                got.iter().zip(want).all(|(g, w)| {
+                got.iter().zip(expected_value).all(|(g, w)| {
                     let w = w.clamp(-65504.0, 65504.0);
                     (f64::from(g.to_f32()) - w).abs() <= 1e-7 + w.abs() / 1024.0
                 })
             }
             format => {
-                let want = reference::eight_bit(*want, format);
-                texel.iter().zip(want).all(|(g, w)| g.abs_diff(w) <= 1)
+                let expected_value = reference::eight_bit(*expected_value, format);
+                texel.iter().zip(expected_value).all(|(g, w)| g.abs_diff(w) <= 1)
             }
         };
         if !fine || texel.len() != as_.format.bytes() as usize {
-            return Some(format!("pixel {i}: {texel:?} for {want:?} as {as_:?}"));
+            return Some(format!("pixel {i}: {texel:?} for {expected_value:?} as {as_:?}"));
         }
     }
     (bytes.len() as u64 != as_.format.bytes() * expected.len() as u64).then(|| "some are missing".into())
@@ -108,7 +108,7 @@ fn all() -> Vec<Presented> {
 }
 
 #[test]
-fn every_layer_in_every_format_is_the_reference() {
+fn every_layer_and_format_matches_reference() {
     let gpu = Gpu::new();
     for (k, as_) in all().into_iter().enumerate() {
         let channels = Channels {
@@ -150,7 +150,7 @@ fn a_wrong_texel_is_caught() {
 }
 
 #[test]
-fn what_reads_as_srgb_is_encoded_once() {
+fn srgb_output_is_encoded_once() {
     let gpu = Gpu::new();
     let view = view(Channels { colors: true, normals: false, depth: false }, 9);
     let bytes = |format, encoding| {

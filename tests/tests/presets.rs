@@ -20,7 +20,7 @@ fn settings(place: &Place, run: &str) -> Settings {
 }
 
 #[test]
-fn presets_lie_beneath_everything_else() {
+fn presets_have_lowest_precedence() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     std::fs::write(place.path("over.toml"), "seed = 5\n[intrinsic.visibility]\ncoarsest = 8\nfinest = 32\n").unwrap();
     let file = place.text("over.toml");
@@ -50,7 +50,7 @@ fn presets_lie_beneath_everything_else() {
 }
 
 #[test]
-fn levels_of_accuracy_lie_between_preset_and_file() {
+fn accuracy_levels_override_presets_but_not_files() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let file = "[accuracy]\ndepth_bits = 24\n[intrinsic.visibility]\nsample = 7\nlevels = 2\nlog2_table = 8\n\
         [intrinsic.lights]\ngrid = 2\n[intrinsic.environment]\nresolution = 16\n";
@@ -108,7 +108,7 @@ fn no_gaussian_is_younger_than_an_interval_at_the_end() {
 #[test]
 fn help_and_documents_name_every_preset() {
     let help = sgs(&["train", "--help"]).ok().stdout;
-    let document = include_str!("../../docs/PRESETS.md");
+    let document = include_str!("../../docs/reference/presets.md");
     for preset in PRESETS {
         assert!(help.contains(&format!("\"{}\"", preset.name)), "{}", preset.name);
         assert!(document.contains(&format!("| `{}` |", preset.name)), "{}", preset.name);

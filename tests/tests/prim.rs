@@ -6,7 +6,7 @@ use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError, Slice};
 use sgs_passes::Tuning;
 use sgs_passes::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, radix_sort, work};
-use sgs_passes::reference::{radix_sort as sort_twin, rng::Pcg, scan as scan_twin};
+use sgs_passes::reference::{radix_sort as sort_reference, rng::Pcg, scan as scan_reference};
 use sgs_shaders::structs::Work;
 use sgs_tests::Gpu;
 use std::ops::Range;
@@ -86,7 +86,7 @@ enum How {
     Gathered,
 }
 
-/// Runs a scan of the first `count` of `values` and compares everything with the twin.
+/// Runs a scan of the first `count` of `values` and compares everything with the reference.
 fn check_scan(gpu: &Gpu, shape: ScanShape, how: How, from: From, values: &[u32], count: usize) {
     let what = format!("{shape:?} {how:?} {from:?} {count} of {}", values.len());
     let mut g = Graph::new("scan");
@@ -107,8 +107,8 @@ fn check_scan(gpu: &Gpu, shape: ScanShape, how: How, from: From, values: &[u32],
     exclusive_scan(&mut g, shape, "scan", source, index, target, total, counted).unwrap();
     let out = gpu.run(g, &inputs);
     let (mut expected, sum) = match how {
-        How::Gathered => scan_twin::exclusive_scan(values, Some(&permutation[..count])),
-        _ => scan_twin::exclusive_scan(&values[..count], None),
+        How::Gathered => scan_reference::exclusive_scan(values, Some(&permutation[..count])),
+        _ => scan_reference::exclusive_scan(&values[..count], None),
     };
     assert!(how != How::Gathered || permutes || values.len() < 7, "the index of the test visits elements twice");
     if how == How::InPlace {
@@ -199,7 +199,7 @@ fn scan_saturates_and_never_wraps() {
     check_scan(&gpu, shape, How::InPlace, From::Host, &edge, edge.len());
 }
 
-/// Runs a sort of the first `count` of `keys` and compares everything with the twin. The values are what else the
+/// Runs a sort of the first `count` of `keys` and compares everything with the reference. The values are what else the
 /// pairs hold, or nothing.
 fn check_sort(
     gpu: &Gpu,
@@ -232,7 +232,8 @@ fn check_sort(
     let sorted_values = read("sorted_values", sorted.values);
     let sorted_keys = sorted.keys.map(|keys| read("sorted_keys", keys));
     let out = gpu.run(g, &inputs);
-    let (expected_keys, expected_values) = sort_twin::radix_sort(&keys[..count], values.map(|v| &v[..count]), bits);
+    let (expected_keys, expected_values) =
+        sort_reference::radix_sort(&keys[..count], values.map(|v| &v[..count]), bits);
     // Behind the last one is what other transients left there.
     if let Some(sorted_keys) = sorted_keys {
         assert_same(&format!("{what}, keys"), &expected_keys, &out.get(sorted_keys)[..count]);
@@ -341,7 +342,7 @@ fn sort_writes_nothing_behind_the_last_element() {
         let found = [out_keys, out_values].map(|buffer| bind(buffer, &bytes(&vec![0; max])));
         exec.submit(&[]).unwrap();
         exec.finish().unwrap();
-        let (expected_keys, expected_values) = sort_twin::radix_sort(&keys[..count], None, 0..11);
+        let (expected_keys, expected_values) = sort_reference::radix_sort(&keys[..count], None, 0..11);
         for (expected, found) in [expected_keys, expected_values].iter().zip(found) {
             assert_same(&format!("{shape:?}"), expected, &device.download_as(&found, max).unwrap());
         }
@@ -412,7 +413,7 @@ fn work_makes_records_and_refuses_what_does_not_fit() {
 fn a_scan_drives_a_sort_and_its_overflow_stops_it() {
     let gpu = Gpu::new();
     let counts = random_words(700, 13, 9);
-    let (_, sum) = scan_twin::exclusive_scan(&counts, None);
+    let (_, sum) = scan_reference::exclusive_scan(&counts, None);
     for capacity in [4000, sum - 1] {
         let mut g = Graph::new("frame");
         let source = g.input("counts", room(counts.len()));
@@ -433,7 +434,7 @@ fn a_scan_drives_a_sort_and_its_overflow_stops_it() {
         let out = gpu.run_times(g, &[(source, bytes(&counts)), (keys, bytes(&words)), (flags, bytes(&[0]))], 3);
         let fits = sum <= capacity;
         let kept = if fits { sum as usize } else { 0 };
-        assert_same("order", &sort_twin::radix_sort(&words[..kept], None, 0..11).1, &out.get(target)[..kept]);
+        assert_same("order", &sort_reference::radix_sort(&words[..kept], None, 0..11).1, &out.get(target)[..kept]);
         assert_eq!((out.get::<u32>(flags)[0], out.get::<u32>(wanted)[0]), (if fits { 0 } else { 2 }, sum));
     }
 }

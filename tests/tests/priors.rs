@@ -167,12 +167,12 @@ fn every_kind_from_a_synthesized_scene() {
 fn assert_masks(scene: &Scene, command: &str) {
     let mut provider = Provider::start(&ProviderOptions::new(command)).unwrap();
     let images: Vec<Image> = (0..3).map(|i| scene.load_image(i).unwrap()).collect();
-    let picture = |i: usize| {
+    let rendered = |i: usize| {
         let camera = &scene.views[i].camera;
         let view = (i < 2).then_some(camera.name.as_str());
         Picture { view, camera: Some(camera), ..Picture::srgb(&images[i]) }
     };
-    let masks = provider.masks(&[picture(0), picture(1), picture(2)], Some([20.5, 16.5])).unwrap();
+    let masks = provider.masks(&[rendered(0), rendered(1), rendered(2)], Some([20.5, 16.5])).unwrap();
     let ids: Vec<Vec<u16>> = (0..3).map(|i| scene.region_prior(i).unwrap().unwrap().ids).collect();
     let thing = ids[0][16 * 40 + 20];
     for (frame, most) in [(0, 0), (1, 0), (2, 40 * 32 / 8)] {
@@ -197,7 +197,7 @@ fn regions_of_single_images_never_meet() {
     assert_eq!(counts(priors(&place, "misbehave=nothing", &["--only", "masks", "--views", "all"])), (1, 4));
     first.extend(ids(1));
     assert_eq!(first, [1, 2, 3, 4, 5]);
-    // Made anew, all numbers are free again.
+    // Made again, all numbers are free again.
     let again = &["--only", "masks", "--views", "all", "--force"];
     assert_eq!(counts(priors(&place, "misbehave=nothing", again)), (5, 0));
     assert_eq!((0..5).filter_map(ids).collect::<Vec<_>>(), [1, 2, 3, 4, 5]);
@@ -244,7 +244,7 @@ fn each_failure_is_one_sentence_and_leaves_whole_files() {
 }
 
 #[test]
-fn an_interrupted_one_goes_on() {
+fn interrupted_prior_extraction_resumes() {
     let place = room();
     let (scene, provider) = (place.text("scene"), provider("misbehave=slow"));
     let arguments = ["priors", &scene, "--provider", &provider, "--only", "normal", "--views", "all"];

@@ -1,5 +1,5 @@
-//! Pictures and training steps of Gaussians whose every number is drawn log-uniformly, against the double-precision twin. What
-//! fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+//! Images and training steps of Gaussians whose every number is drawn log-uniformly, against the double-precision reference.
+//! What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
 
 use glam::{DMat3, DVec2, DVec3};
 use proptest::prelude::*;
@@ -15,11 +15,11 @@ use sgs_tests::gradients::{Case, parameters};
 use sgs_tests::whole::{BACKGROUND, picture, steps};
 use sgs_tests::{Gpu, scenes};
 
-/// Largest difference where the twin is sure, of the largest color that there is.
+/// Largest difference where the reference is sure, of the largest color that there is.
 const LARGEST: f64 = 2e-3;
 
 #[test]
-fn pictures_agree_with_the_twin() {
+fn rendered_images_match_reference() {
     let gpu = Gpu::new();
     let (mut sure, mut all, mut seen, mut clear) = (0, 0, 0, 0);
     let result = runner(96).run(&scene(), |(g, camera)| {
@@ -77,7 +77,8 @@ fn unit(case: &Case, group: Group, i: usize) -> f64 {
     }
 }
 
-/// The twin's central differences at two steps, in [`unit`]s, by group; none where they disagree, because a threshold lies between.
+/// The reference's central differences at two steps, in [`unit`]s, by group; none where they disagree, because a threshold
+/// lies between.
 fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
     let difference = |group: Group, i: usize| {
         let unit = unit(case, group, i);
@@ -140,7 +141,7 @@ fn after_rounding(case: &Case, way: u64) -> Case {
 /// Gradients of a scene of a few Gaussians; how many were compared, and how many lie at thresholds.
 fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 2], TestCaseError> {
     let mut case = Case::seen(g.clone(), *camera, false);
-    let truth = case.twin(g, camera);
+    let truth = case.reference(g, camera);
     for (p, _) in truth.doubtful.iter().enumerate().filter(|(_, d)| **d) {
         case.image[3 * p..3 * p + 3].fill(0.0);
         case.transmittance[p] = 0.0;
@@ -177,7 +178,7 @@ fn compare(case: &Case, seen: f64, found: &[Vec<f32>], pose: &[f32]) -> Result<[
 }
 
 #[test]
-fn gradients_agree_with_the_twin() {
+fn render_gradients_match_reference() {
     let gpu = Gpu::new();
     let counts = std::cell::Cell::new([0, 0, 0]);
     let result = runner(64).run(&few(), |(g, camera)| {
@@ -235,17 +236,18 @@ fn steps_leave_finite_parameters() {
 #[test]
 fn failures_are_found_and_shrunk() {
     let result = runner(96).run(&scene(), |(g, camera)| {
-        let shown = render(&g, &camera, 0, false, BACKGROUND).transmittance.iter().any(|t| *t < 0.5);
-        prop_assert!(!shown);
+        let visible = render(&g, &camera, 0, false, BACKGROUND).transmittance.iter().any(|t| *t < 0.5);
+        prop_assert!(!visible);
         Ok(())
     });
     let Err(proptest::test_runner::TestError::Fail(_, (g, _))) = result else { panic!("nothing was found") };
     assert!(g.len() <= 2, "{} Gaussians are left", g.len());
 }
 
-/// What was drawn once and not compared rightly, since the twin's own determinant had lost its digits: a needle of condition 1e17.
+/// What was drawn once and not compared rightly, since the reference's own determinant had lost its digits: a needle of
+/// condition 1e17.
 #[test]
-fn a_needle_of_condition_1e17_is_where_it_is() {
+fn gaussian_of_condition_1e17_is_rendered_in_place() {
     let turn = DMat3::from_cols_array_2d(&[
         [0.8718962073326111, 0.48969075083732605, 0.0],
         [-0.48969075083732605, 0.8718962073326111, 0.0],

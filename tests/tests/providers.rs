@@ -41,34 +41,34 @@ fn fail(how: &str) -> String {
 }
 
 #[test]
-fn a_good_one_answers() {
+fn working_provider_answers() {
     let options = options("nothing");
     let mut provider = Provider::start(&options).unwrap();
     assert_eq!(provider.about().name, "misbehave nothing");
     assert_eq!(provider.about().list(), "masks, materials, normals, regions, semantics, text");
-    let picture = image(6, 4);
-    let picture = Picture::srgb(&picture);
-    let normals = provider.normals(&picture).unwrap();
+    let rendered = image(6, 4);
+    let rendered = Picture::srgb(&rendered);
+    let normals = provider.normals(&rendered).unwrap();
     assert_eq!((normals.frame, normals.image.pixel(5, 3)), (NormalFrame::CameraOpengl, &[0.0, 0.0, 1.0][..]));
-    assert_eq!(provider.regions(&picture).unwrap().ids, [1; 24]);
-    assert_eq!(provider.semantics(&picture).unwrap().shape, [1, 1, 512]);
-    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    assert_eq!(provider.regions(&rendered).unwrap().ids, [1; 24]);
+    assert_eq!(provider.semantics(&rendered).unwrap().shape, [1, 1, 512]);
+    let frames = [rendered.clone(), rendered.clone(), rendered.clone()];
     let masks = provider.masks(&frames, Some([2.5, 1.5])).unwrap();
     assert!(masks.size == [6, 4] && masks.frames.iter().all(|f| *f == [true; 24]));
     let (channels, embeddings) = provider.text(&["chair".into(), "Löwe \"x\"".into()]).unwrap();
     assert_eq!((channels, embeddings.len()), (512, 1024));
-    let found = provider.materials(&picture, &["albedo", "metallic"]).unwrap();
+    let found = provider.materials(&rendered, &["albedo", "metallic"]).unwrap();
     assert!(!found.albedo_is_linear && found.albedo.is_some() && found.metallic.is_some() && found.roughness.is_none());
-    let error = sentence(&options, provider.classes(std::slice::from_ref(&picture)).unwrap_err());
+    let error = sentence(&options, provider.classes(std::slice::from_ref(&rendered)).unwrap_err());
     let offers = "masks, materials, normals, regions, semantics, text";
     assert_eq!(error, format!("the provider it does not offer classes; it offers {offers}"));
     let other = image(5, 4);
-    let error = provider.masks(&[picture.clone(), Picture::srgb(&other), picture], None).unwrap_err().to_string();
+    let error = provider.masks(&[rendered.clone(), Picture::srgb(&other), rendered], None).unwrap_err().to_string();
     assert_eq!(error, "masks cannot be asked: the frames differ in size");
 }
 
 #[test]
-fn images_are_sent_as_it_wants_them() {
+fn images_are_sent_in_the_requested_format() {
     let mut provider = Provider::start(&options("linear")).unwrap();
     let offer = provider.about().offers["normals"].clone();
     assert_eq!((offer.image, offer.max_side), (Encoding::Linear, Some(16)));
@@ -78,7 +78,7 @@ fn images_are_sent_as_it_wants_them() {
 }
 
 #[test]
-fn commands_that_are_none() {
+fn invalid_provider_commands_are_refused() {
     let fail = |command: &str| Provider::start(&ProviderOptions::new(command)).err().unwrap().to_string();
     assert!(fail("").contains("the provider's command \"\" names no program; give one, as"));
     assert!(fail("python3 'x").contains("has a quote that is not closed"));
@@ -88,58 +88,61 @@ fn commands_that_are_none() {
 }
 
 #[test]
-fn one_that_ends() {
-    let said = "the provider it ended with status 3 before it answered normals; its last words: CUDA out of memory";
-    assert_eq!(fail("exit"), said);
+fn provider_exit_is_reported() {
+    let message = "the provider it ended with status 3 before it answered normals; its last words: CUDA out of memory";
+    assert_eq!(fail("exit"), message);
     assert_eq!(fail("exit-quietly"), "the provider it ended with status 0 before it answered normals");
     assert_eq!(fail("signal"), "the provider it was ended by signal 9 before it answered normals");
-    assert_eq!(fail("greeting-exit"), said.replace("normals", "the greeting"));
+    assert_eq!(fail("greeting-exit"), message.replace("normals", "the greeting"));
     assert_eq!(
         fail("crash-amid"),
         "the provider it ended with status 1 in the middle of a message before it answered normals; its last words: \
          segmentation fault, or so"
     );
     let options = ProviderOptions::new("true");
-    let said = sentence(&options, ask(&options).unwrap_err());
-    assert_eq!(said, "the provider it ended with status 0 before it answered the greeting");
+    let message = sentence(&options, ask(&options).unwrap_err());
+    assert_eq!(message, "the provider it ended with status 0 before it answered the greeting");
 }
 
 #[test]
-fn one_that_closes_its_output_and_stays() {
+fn provider_that_closes_stdout_is_reported() {
     let begun = Instant::now();
     assert_eq!(fail("close-output"), "the provider it closed its output before it answered normals");
     assert!(begun.elapsed() < Duration::from_secs(30));
 }
 
 #[test]
-fn one_that_hangs() {
+fn hung_provider_times_out() {
     for how in ["hang", "hang-deaf", "hang-amid", "flood-forever"] {
         let options = impatient(how);
         let begun = Instant::now();
-        let said = sentence(&options, ask(&options).unwrap_err());
+        let message = sentence(&options, ask(&options).unwrap_err());
         let start = "the provider it gave no answer to normals within 0.7 s and was stopped; allow more time";
-        assert!(said.starts_with(start), "{how}: {said}");
-        assert_eq!(said.contains("still loading"), how == "flood-forever", "{said}");
+        assert!(message.starts_with(start), "{how}: {message}");
+        assert_eq!(message.contains("still loading"), how == "flood-forever", "{message}");
         assert!(begun.elapsed() < Duration::from_secs(30), "{how} took {:?}", begun.elapsed());
     }
     let options = ProviderOptions { start_seconds: 0.7, ..options("greeting-hang") };
-    let said = sentence(&options, ask(&options).unwrap_err());
-    assert!(said.starts_with("the provider it gave no answer to the greeting within 0.7 s and was stopped"), "{said}");
+    let message = sentence(&options, ask(&options).unwrap_err());
+    assert!(
+        message.starts_with("the provider it gave no answer to the greeting within 0.7 s and was stopped"),
+        "{message}"
+    );
 }
 
 #[test]
-fn one_that_stops_reading_what_does_not_fit_the_pipe() {
+fn provider_that_stops_reading_times_out() {
     let options = impatient("stop-reading");
     let mut provider = Provider::start(&options).unwrap();
     let large = image(600, 400);
-    let said = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
-    assert!(said.starts_with("the provider it gave no answer to normals within 0.7 s"), "{said}");
-    let said = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
-    assert_eq!(said, "the provider it has been stopped after an earlier failure");
+    let message = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    assert!(message.starts_with("the provider it gave no answer to normals within 0.7 s"), "{message}");
+    let message = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    assert_eq!(message, "the provider it has been stopped after an earlier failure");
 }
 
 #[test]
-fn one_that_talks_much_or_slowly_is_heard_out() {
+fn slow_and_verbose_providers_are_read_to_the_end() {
     for how in ["flood", "long-line", "trickle"] {
         let normals = ask(&options(how)).unwrap_or_else(|e| panic!("{how}: {e}"));
         assert_eq!(normals.image.data.len(), 72, "{how}");
@@ -151,10 +154,11 @@ fn one_that_talks_much_or_slowly_is_heard_out() {
 }
 
 #[test]
-fn nonsense_is_named() {
+fn malformed_answers_are_reported() {
     let nonsense = |how: &str, what: &str| {
-        let said = fail(how);
-        let (begin, rest) = said.split_once(" answered normals with nonsense and was stopped: ").unwrap_or((&said, ""));
+        let message = fail(how);
+        let (begin, rest) =
+            message.split_once(" answered normals with nonsense and was stopped: ").unwrap_or((&message, ""));
         assert_eq!((begin, rest), ("the provider it", what), "{how}");
     };
     nonsense(
@@ -181,29 +185,31 @@ fn nonsense_is_named() {
         ("missing-array", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
         ("unknown-type", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
     ] {
-        let said = fail(how);
-        assert!(said.contains(&format!("nonsense and was stopped: {what}")), "{how}: {said}");
+        let message = fail(how);
+        assert!(message.contains(&format!("nonsense and was stopped: {what}")), "{how}: {message}");
     }
 }
 
 #[test]
-fn nonsense_in_other_answers_is_named() {
-    let picture = image(6, 4);
-    let picture = Picture::srgb(&picture);
+fn malformed_answers_of_other_kinds_are_reported() {
+    let rendered = image(6, 4);
+    let rendered = Picture::srgb(&rendered);
     let start = |how: &str| Provider::start(&options(how)).unwrap();
-    let said = |how: &str, error: ProviderError| sentence(&options(how), error);
-    let error = start("nan").semantics(&picture).unwrap_err();
-    assert!(said("nan", error).ends_with("the array \"features\" holds NaN at index 2, but must hold finite numbers"));
-    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    let message = |how: &str, error: ProviderError| sentence(&options(how), error);
+    let error = start("nan").semantics(&rendered).unwrap_err();
+    assert!(
+        message("nan", error).ends_with("the array \"features\" holds NaN at index 2, but must hold finite numbers")
+    );
+    let frames = [rendered.clone(), rendered.clone(), rendered.clone()];
     let error = start("bool-two").masks(&frames, None).unwrap_err();
-    assert!(said("bool-two", error).ends_with("the array \"masks\" holds 2 at index 0, but must hold only 0 and 1"));
+    assert!(message("bool-two", error).ends_with("the array \"masks\" holds 2 at index 0, but must hold only 0 and 1"));
     let error = start("wrong-names").text(&["a".into()]).unwrap_err();
-    assert!(said("wrong-names", error).contains("must be the names that were asked about"));
-    let error = start("wrong-color").materials(&picture, &["albedo"]).unwrap_err();
-    assert!(said("wrong-color", error).ends_with("must be \"srgb\" or \"linear\", but is \"cmyk\""));
+    assert!(message("wrong-names", error).contains("must be the names that were asked about"));
+    let error = start("wrong-color").materials(&rendered, &["albedo"]).unwrap_err();
+    assert!(message("wrong-color", error).ends_with("must be \"srgb\" or \"linear\", but is \"cmyk\""));
     // Where the protocol allows it, not-a-number says that nothing is known.
-    assert_eq!(start("nan").normals(&picture).unwrap().image.data[..6], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
-    let albedo = start("nan").materials(&picture, &["albedo"]).unwrap().albedo.unwrap();
+    assert_eq!(start("nan").normals(&rendered).unwrap().image.data[..6], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    let albedo = start("nan").materials(&rendered, &["albedo"]).unwrap().albedo.unwrap();
     assert!(albedo.data[2].is_nan() && albedo.data[3] == 0.5);
 }
 
@@ -217,20 +223,23 @@ fn greetings_are_checked() {
         ("print", "a message begins with \"SGSP\", but there was \"a library says hello"),
         ("greeting-garbage", "a message begins with \"SGSP\", but there was \"Loading"),
     ] {
-        let said = fail(how);
-        assert!(said.starts_with("the provider it answered the greeting with nonsense and was stopped: "), "{said}");
-        assert!(said.contains(what), "{how}: {said}");
+        let message = fail(how);
+        assert!(
+            message.starts_with("the provider it answered the greeting with nonsense and was stopped: "),
+            "{message}"
+        );
+        assert!(message.contains(what), "{how}: {message}");
     }
     assert!(
         fail("wrong-offer").contains("the field \"offers\" must be offers whose \"image\" is \"srgb\" or \"linear\"")
     );
-    let said = fail("cannot-load");
-    assert_eq!(said, "the provider it cannot answer the greeting: there are no weights at /nowhere");
+    let message = fail("cannot-load");
+    assert_eq!(message, "the provider it cannot answer the greeting: there are no weights at /nowhere");
     assert_eq!(fail("few-offers"), "the provider it does not offer normals; it offers text");
 }
 
 #[test]
-fn a_refusal_is_not_the_end() {
+fn provider_survives_a_refused_request() {
     let options = options("refuse");
     let mut provider = Provider::start(&options).unwrap();
     for _ in 0..2 {
@@ -250,7 +259,7 @@ fn running(word: &str) -> usize {
 }
 
 #[test]
-fn none_outlives_its_value() {
+fn provider_process_ends_on_drop() {
     // One that ends when its input does, one that does not, one amid a question, and one with a child of its own.
     for how in ["nothing", "stay", "hang", "hang-deaf"] {
         let mark = format!("--code={how}-{}", std::process::id());
@@ -301,14 +310,14 @@ fn standard_error_goes_to_the_log() {
 }
 
 #[test]
-fn one_can_do_without_and_it_is_said_once() {
-    let picture = image(6, 4);
-    let picture = Picture::srgb(&picture);
+fn optional_provider_failure_is_logged_once() {
+    let rendered = image(6, 4);
+    let rendered = Picture::srgb(&rendered);
     let log = logged(|| {
         let mut helper = Helper::start(&options("exit"), Fallback::GoOn).unwrap();
         assert!(helper.is_there());
         for _ in 0..3 {
-            assert!(helper.ask(|p| p.normals(&picture)).unwrap().is_none());
+            assert!(helper.ask(|p| p.normals(&rendered)).unwrap().is_none());
             assert!(!helper.is_there());
         }
     });
@@ -321,7 +330,7 @@ fn one_can_do_without_and_it_is_said_once() {
     assert!(Helper::start(&missing, Fallback::Stop).is_err());
 
     let mut helper = Helper::start(&options("exit"), Fallback::Stop).unwrap();
-    assert!(helper.ask(|p| p.normals(&picture)).is_err());
+    assert!(helper.ask(|p| p.normals(&rendered)).is_err());
     let mut helper = Helper::start(&options("nothing"), Fallback::Stop).unwrap();
-    assert!(helper.ask(|p| p.normals(&picture)).unwrap().is_some());
+    assert!(helper.ask(|p| p.normals(&rendered)).unwrap().is_some());
 }

@@ -44,9 +44,9 @@ fn misses(mean: &Value, gates: &[Gate]) -> Vec<String> {
         let Some(value) = mean.pointer(metric).and_then(Value::as_f64) else {
             return Some(format!("{metric} is absent"));
         };
-        let kept = if *more_is_better { value >= *bound } else { value <= *bound };
+        let within_bound = if *more_is_better { value >= *bound } else { value <= *bound };
         let word = if *more_is_better { "at least" } else { "at most" };
-        (!kept).then(|| format!("{metric} is {value:.4}, but must be {word} {bound}"))
+        (!within_bound).then(|| format!("{metric} is {value:.4}, but must be {word} {bound}"))
     };
     gates.iter().filter_map(miss).collect()
 }

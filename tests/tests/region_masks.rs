@@ -1,12 +1,12 @@
-//! Regions of a training view, and the same regions in a pseudo-view: bits of a device against the twins, and against what
-//! can be seen of a room of two flat things.
+//! Regions of a training view, and the same regions in a pseudo-view: bits of a device against the references, and against
+//! what can be seen of a room of two flat things.
 
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::loss::{CarryOptions, Seen, carry_mask, pack_mask, pack_regions, region_mask};
 use sgs_passes::pipeline::{Picture, Renderer};
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::reference::region_mask as twin;
+use sgs_passes::reference::region_mask as reference;
 use sgs_passes::reference::region_mask::{Carried, View};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Model};
 use sgs_passes::splat::{Blended, Channels, Screen, wanted_words};
@@ -64,7 +64,7 @@ fn a_region_is_the_pixels_with_its_id() {
         let ids: Vec<u16> = (0..size[0] * size[1]).map(|_| [0, 1, 2, 0xffff][(4.0 * rng.unit()) as usize]).collect();
         for (offset, region) in [(0, 1), (1, 2), (1234, 0xffff), (4321, 2), (7, 0), (8, 0x1_0001), (9, 0x2_0000)] {
             let found = regions(&gpu, size, &ids, offset, region);
-            let expected = expected_words(&twin::region_mask(&ids, region), LARGEST);
+            let expected = expected_words(&reference::region_mask(&ids, region), LARGEST);
             assert_eq!(found, expected, "{size:?} from {offset}, region {region}");
         }
     }
@@ -114,7 +114,7 @@ fn carried(gpu: &Gpu, c: &Case) -> Vec<u32> {
 
 fn expected(c: &Case) -> Vec<Carried> {
     let (o, t) = (f64::from(c.options.least_opacity), f64::from(c.options.tolerance));
-    twin::carry_mask(&c.trained, &c.mask, &c.pseudo, o, t)
+    reference::carry_mask(&c.trained, &c.mask, &c.pseudo, o, t)
 }
 
 /// Pixels that are wrong, and how many were too close to call.
@@ -164,7 +164,7 @@ fn case(sizes: [[u32; 2]; 2], aside: [f64; 3], turn: f64, channels: [Channels; 2
 }
 
 #[test]
-fn a_carried_mask_is_that_of_the_twin() {
+fn carried_mask_matches_reference() {
     let gpu = Gpu::new();
     let cases = [
         ([LARGEST, LARGEST], [0.0; 3], 0.0, [DEPTH, DEPTH]),
@@ -189,7 +189,7 @@ fn a_carried_mask_is_that_of_the_twin() {
 }
 
 #[test]
-fn numbers_that_are_none_are_outside() {
+fn non_finite_values_are_outside_masks() {
     let gpu = Gpu::new();
     let values =
         [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -0.0, -3.0, 3.4e38, -3.4e38, 1e-30, 1e-44, 1e20, 1e-8];
@@ -303,7 +303,7 @@ fn settled(truth: &[u32], size: [u32; 2], radius: i64) -> Vec<bool> {
     (0..w * h).map(same).collect()
 }
 
-/// The room's picture from two cameras, and the regions of the first carried to the second on the device.
+/// The room's image from two cameras, and the regions of the first carried to the second on the device.
 struct Room {
     cameras: [Camera; 2],
     pictures: [Picture; 2],
@@ -332,13 +332,13 @@ impl Room {
         let mut g = Graph::new("room");
         let mut inputs = Vec::new();
         let mut views = Vec::new();
-        for (i, (camera, picture)) in self.cameras.iter().zip(&self.pictures).enumerate() {
+        for (i, (camera, rendered)) in self.cameras.iter().zip(&self.pictures).enumerate() {
             let camera = scenes::gpu_camera(camera);
             let values = Step { camera, region, target_offset: 1, ..Default::default() };
             let (screen, uniform) = screen(&mut g, &format!("view{i}"), VIEW, values);
-            let image = g.input(format!("image{i}"), 4 * picture.image.len() as u64);
-            let transmittance = g.input(format!("transmittance{i}"), 4 * picture.transmittance.len() as u64);
-            inputs.extend([uniform, (image, bytes(&picture.image)), (transmittance, bytes(&picture.transmittance))]);
+            let image = g.input(format!("image{i}"), 4 * rendered.image.len() as u64);
+            let transmittance = g.input(format!("transmittance{i}"), 4 * rendered.transmittance.len() as u64);
+            inputs.extend([uniform, (image, bytes(&rendered.image)), (transmittance, bytes(&rendered.transmittance))]);
             views.push(Seen { screen, blended: Blended { image, transmittance }, channels: DEPTH });
         }
         let packed = pack_regions(&[vec![9], self.ids.clone()].concat());

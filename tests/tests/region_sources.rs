@@ -76,7 +76,7 @@ fn masks_of_pseudo_views_replace_depth_in_the_intrinsic_stage() {
 }
 
 #[test]
-fn a_provider_of_masks_is_shown_shaded_frames() {
+fn mask_provider_receives_shaded_frames() {
     let (place, _, gpu) = stage();
     let (script, log) = (place.path("recorder.py"), place.path("shown.jsonl"));
     let text = r#"
@@ -108,12 +108,12 @@ service.serve(Recorder)
     let (reports, splats) = train(&gpu, &place, &s);
     assert_eq!(compared(&reports), [4, 3], "{reports:?}");
     let text = std::fs::read_to_string(&log).unwrap();
-    let shown: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
-    assert_eq!(shown.len(), 7, "four steps between views, three under other lights");
-    let names = |i: usize| shown[i]["names"].as_array().unwrap().iter().filter(|n| n.is_string()).count();
-    assert_eq!([0, 1, 2, 3, 4, 5, 6].map(names), [1, 3, 1, 3, 1, 3, 1], "{shown:?}");
-    let means = shown.iter().flat_map(|s| s["means"].as_array().unwrap()).map(|m| m.as_f64().unwrap());
-    assert!(means.clone().all(f64::is_finite) && means.clone().any(|m| m > 0.0), "{shown:?}");
+    let visible: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(visible.len(), 7, "four steps between views, three under other lights");
+    let names = |i: usize| visible[i]["names"].as_array().unwrap().iter().filter(|n| n.is_string()).count();
+    assert_eq!([0, 1, 2, 3, 4, 5, 6].map(names), [1, 3, 1, 3, 1, 3, 1], "{visible:?}");
+    let means = visible.iter().flat_map(|s| s["means"].as_array().unwrap()).map(|m| m.as_f64().unwrap());
+    assert!(means.clone().all(f64::is_finite) && means.clone().any(|m| m > 0.0), "{visible:?}");
     // An interruption changes nothing: the frames of a step depend on the parameters before it.
     let (scene, start) = open(&place);
     let mut first = Intrinsic::new(gpu.device(), &scene, &s, &start).unwrap();

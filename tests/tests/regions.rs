@@ -161,9 +161,9 @@ fn cameras_of_pseudo_views_are_written() {
     let place = place();
     let scene = place.text("scene");
     let file = place.text("pseudo.json");
-    let said = sgs(&["pseudo", &scene, "-o", &file, "--json"]).ok().json();
+    let output = sgs(&["pseudo", &scene, "-o", &file, "--json"]).ok().json();
     assert_eq!(
-        (said["views"].as_u64(), said["poses"].as_u64(), said["cameras"].as_u64()),
+        (output["views"].as_u64(), output["poses"].as_u64(), output["cameras"].as_u64()),
         (Some(4), Some(20), Some(160))
     );
     let expected = PseudoViews::new(&open(&place), &PseudoOptions::default()).unwrap().cameras();

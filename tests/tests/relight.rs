@@ -1,4 +1,4 @@
-//! Pictures part by part, and under other light: what edits do to them, and what is refused.
+//! Images part by part, and under other light: what edits do to them, and what is refused.
 
 use serde_json::json;
 use sgs_run::read_lights;
@@ -30,7 +30,7 @@ fn place() -> Place {
     place
 }
 
-/// Relights with an edit; pictures go to a directory.
+/// Relights with an edit; images go to a directory.
 fn relit(place: &Place, edit: serde_json::Value, into: &str, more: &[&str]) -> Finished {
     std::fs::write(place.path("edit.json"), edit.to_string()).unwrap();
     let (run, cameras) = (place.text("run"), place.text("cameras.json"));
@@ -151,8 +151,8 @@ fn edits_do_what_they_say_and_nothing_else() {
     for (name, expected) in [("albedo", vec![0.2, 0.4, 0.6]), ("roughness", vec![0.7]), ("metallic", vec![0.5])] {
         let found = picture(&place, &format!("painted/000_{name}.exr"));
         let n = expected.len();
-        for (p, wanted) in found.data.chunks(n).zip(std::iter::repeat(&expected)) {
-            let near = p.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-3);
+        for (p, expected_pixel) in found.data.chunks(n).zip(std::iter::repeat(&expected)) {
+            let near = p.iter().zip(expected_pixel).all(|(a, b)| (a - b).abs() < 1e-3);
             assert!(near || p.iter().all(|v| *v == 0.0), "{name}: {p:?}");
         }
     }
@@ -249,7 +249,7 @@ fn painted_sets_are_measured() {
     sgs(&["eval", &run]).refused(&["chair.json"]);
 }
 
-/// A relit scene as plain harmonics: the same geometry, colors that show the relit pictures.
+/// A relit scene as plain harmonics: the same geometry, colors that show the relit images.
 #[test]
 fn relit_scenes_are_baked() {
     let place = place();
@@ -264,14 +264,14 @@ fn relit_scenes_are_baked() {
         let a = ["relight", &run, "--edit", &edit, "--bake", &file, "--json"];
         sgs(&[&a[..], more].concat())
     };
-    let said = bake("baked.ply", &["--cameras", &cameras, "-o", &to, "--format", "exr"]).ok().json();
-    let psnr = |said: &serde_json::Value, key: &str| said["bake"][key].as_f64().unwrap();
-    assert!(place.path("pictures/000_relit.exr").is_file() && said["bake"]["views"] == 18, "{said}");
-    // Trained on pictures, colors are nearer to them than those of Gaussians alone; both than the photographs' own.
+    let output = bake("baked.ply", &["--cameras", &cameras, "-o", &to, "--format", "exr"]).ok().json();
+    let psnr = |output: &serde_json::Value, key: &str| output["bake"][key].as_f64().unwrap();
+    assert!(place.path("pictures/000_relit.exr").is_file() && output["bake"]["views"] == 18, "{output}");
+    // Trained on images, colors are nearer to them than those of Gaussians alone; both than the photographs' own.
     let alone = bake("alone.ply", &["--bake-steps", "0"]).ok().json();
-    println!("{said}, {alone}");
-    assert!(psnr(&said, "psnr") > 30.0 && psnr(&said, "psnr_cameras") > 30.0, "{said}");
-    assert!(psnr(&said, "psnr") > psnr(&alone, "psnr") + 2.0, "{said} {alone}");
+    println!("{output}, {alone}");
+    assert!(psnr(&output, "psnr") > 30.0 && psnr(&output, "psnr_cameras") > 30.0, "{output}");
+    assert!(psnr(&output, "psnr") > psnr(&alone, "psnr") + 2.0, "{output} {alone}");
     // Geometry keeps its bits; nothing else is left.
     let read = |file: &str| Splats::read_ply(&place.path(file)).unwrap();
     let (before, after) = (read("run/scene.ply"), read("baked.ply"));
@@ -282,10 +282,10 @@ fn relit_scenes_are_baked() {
     // The program shows them as it says.
     sgs(&["render", &place.text("baked.ply"), "--cameras", &cameras, "-o", &to, "--format", "exr"]).ok();
     let (ours, theirs) = (picture(&place, "pictures/000_rgb.exr"), picture(&place, "pictures/000_relit.exr"));
-    let shown = theirs.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0)));
-    let square: f64 = ours.data.iter().zip(shown).map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2)).sum();
-    let shown = -10.0 * (square / ours.data.len() as f64).log10();
-    assert!((shown - psnr(&said, "psnr_cameras")).abs() < 0.5, "{shown}: {said}");
+    let displayed = theirs.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0)));
+    let square: f64 = ours.data.iter().zip(displayed).map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2)).sum();
+    let displayed = -10.0 * (square / ours.data.len() as f64).log10();
+    assert!((displayed - psnr(&output, "psnr_cameras")).abs() < 0.5, "{displayed}: {output}");
     // Twice the same; and fewer bands where they are asked for.
     bake("again.ply", &[]).ok();
     assert!(place.read("again.ply") == place.read("baked.ply"));

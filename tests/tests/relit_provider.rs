@@ -143,7 +143,7 @@ fn albedo_error(s: &Stage, splats: &Splats) -> f64 {
 }
 
 #[test]
-fn answers_teach_albedo_and_interruptions_do_not_matter() {
+fn relit_answers_supervise_albedo_across_resume() {
     let stage = Stage::new();
     let mut s = settings(60);
     s.intrinsic.rates.albedo = 0.05;
@@ -162,9 +162,9 @@ fn answers_teach_albedo_and_interruptions_do_not_matter() {
     alone.intrinsic.relight.provider = "own".into();
     let (silent, unguided) = stage.train(&alone, None);
     assert!(silent.iter().all(|r| r.materials.relight_count == 0));
-    let (told, untold) = (albedo_error(&stage, &splats), albedo_error(&stage, &unguided));
-    println!("albedo is off by {told} with a provider, {untold} without");
-    assert!(told < 0.8 * untold, "albedo is off by {told} with a provider, {untold} without");
+    let (reported, untold) = (albedo_error(&stage, &splats), albedo_error(&stage, &unguided));
+    println!("albedo is off by {reported} with a provider, {untold} without");
+    assert!(reported < 0.8 * untold, "albedo is off by {reported} with a provider, {untold} without");
     assert_ne!(splats.roughness, unguided.roughness);
     // An answer outlives an interruption: the same bits, though the one who answers is another.
     for at in [5, 31] {
@@ -174,7 +174,7 @@ fn answers_teach_albedo_and_interruptions_do_not_matter() {
 }
 
 #[test]
-fn it_is_shown_the_view_under_the_lights_of_the_reference() {
+fn relit_provider_input_matches_reference_lights() {
     let stage = Stage::new();
     let (command, log) = stage.recorder();
     let mut s = settings(12);
@@ -189,8 +189,8 @@ fn it_is_shown_the_view_under_the_lights_of_the_reference() {
     let (lights, splats, bounds) = (training.lights().unwrap().unwrap(), training.splats().unwrap(), training.bounds());
     training.train(12, |_| {}, || true).unwrap();
     let text = std::fs::read_to_string(&log).unwrap();
-    let shown: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
-    assert_eq!(shown.len(), 2, "two copies of one view");
+    let visible: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(visible.len(), 2, "two copies of one view");
 
     let schedule = Schedule::new(&s, stage.scene.extent(), stage.scene.split.train.len());
     let view = &stage.scene.views[stage.scene.split.train[schedule.view(10)]].camera;
@@ -199,8 +199,8 @@ fn it_is_shown_the_view_under_the_lights_of_the_reference() {
     let wide = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
     let raw = Raw { model, positions: wide(&positions), lobes: wide(&lobes), gains: wide(&gains) };
     let side = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max);
-    let mut pictures = Vec::new();
-    for (copy, seen) in shown.iter().enumerate() {
+    let mut images = Vec::new();
+    for (copy, seen) in visible.iter().enumerate() {
         assert_eq!((seen["name"].as_str().unwrap(), &seen["maps"]), (&*view.name, &serde_json::json!(["albedo"])));
         let moved = perturb(&raw, seed, &Perturbation::published(copy as u32, side / 3.0));
         let narrow = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<f32>>();
@@ -216,28 +216,28 @@ fn it_is_shown_the_view_under_the_lights_of_the_reference() {
         for (i, (e, f)) in expected.data.iter().zip(&found).enumerate() {
             assert!((e - f).abs() <= 1e-4 * largest, "copy {copy}, number {i}: {f} is not {e}");
         }
-        pictures.push(found);
+        images.push(found);
     }
-    let apart = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| (a - b).abs()).fold(0.0_f32, f32::max);
+    let apart = images[0].iter().zip(&images[1]).map(|(a, b)| (a - b).abs()).fold(0.0_f32, f32::max);
     assert!(apart > 1e-3, "both copies look the same");
 
-    // Each time anew, and for longer than the run.
+    // Each time again, and for longer than the run.
     let mut steps = Vec::new();
     for every in [1, 6, 1000] {
         let (command, log) = stage.recorder();
         (s.intrinsic.relight.provider, s.intrinsic.relight.every, s.intrinsic.relight_from) = (command, every, 1);
         let (reports, _) = stage.train(&s, None);
         let due = reports.iter().filter(|r| r.materials.relight_count > 0).count();
-        let asked = std::fs::read_to_string(&log).unwrap().lines().count();
-        assert!(asked.is_multiple_of(2) && asked / 2 <= due, "{asked} questions in {due} steps");
-        steps.push((asked / 2, due));
+        let requested = std::fs::read_to_string(&log).unwrap().lines().count();
+        assert!(requested.is_multiple_of(2) && requested / 2 <= due, "{requested} questions in {due} steps");
+        steps.push((requested / 2, due));
     }
     let seen: std::collections::HashSet<usize> = (1..=12).step_by(3).map(|step| schedule.view(step)).collect();
     assert_eq!((steps[0], steps[2]), ((4, 4), (seen.len(), 4)), "{steps:?}");
 }
 
 #[test]
-fn failures_stop_or_end_the_asking() {
+fn provider_failures_stop_training_or_disable_queries() {
     let stage = Stage::new();
     let with = |how: &str, fallback: Fallback| {
         let mut s = settings(8);
@@ -253,7 +253,7 @@ fn failures_stop_or_end_the_asking() {
         Ok(reports)
     };
     let alone = run(&settings(8)).unwrap();
-    for (how, said) in [
+    for (how, output) in [
         ("exit", "ended with status 3 before it answered materials; its last words: CUDA out of memory"),
         ("hang", "gave no answer to materials within 0.7 s and was stopped"),
         ("infinite", "answered materials with nonsense and was stopped: the array \"albedo\" holds inf at index 2"),
@@ -262,7 +262,7 @@ fn failures_stop_or_end_the_asking() {
         ("cannot-load", "there are no weights at /nowhere"),
     ] {
         let error = run(&with(how, Fallback::Stop)).unwrap_err();
-        assert!(error.contains(said) && !error.contains('\n'), "{how}: {error}");
+        assert!(error.contains(output) && !error.contains('\n'), "{how}: {error}");
         // Without it everything is as if nobody had been asked.
         let reports = run(&with(how, Fallback::GoOn)).unwrap();
         assert!(reports == alone, "{how}");
@@ -273,7 +273,7 @@ fn failures_stop_or_end_the_asking() {
     let unknown = run(&with("nan", Fallback::Stop)).unwrap();
     assert!(unknown.iter().any(|r| r.materials.relight_count > 0));
 
-    for (change, said) in [
+    for (change, output) in [
         ((|s| s.intrinsic.relight.every = 0) as fn(&mut Settings), "intrinsic.relight.every is 0"),
         (|s| s.intrinsic.relight.copies = 3, "intrinsic.relight.copies is 3, but must be 1 or 2."),
         (|s| s.intrinsic.relight.provider = " ".into(), "must be \"own\" or a command line"),
@@ -283,6 +283,6 @@ fn failures_stop_or_end_the_asking() {
         let mut s = with("nothing", Fallback::Stop);
         change(&mut s);
         let error = run(&s).unwrap_err();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(output), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! `sgs render` of a PLY that another program wrote, pixel by pixel against the double-precision twin.
+//! `sgs render` of a PLY that another program wrote, pixel by pixel against the double-precision reference.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_passes::reference::blend::{Blended, render};
@@ -43,7 +43,7 @@ fn write_ply(path: &Path, g: &Gaussians) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// The camera of the file for one of the twin.
+/// The camera of the file for one of the reference.
 fn stored(name: &str, c: &Camera) -> sgs_scene::Camera {
     sgs_scene::Camera {
         name: name.into(),
@@ -132,7 +132,7 @@ fn rendered(g: &Gaussians, cameras: &[(&str, Camera)], background: [f64; 3]) -> 
         .collect()
 }
 
-/// Largest difference where the twin is sure of itself, and the PSNR of color over all pixels.
+/// Largest difference where the reference is sure of itself, and the PSNR of color over all pixels.
 fn difference(p: &Pictures, truth: &Blended) -> (f64, f64) {
     let channels = 5 + if p.normal.is_some() { 3 } else { 0 };
     let (mut largest, mut square) = (0.0_f64, 0.0);
@@ -176,7 +176,7 @@ fn cameras() -> Vec<(&'static str, Camera)> {
 }
 
 #[test]
-fn hard_splats_from_elsewhere_agree_with_the_twin() {
+fn imported_hard_splats_match_reference() {
     let background = [0.2, 0.5, 0.8];
     for (seed, normals) in [(1, true), (2, false)] {
         let mut g = without_zero_quaternions(scenes::hard(seed));
@@ -185,9 +185,9 @@ fn hard_splats_from_elsewhere_agree_with_the_twin() {
             g.normals = (0..3 * g.len()).map(|_| f64::from(r.between(-2.0, 2.0) as f32)).collect();
         }
         let cameras = cameras();
-        for ((name, camera), pictures) in cameras.iter().zip(rendered(&g, &cameras, background)) {
+        for ((name, camera), images) in cameras.iter().zip(rendered(&g, &cameras, background)) {
             let truth = render(&g, camera, 3, true, background);
-            let (largest, psnr) = difference(&pictures, &truth);
+            let (largest, psnr) = difference(&images, &truth);
             let doubtful = truth.doubtful.iter().filter(|d| **d).count();
             let seen = truth.transmittance.iter().filter(|t| **t < 0.9).count();
             println!(
@@ -206,12 +206,12 @@ fn hard_splats_from_elsewhere_agree_with_the_twin() {
 fn a_planted_error_is_caught() {
     let g = scenes::ordinary(40, 1, false, 3);
     let cameras = [("a", scenes::camera([32, 24]))];
-    let pictures = rendered(&g, &cameras, [0.0; 3]);
+    let images = rendered(&g, &cameras, [0.0; 3]);
     let truth = render(&g, &cameras[0].1, 1, true, [0.0; 3]);
-    assert!(difference(&pictures[0], &truth).0 < 2e-3);
+    assert!(difference(&images[0], &truth).0 < 2e-3);
     let mut moved = g.clone();
     moved.means[0] += 0.05;
-    assert!(difference(&pictures[0], &render(&moved, &cameras[0].1, 1, true, [0.0; 3])).0 > 2e-3);
+    assert!(difference(&images[0], &render(&moved, &cameras[0].1, 1, true, [0.0; 3])).0 > 2e-3);
 }
 
 /// Colors beyond what a screen shows stay what they are.
@@ -241,7 +241,7 @@ fn values_are_not_clamped() {
 }
 
 #[test]
-fn one_splat_over_the_whole_picture() {
+fn one_splat_covers_the_whole_image() {
     let size = [640, 480];
     let camera = scenes::camera(size);
     let mut g = scenes::ordinary(1, 3, false, 5);
@@ -259,12 +259,12 @@ fn one_splat_over_the_whole_picture() {
 
 /// White splats on white are white however many there are; what one tile holds, no other shows.
 #[test]
-fn a_crowd_of_specks_in_one_tile() {
-    crowd(50_000, true);
-    crowd(1_000_000, false);
+fn many_tiny_splats_in_one_tile() {
+    render_many_splats(50_000, true);
+    render_many_splats(1_000_000, false);
 }
 
-fn crowd(count: usize, compared_with_twin: bool) {
+fn render_many_splats(count: usize, compared_with_reference: bool) {
     let size = [96, 64];
     let camera = Camera {
         rotation: DMat3::IDENTITY,
@@ -295,7 +295,7 @@ fn crowd(count: usize, compared_with_twin: bool) {
         assert!(inside || p.alpha.data[at] == 0.0, "{x}, {y} lies outside, but shows {}", p.alpha.data[at]);
     }
     assert!(p.alpha.data[40 * 96 + 40] > 0.99, "the crowd is transparent");
-    if compared_with_twin {
+    if compared_with_reference {
         let truth = render(&g, &camera, 0, true, [1.0; 3]);
         // Every pixel meets splats at a threshold here, so that only what a single one of them weighs may differ.
         for (at, t) in truth.transmittance.iter().enumerate() {

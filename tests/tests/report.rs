@@ -51,7 +51,7 @@ fn outside(html: &str) -> Vec<&'static str> {
 }
 
 #[test]
-fn what_goes_outside_is_noticed() {
+fn external_requests_are_detected() {
     assert!(outside("<img src=\"data:image/png;base64,AA//\">").is_empty());
     for bad in [
         "<script src=\"https://a/b.js\">",
@@ -64,16 +64,16 @@ fn what_goes_outside_is_noticed() {
 }
 
 #[test]
-fn a_run_becomes_a_page() {
+fn run_report_is_one_page() {
     let place = place();
     let (run, page) = (place.text("run"), place.text("page.html"));
     // Nothing has been measured yet: it is now, and recorded.
-    let said = sgs(&["report", &run, "-o", &page, "--lights", "2", "--json"]).ok().json();
-    assert_eq!((&said["views"], said["file"].as_str()), (&2.into(), Some(page.as_str())));
+    let output = sgs(&["report", &run, "-o", &page, "--lights", "2", "--json"]).ok().json();
+    assert_eq!((&output["views"], output["file"].as_str()), (&2.into(), Some(page.as_str())));
     let html = String::from_utf8(place.read("page.html")).unwrap();
-    assert_eq!((said["bytes"].as_u64(), outside(&html)), (Some(html.len() as u64), vec![]));
+    assert_eq!((output["bytes"].as_u64(), outside(&html)), (Some(html.len() as u64), vec![]));
     let metrics: Value = serde_json::from_slice(&place.read("run/metrics.json")).unwrap();
-    assert_eq!(said["metrics"], metrics["test"]["mean"]);
+    assert_eq!(output["metrics"], metrics["test"]["mean"]);
     for section in ["images", "summary", "metrics", "views", "lights", "curves", "profile", "settings"] {
         assert!(html.contains(&format!("<section id=\"{section}\">")), "{section} is missing");
     }
@@ -185,9 +185,9 @@ fn in_a_browser(page: &Path) {
         let arrow = serde_json::json!({"type": "rawKeyDown", "key": "ArrowLeft", "windowsVirtualKeyCode": 37});
         browser.ask("Input.dispatchKeyEvent", arrow);
         assert!(browser.eval("Number(document.querySelector('.slider input').value)").as_f64().unwrap() < value);
-        let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("report-{width}.png"));
-        browser.photograph(true, &kept);
-        eprintln!("the page, {width} wide, is in {}", kept.display());
+        let retained = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("report-{width}.png"));
+        browser.photograph(true, &retained);
+        eprintln!("the page, {width} wide, is in {}", retained.display());
     }
     let dark = serde_json::json!({"features": [{"name": "prefers-color-scheme", "value": "dark"}]});
     let back = "getComputedStyle(document.body).backgroundColor";

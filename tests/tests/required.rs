@@ -51,40 +51,40 @@ fn decisions(place: &Place, run: &str) -> Vec<(u64, String, bool)> {
 }
 
 #[test]
-fn sizes_follow_from_the_scene_and_are_said_before_training() {
+fn automatic_sizes_are_reported_before_training() {
     let place = room();
     let plan: Vec<&str> = SMALL.iter().flat_map(|s| ["--set", s]).collect();
     let (scene, geometry) = (place.text("scene"), place.text("geometry/scene.ply"));
     let fixed = ["plan", &scene, "--stage", "intrinsic", "--start", &geometry];
-    let said = sgs(&[&fixed[..], &plan, &["--json"]].concat()).ok().json();
-    let of = |said: &Value| {
-        let i = said;
+    let output = sgs(&[&fixed[..], &plan, &["--json"]].concat()).ok().json();
+    let of = |output: &Value| {
+        let i = output;
         (i["environment"].as_u64().unwrap(), i["visibility"]["finest"].as_u64().unwrap(), i["metallic"] == true)
     };
-    let (texels, finest, metallic) = of(&said);
-    // Pixels of a picture of 32 x 24 are wide; the smoothest wall has a roughness of 0.3; one wall is metal.
+    let (texels, finest, metallic) = of(&output);
+    // Pixels of an image of 32 x 24 are wide; the smoothest wall has a roughness of 0.3; one wall is metal.
     assert!(texels == 32 && (64..400).contains(&finest) && metallic, "{texels} {finest} {metallic}");
-    let whats: Vec<_> = said["decisions"].as_array().unwrap().iter().map(|d| d["what"].clone()).collect();
-    let given = ["albedo between views", "albedo under other lights"];
-    assert_eq!(whats, [&["metallic", "environment size", "visibility size"][..], &given].concat());
+    let whats: Vec<_> = output["decisions"].as_array().unwrap().iter().map(|d| d["what"].clone()).collect();
+    let provided = ["albedo between views", "albedo under other lights"];
+    assert_eq!(whats, [&["metallic", "environment size", "visibility size"][..], &provided].concat());
     let text = sgs(&[&fixed[..], &plan].concat()).ok().stdout;
     assert!(text.contains("required    visibility size kept: "), "{text}");
     // Insisted upon.
     let off = ["--set", "intrinsic.automatic.sizes=false", "--json"];
-    let said = sgs(&[&fixed[..], &plan, &off].concat()).ok().json();
-    assert_eq!(of(&said), (64, 1024, true));
+    let output = sgs(&[&fixed[..], &plan, &off].concat()).ok().json();
+    assert_eq!(of(&output), (64, 1024, true));
 }
 
 #[test]
-fn what_is_worth_too_little_is_left_out_and_stays_out() {
+fn terms_with_low_gain_are_disabled_permanently() {
     let place = room();
     // Nothing is worth a hundred decibels; but something has to shine.
     let all = ["intrinsic.automatic.gain=100"];
-    let said = sgs(&arguments(&place, "run", &all)).ok().stderr;
+    let output = sgs(&arguments(&place, "run", &all)).ok().stderr;
     let decided = decisions(&place, "run");
     let out: Vec<_> = decided.iter().filter(|d| d.0 > 0 && !d.2).map(|d| (d.0, d.1.as_str())).collect();
     assert_eq!(out, [(5, "lights")], "{decided:?}");
-    assert!(said.contains("lights left out after step 5: together they are worth"), "{said}");
+    assert!(output.contains("lights left out after step 5: together they are worth"), "{output}");
     let logged = String::from_utf8(place.read("run/log.jsonl")).unwrap();
     assert_eq!(logged.matches("\"decision\":").count(), decided.len(), "{logged}");
     let there =
@@ -95,7 +95,7 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
     assert!(config.contains("finest = 1024") && config.contains("resolution = 64"));
     sgs(&["eval", &place.text("run"), "-q"]).ok();
 
-    // Insisted upon, everything stays; without surroundings a light does.
+    // Insisted upon, everything stays; without an environment map a light does.
     let keep = ["metallic", "lights", "lobes", "environment", "visibility", "levels", "texels", "pace"]
         .map(|p| format!("intrinsic.automatic.{p}=false"));
     let keep: Vec<&str> = all.into_iter().chain(keep.iter().map(String::as_str)).collect();
@@ -113,22 +113,22 @@ fn what_is_worth_too_little_is_left_out_and_stays_out() {
 }
 
 #[test]
-fn nothing_is_judged_before_it_is_learned() {
+fn terms_are_not_evaluated_before_warmup() {
     let place = room();
     let all = ["intrinsic.automatic.gain=100", "intrinsic.automatic.ready=0"];
     // Colors that have been trained are better than materials after a few steps.
     let more = ["--force", "--geometry-steps", "60", "--no-densify", "-q"];
     sgs(&[&["train", &place.text("scene"), "-o", &place.text("geometry")], &more[..]].concat()).ok();
-    let said = sgs(&arguments(&place, "run", &all)).ok().stderr;
+    let output = sgs(&arguments(&place, "run", &all)).ok().stderr;
     let decided = decisions(&place, "run");
     let judged: Vec<_> = decided.iter().filter(|d| d.0 > 0).map(|d| (d.0, d.1.as_str(), d.2)).collect();
     assert_eq!(judged, [(5, "all parts", true), (10, "all parts", true), (15, "all parts", true)]);
-    assert!(said.contains("dB short of the splats' own colors (asked: 0): nothing is judged yet"), "{said}");
+    assert!(output.contains("dB short of the splats' own colors (asked: 0): nothing is judged yet"), "{output}");
     assert!(place.path("run/lights.json").is_file() && place.path("run/visibility.safetensors").is_file());
 }
 
 #[test]
-fn decisions_survive_being_stopped() {
+fn automatic_decisions_survive_resume() {
     let place = room();
     // Lights go, surroundings stay; then it is stopped.
     let some = ["intrinsic.automatic.gain=3"];

@@ -41,7 +41,7 @@ fn timeless(mut table: Value) -> Value {
 }
 
 #[test]
-fn noise_leaves_what_is_measured_at_alone() {
+fn noise_does_not_change_held_out_data() {
     let place = Place::new(room());
     Meaning::default().write(&room(), &place.path("scene"));
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -69,11 +69,11 @@ fn a_table_of_two_cases_is_that_of_trainings_by_hand_and_gone_on_with() {
     let place = Place::new(room());
     let more = ["--only", "clean,normals", "--stage", "geometry", "--seeds", "2", "--set", "noise.normals=25"];
     let more = [&more[..], &["--set", "geometry.checkpoint_interval=10"]].concat();
-    let said = sgs(&arguments(&place, "table", "60", &more)).ok().stdout;
-    assert_eq!(said.as_bytes(), place.read("table/robustness.md"));
+    let output = sgs(&arguments(&place, "table", "60", &more)).ok().stdout;
+    assert_eq!(output.as_bytes(), place.read("table/robustness.md"));
     assert!(
-        said.contains("| clean: everything as it is | 2 |")
-            && said.contains("| normals: normal priors turned by 25° | 2 |")
+        output.contains("| clean: everything as it is | 2 |")
+            && output.contains("| normals: normal priors turned by 25° | 2 |")
     );
     let table = json(&place, "table/robustness.json");
     let [clean, noisy] = [0, 1].map(|i| table["variants"][i]["mean"]["normal_mae_deg"].as_f64().unwrap());

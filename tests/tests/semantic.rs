@@ -3,7 +3,7 @@
 use half::f16;
 use sgs_passes::loss::NO_LABEL;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::semantic as twin;
+use sgs_passes::reference::semantic as reference;
 use sgs_passes::reference::semantic::{Gradient, Terms, View, Weights};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, FEATURES};
 use sgs_tests::semantics::{Found, WEIGHTS, head, run, run_steps, view};
@@ -31,9 +31,9 @@ fn compare(what: &str, terms: &Terms, gradient: &Gradient, weights: &Weights, fo
     assert_close(&format!("decoder of {what}"), &gradient.decoder, &found.decoder, tolerance(&gradient.decoder));
 }
 
-fn check(gpu: &Gpu, what: &str, h: &twin::Head, v: &View, given: bool, largest: [u32; 2]) -> Found {
+fn check(gpu: &Gpu, what: &str, h: &reference::Head, v: &View, given: bool, largest: [u32; 2]) -> Found {
     let found = run(gpu, h, v, given, largest, &WEIGHTS);
-    let (terms, gradient) = twin::semantic_loss(h, v, &WEIGHTS);
+    let (terms, gradient) = reference::semantic_loss(h, v, &WEIGHTS);
     compare(what, &terms, &gradient, &WEIGHTS, &found);
     found
 }
@@ -78,7 +78,7 @@ fn semantic_loss_of_a_map_of_several_runs() {
 }
 
 #[test]
-fn what_says_nothing_is_left_out_and_counted() {
+fn pixels_without_labels_are_skipped_and_counted() {
     let gpu = Gpu::new();
     let h = head(6, 2);
     let mut v = view([11, 9], [8, 6], &h, 2);
@@ -157,7 +157,7 @@ fn semantic_loss_at_extremes() {
     // Sharp and flat softmax.
     for temperature in [1e-3, 0.01, 100.0] {
         let weights = Weights { temperature, ..WEIGHTS };
-        let (terms, gradient) = twin::semantic_loss(&h, &base, &weights);
+        let (terms, gradient) = reference::semantic_loss(&h, &base, &weights);
         let found = run(&gpu, &h, &base, false, [6, 5], &weights);
         let close = |e: &[f64], f: &[f32], t: f64| {
             let largest = e.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
@@ -176,8 +176,8 @@ fn semantic_loss_gradient_is_the_finite_difference_of_the_reference() {
     let h = head(7, 5);
     let v = view([5, 4], [7, 3], &h, 5);
     let found = run(&gpu, &h, &v, false, [5, 4], &WEIGHTS);
-    let total = |h: &twin::Head, v: &View| {
-        let t = twin::semantic_loss(h, v, &WEIGHTS).0;
+    let total = |h: &reference::Head, v: &View| {
+        let t = reference::semantic_loss(h, v, &WEIGHTS).0;
         WEIGHTS.cosine * t.cosine + WEIGHTS.class * t.class
     };
     let mut rng = Pcg::new(6);
@@ -193,7 +193,7 @@ fn semantic_loss_gradient_is_the_finite_difference_of_the_reference() {
         let direction: Vec<f64> = h.decoder.iter().map(|_| rng.normal()).collect();
         let along = |t: f64| {
             let decoder = h.decoder.iter().zip(&direction).map(|(x, d)| x + t * d).collect();
-            total(&twin::Head { decoder, ..h.clone() }, &v)
+            total(&reference::Head { decoder, ..h.clone() }, &v)
         };
         let fd = (along(1e-6) - along(-1e-6)) / 2e-6;
         let dot: f64 = found.decoder.iter().zip(&direction).map(|(&g, d)| f64::from(g) * d).sum();
@@ -219,13 +219,13 @@ fn semantic_loss_is_the_same_every_time() {
 fn semantic_checks_can_fail() {
     let h = head(7, 5);
     let v = view([9, 8], [7, 6], &h, 5);
-    let exact = twin::semantic_loss(&h, &v, &WEIGHTS).1;
+    let exact = reference::semantic_loss(&h, &v, &WEIGHTS).1;
     let differs = |other: &Gradient| {
         let narrow = |v: &[f64]| v.iter().map(|&x| x as f32).collect::<Vec<f32>>();
         let far = |e: &[f64], f: &[f64]| worst(e, &narrow(f), tolerance(e)).is_some_and(|w| w.3 > 1.0);
         [far(&exact.image, &other.image), far(&exact.decoder, &other.decoder)]
     };
-    let of = |h: &twin::Head, v: &View, w: Weights| twin::semantic_loss(h, v, &w).1;
+    let of = |h: &reference::Head, v: &View, w: Weights| reference::semantic_loss(h, v, &w).1;
     assert_eq!(differs(&exact), [false; 2]);
     assert_eq!(differs(&of(&h, &v, Weights { cosine: 0.751, ..WEIGHTS })), [true; 2]);
     assert_eq!(differs(&of(&h, &v, Weights { class: 1.252, ..WEIGHTS })), [true; 2]);
@@ -251,9 +251,9 @@ fn a_decoder_learns() {
     let h = head(4, 12);
     let v = view([4, 4], [4, 4], &h, 12);
     let weights = Weights { cosine: 1.0, class: 1.0, temperature: 1.0 };
-    let before = twin::semantic_loss(&h, &v, &weights).0;
+    let before = reference::semantic_loss(&h, &v, &weights).0;
     let found = run_steps(&gpu, &h, &v, false, [4, 4], &weights, 60);
-    let learned = twin::Head { decoder: found.learned.iter().map(|&x| f64::from(x)).collect(), ..h };
-    let after = twin::semantic_loss(&learned, &v, &weights).0;
+    let learned = reference::Head { decoder: found.learned.iter().map(|&x| f64::from(x)).collect(), ..h };
+    let after = reference::semantic_loss(&learned, &v, &weights).0;
     assert!(before.cosine > 0.8 && after.cosine < 0.1 && after.class < before.class - 0.3, "{before:?} {after:?}");
 }

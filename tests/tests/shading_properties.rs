@@ -1,12 +1,13 @@
-//! One pixel under a few lights, every number of which is drawn log-uniformly, against the double-precision twin: radiance and all
-//! gradients. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+//! One pixel under a few lights, every number of which is drawn log-uniformly, against the double-precision reference:
+//! radiance and all gradients. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of
+//! them.
 //!
-//! What single precision may be off by is measured, not guessed: by how much the twin's own answer moves when normals, places and the
-//! camera move by a few units of the last place.
+//! What single precision may be off by is measured, not guessed: by how much the reference's own answer moves when normals,
+//! places and the camera move by a few units of the last place.
 
 use proptest::prelude::*;
 use sgs_passes::reference::brdf::{Material, V3, along, cross, dot, unit};
-use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
+use sgs_passes::reference::lights::{self as reference, Pixel, Raw};
 use sgs_passes::shade::lights::{Axes, LightModel, Shape};
 use sgs_tests::Gpu;
 use sgs_tests::drawn::{Compared, runner, signed, spread};
@@ -147,17 +148,17 @@ fn answer(case: &Lit, parts: [&[f64]; 7]) -> Answer {
     all
 }
 
-/// By the twin: radiance and its diffuse part, then gradients.
+/// By the reference: radiance and its diffuse part, then gradients.
 fn truth(case: &Lit) -> Answer {
     let (camera, normalizer, lights) = (case.camera, case.normalizer(), case.lights());
-    let [diffuse, specular] = twin::lights(&case.pixels, &lights, camera, normalizer);
+    let [diffuse, specular] = reference::lights(&case.pixels, &lights, camera, normalizer);
     let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
-    let normal = twin::lights_normals_bwd(&case.pixels, &lights, camera, normalizer, &case.gradient).concat();
-    let [m] = twin::lights_materials_bwd(&case.pixels, &lights, camera, normalizer, &case.gradient)[..] else {
+    let normal = reference::lights_normals_bwd(&case.pixels, &lights, camera, normalizer, &case.gradient).concat();
+    let [m] = reference::lights_materials_bwd(&case.pixels, &lights, camera, normalizer, &case.gradient)[..] else {
         panic!("one pixel")
     };
     let metallic = if case.metallic { m[4] } else { 0.0 };
-    let raw = twin::lights_bwd(&case.raw, &case.pixels, camera, normalizer, &case.gradient);
+    let raw = reference::lights_bwd(&case.raw, &case.pixels, camera, normalizer, &case.gradient);
     answer(case, [&whole, &diffuse, &normal, &m[..4], &[metallic], &raw.positions, &raw.lobes])
 }
 
@@ -251,7 +252,7 @@ fn check(gpu: &Gpu, case: &Lit, planted: Option<&str>, compared: &Compared) -> R
 }
 
 #[test]
-fn lights_agree_with_the_twin() {
+fn shaded_lights_match_reference() {
     let gpu = Gpu::new();
     let compared = Compared::default();
     runner(96).run(&case(), |case| check(&gpu, &case, None, &compared)).unwrap_or_else(|e| panic!("{e}"));

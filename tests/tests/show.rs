@@ -1,4 +1,4 @@
-//! `show` and the display around it against the reference: every kind of picture, gains, marks, letters, both orders of
+//! `show` and the display around it against the reference: every kind of image, gains, marks, letters, both orders of
 //! colors.
 
 use half::f16;
@@ -34,7 +34,7 @@ fn case() -> Case {
         mark([60.0, 36.0], 5.0, MARK_HOLLOW),
         mark([-90.0, 2.0], 5.0, MARK_HOLLOW | MARK_RINGED),
     ];
-    // Letters that there are not, before the first and behind the last, leave the picture.
+    // Letters that there are not, before the first and behind the last, leave the image.
     let text = b"ABC\0D@A\0\0\0\0AB\0CCCCCCC".to_vec();
     Case { picture, font, marks, text }
 }
@@ -44,9 +44,9 @@ fn made(gpu: &Gpu, case: &Case, format: ImageFormat, kind: ShownKind, gain: f32,
     let font = Font::new(gpu.device(), LETTERS, &case.font).unwrap();
     let mut display = Display::new(gpu.device(), &font, SIZE, format, ROOM).unwrap();
     gpu.device().upload_image(display.picture(), bytemuck::cast_slice(&case.picture)).unwrap();
-    let shown = Shown { kind, gain, marks: &case.marks, text: &case.text, letter_size: size };
+    let visible = Shown { kind, gain, marks: &case.marks, text: &case.text, letter_size: size };
     for _ in 0..3 {
-        display.submit(&shown).unwrap();
+        display.submit(&visible).unwrap();
     }
     display.finish().unwrap();
     bytemuck::pod_collect_to_vec(&gpu.device().download_image(display.window()).unwrap())
@@ -57,18 +57,18 @@ fn wrong(case: &Case, texels: &[[u8; 4]], kind: ShownKind, gain: f32, size: u32,
     let picture: Vec<[f64; 3]> =
         case.picture.iter().map(|t| [0, 1, 2].map(|c| if t[c].is_finite() { t[c].to_f64() } else { 0.0 })).collect();
     let text = Text { cells: &case.text, columns: 7, size: size as usize, letters: LETTERS, font: &case.font };
-    let want = reference::show(&picture, SIZE[0] as usize, kind, f64::from(gain), &case.marks, Some(text));
-    assert_eq!(want.len(), texels.len());
-    texels.iter().zip(want).enumerate().find_map(|(i, (texel, want))| {
+    let expected = reference::show(&picture, SIZE[0] as usize, kind, f64::from(gain), &case.marks, Some(text));
+    assert_eq!(expected.len(), texels.len());
+    texels.iter().zip(expected).enumerate().find_map(|(i, (texel, expected))| {
         let order = if blue_first { [2, 1, 0] } else { [0, 1, 2] };
-        let near = |c: usize| (f64::from(texel[order[c]]) - 255.0 * want[c]).abs() < 0.75;
+        let near = |c: usize| (f64::from(texel[order[c]]) - 255.0 * expected[c]).abs() < 0.75;
         ((0..3).any(|c| !near(c)) || texel[3] != 255)
-            .then(|| format!("pixel {i}: {texel:?}, not {want:?}, as {kind:?}"))
+            .then(|| format!("pixel {i}: {texel:?}, not {expected:?}, as {kind:?}"))
     })
 }
 
 #[test]
-fn every_kind_is_the_reference() {
+fn every_display_mode_matches_reference() {
     let (gpu, case) = (Gpu::new(), case());
     let kinds = [ShownKind::Encoded, ShownKind::Linear, ShownKind::Values, ShownKind::Directions];
     for (k, kind) in kinds.into_iter().enumerate() {
@@ -88,7 +88,7 @@ fn every_kind_is_the_reference() {
 }
 
 #[test]
-fn marks_and_letters_beyond_the_room_are_left_out() {
+fn marks_and_letters_beyond_capacity_are_dropped() {
     let (gpu, mut case) = (Gpu::new(), case());
     case.marks.push(Mark { at: [5.0, 30.0], radius: 4.0, look: 0, color: [1.0; 3] });
     case.text.truncate(20);
@@ -105,7 +105,7 @@ fn marks_and_letters_beyond_the_room_are_left_out() {
 }
 
 #[test]
-fn a_smaller_picture_is_interpolated() {
+fn smaller_images_are_interpolated() {
     let gpu = Gpu::new();
     let font = Font::new(gpu.device(), LETTERS, &case().font).unwrap();
     let (window, picture) = ([60, 36], [20, 12]);
@@ -126,7 +126,10 @@ fn a_smaller_picture_is_interpolated() {
     let found: Vec<[u8; 4]> = bytemuck::pod_collect_to_vec(&gpu.device().download_image(display.window()).unwrap());
     for (i, texel) in found.iter().enumerate() {
         let [x, y] = [(i % 60) as f32, (i / 60) as f32].map(|v| (v + 0.5) / 3.0);
-        let want = ramp(x.clamp(0.5, 19.5), y.clamp(0.5, 11.5));
-        assert!((0..3).all(|c| (f32::from(texel[c]) - 255.0 * want[c]).abs() < 1.0), "{i}: {texel:?}, not {want:?}");
+        let expected = ramp(x.clamp(0.5, 19.5), y.clamp(0.5, 11.5));
+        assert!(
+            (0..3).all(|c| (f32::from(texel[c]) - 255.0 * expected[c]).abs() < 1.0),
+            "{i}: {texel:?}, not {expected:?}"
+        );
     }
 }

@@ -39,12 +39,12 @@ fn train(scene: &Scene, s: &Settings, started: Option<&Barrier>) -> Outcome {
     }
     let mut reports = Vec::new();
     let mut training = Geometry::new(&device, scene, s, None).unwrap();
-    let heard = |p: &Progress| {
+    let on_progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits()));
         }
     };
-    training.train(STEPS, heard, || true).unwrap();
+    training.train(STEPS, on_progress, || true).unwrap();
     let splats = training.splats().unwrap();
     drop((training, device));
     assert_eq!(objects.alive(), []);
@@ -53,7 +53,7 @@ fn train(scene: &Scene, s: &Settings, started: Option<&Barrier>) -> Outcome {
 }
 
 #[test]
-fn two_trainings_side_by_side_are_two_trainings_alone() {
+fn concurrent_trainings_match_sequential_trainings() {
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let all = [settings(1), settings(2)];

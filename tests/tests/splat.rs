@@ -1,4 +1,4 @@
-//! Rendering against the double-precision twin, at ordinary and extreme inputs.
+//! Rendering against the double-precision reference, at ordinary and extreme inputs.
 
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::reference::blend::{Blended, render};
@@ -7,7 +7,7 @@ use sgs_passes::scene::{FEATURES, Gaussians as GpuGaussians, Model};
 use sgs_passes::splat::Channels;
 use sgs_tests::{Gpu, scenes};
 
-/// Renders on the GPU and by the twin; returns the largest difference where nothing is doubtful, the share of doubtful
+/// Renders on the GPU and by the reference; returns the largest difference where nothing is doubtful, the share of doubtful
 /// pixels, and the PSNR over all.
 fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64, f64) {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
@@ -18,11 +18,11 @@ fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64,
     gaussians.upload(device, &scenes::data(g)).unwrap();
     let mut renderer = Renderer::new(device, gpu.tuning(), &gaussians, camera.size, channels).unwrap();
     let background = [0.2, 0.5, 0.8];
-    let picture =
+    let rendered =
         renderer.render(&gaussians, &scenes::gpu_camera(camera), degree, background.map(|b| b as f32)).unwrap();
     let truth = render(g, camera, degree as usize, depth, background);
-    assert!(picture.image.iter().chain(&picture.transmittance).all(|v| v.is_finite()), "a value is not finite");
-    difference(&picture.image, &picture.transmittance, &truth, channels.count() as usize)
+    assert!(rendered.image.iter().chain(&rendered.transmittance).all(|v| v.is_finite()), "a value is not finite");
+    difference(&rendered.image, &rendered.transmittance, &truth, channels.count() as usize)
 }
 
 fn difference(image: &[f32], transmittance: &[f32], truth: &Blended, channels: usize) -> (f64, f64, f64) {
@@ -50,7 +50,7 @@ fn difference(image: &[f32], transmittance: &[f32], truth: &Blended, channels: u
 }
 
 #[test]
-fn ordinary_splats_agree_with_the_twin() {
+fn ordinary_splats_match_reference() {
     let gpu = Gpu::new();
     for (size, count, degree, normals, depth) in [
         ([64, 48], 200, 3, true, true),
@@ -67,7 +67,7 @@ fn ordinary_splats_agree_with_the_twin() {
 }
 
 #[test]
-fn hard_splats_agree_with_the_twin() {
+fn hard_splats_match_reference() {
     let gpu = Gpu::new();
     for seed in 1..4 {
         let g = scenes::hard(seed);
@@ -91,7 +91,7 @@ fn a_planted_error_is_caught() {
     assert!(difference(&image, &transmittance, &truth, 3).0 > 2e-3);
 }
 
-/// Largest difference of features where the twin is sure of itself; rows of the truth end in them.
+/// Largest difference of features where the reference is sure of itself; rows of the truth end in them.
 fn feature_difference(found: &[f32], truth: &Blended) -> f64 {
     let channels = truth.image.len() / truth.doubtful.len();
     let pixels = truth.image.chunks(channels).zip(found.chunks(FEATURES)).zip(&truth.doubtful);
@@ -114,8 +114,8 @@ fn features_are_blended_at_every_pixel() {
     let mut renderer = Renderer::with_features(device, gpu.tuning(), &gaussians, [1, 1], channels).unwrap();
     for size in [[33, 20], [61, 37], [17, 3], [1, 1]] {
         let camera = scenes::camera(size);
-        let picture = renderer.render(&gaussians, &scenes::gpu_camera(&camera), 0, [0.5; 3]).unwrap();
-        assert_eq!(picture.channels, 6);
+        let rendered = renderer.render(&gaussians, &scenes::gpu_camera(&camera), 0, [0.5; 3]).unwrap();
+        assert_eq!(rendered.channels, 6);
         let pixels = (size[0] * size[1]) as usize;
         let found: Vec<f32> = device.download_as(renderer.features().unwrap(), pixels * FEATURES).unwrap();
         let truth = render(&g, &camera, 0, false, [0.5; 3]);
@@ -147,13 +147,13 @@ fn views_without_colors_have_the_same_depth_and_normals() {
     let model = Model { sh_degree: 2, normals: true, semantics: false };
     let gaussians = GpuGaussians::new(gpu.device(), model, g.len() as u32, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&g)).unwrap();
-    let picture = |channels: Channels| {
+    let rendered = |channels: Channels| {
         let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels).unwrap();
         renderer.render(&gaussians, &scenes::gpu_camera(&camera), 2, [0.3, 0.9, 0.1]).unwrap()
     };
     for normals in [true, false] {
-        let all = picture(Channels { colors: true, normals, depth: true });
-        let bare = picture(Channels { colors: false, normals, depth: true });
+        let all = rendered(Channels { colors: true, normals, depth: true });
+        let bare = rendered(Channels { colors: false, normals, depth: true });
         assert_eq!(all.transmittance, bare.transmittance);
         let rest: Vec<f32> = all.image.chunks(all.channels as usize).flat_map(|p| p[3..].to_vec()).collect();
         assert_eq!(bare.image, rest);

@@ -1,4 +1,4 @@
-//! Gradients of the whole render (projection, harmonics, blending) against central differences of the twin.
+//! Gradients of the whole render (projection, harmonics, blending) against central differences of the reference.
 
 use glam::{DMat3, DVec3};
 use sgs_passes::Accuracy;
@@ -24,7 +24,7 @@ fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
 
 /// What a gradient may be off by, of itself, of the largest of its group, and at all.
 fn tolerance(case: &Case) -> [f64; 3] {
-    // The twin's exponential is exact.
+    // The reference's exponential is exact.
     if case.accuracy.fast_exp { [2e-3, 2e-4, 1e-5] } else { [1e-3, 5e-5, 1e-6] }
 }
 
@@ -84,7 +84,7 @@ fn kernels(gpu: &Gpu) -> Vec<BackwardKernel> {
 }
 
 #[test]
-fn gradients_of_all_kernels_are_those_of_the_twin() {
+fn gradients_of_all_kernels_match_reference() {
     let gpu = Gpu::new();
     for which in kernels(&gpu) {
         check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
@@ -95,7 +95,7 @@ fn gradients_of_all_kernels_are_those_of_the_twin() {
 
 /// What is left out for speed is left out of the gradient as well, and nothing else is.
 #[test]
-fn gradients_at_other_accuracies_are_those_of_the_twin() {
+fn gradients_at_other_accuracies_match_reference() {
     let gpu = Gpu::new();
     let exact = Accuracy::EXACT;
     for accuracy in [
@@ -118,7 +118,7 @@ fn gradients_at_other_accuracies_are_those_of_the_twin() {
 }
 
 #[test]
-fn gradients_with_semantic_features_are_those_of_the_twin() {
+fn gradients_with_semantic_features_match_reference() {
     let gpu = Gpu::new();
     let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
     check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
@@ -144,7 +144,7 @@ fn features_that_do_not_move_geometry_leave_its_gradients_alone() {
 }
 
 #[test]
-fn the_kernels_agree_on_a_crowd_and_repeat_bit_for_bit() {
+fn backward_kernels_agree_on_many_gaussians_bit_for_bit() {
     let gpu = Gpu::new();
     let case = Case::new(scenes::ordinary(800, 0, false, 9), [48, 40], false);
     let (pixel, _) = case.gpu_gradients(&gpu, BackwardKernel::Pixel);

@@ -90,7 +90,7 @@ fn the_units_of_a_scene_change_nothing() {
         assert_eq!(a.gain * by * by, b.gain);
         near(&a.lobes[0].amplitude, &b.lobes[0].amplitude, 1e-2 * a.lobes[0].amplitude[0]);
     }
-    // Pictures are those of the room in its own unit.
+    // Images are those of the room in its own unit.
     let psnr = |metrics: &serde_json::Value, of: &str| metrics["mean"][of]["psnr"].as_f64().unwrap();
     let own = metrics_of_moved(&place, &scene, small);
     for of in ["nvs", "pbr"] {
@@ -121,11 +121,11 @@ fn scenes_in_two_units_are_refused() {
     let place = Place::new(Room::default());
     let scene = place.path("scene");
     move_room(&scene, |v| v, |v| 1e-4 * v);
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.contains("of their area") && said.contains("same units"), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.contains("of their area") && output.contains("same units"), "{output}");
     move_room(&scene, |v| v, |v| 1e4 * v);
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.lines().all(|line| !line.contains("WARN") || line.contains(" not run: ")), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.lines().all(|line| !line.contains("WARN") || line.contains(" not run: ")), "{output}");
     // Points of another reconstruction.
     move_room(&scene, |v| v, |v| v + 1000.0);
     std::fs::remove_dir_all(place.path("run")).unwrap();
@@ -133,8 +133,8 @@ fn scenes_in_two_units_are_refused() {
     sgs(&["plan", &place.text("scene")]).refused_with(42, &["same units"]);
     assert!(!place.path("run").exists());
     move_room(&scene, |v| v, |v| 1000.0 * (v - 1000.0));
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.contains("too far for parallax"), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.contains("too far for parallax"), "{output}");
 }
 
 #[test]
@@ -145,32 +145,35 @@ fn cameras_with_one_pose_are_warned_of() {
     let first = value["frames"][0]["transform_matrix"].clone();
     value["frames"][2]["transform_matrix"] = first.clone();
     write_json(&file, &value);
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.contains("1 of 6 training cameras have the pose of another one"), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.contains("1 of 6 training cameras have the pose of another one"), "{output}");
     value["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| f["transform_matrix"] = first.clone());
     write_json(&file, &value);
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.contains("the 6 training cameras stand at one place") && said.contains("depth"), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.contains("the 6 training cameras stand at one place") && output.contains("depth"), "{output}");
 }
 
 #[test]
-fn images_and_priors_that_do_not_suffice_are_warned_of() {
+fn insufficient_images_and_priors_are_warned_of() {
     let place = Place::new(Room::default());
     let image = place.path("scene/images/000.png");
     let mut cut = Image::new(32, 24, 4);
     cut.data.chunks_exact_mut(4).enumerate().for_each(|(i, p)| p.fill(if i % 4 == 0 { 0.0 } else { 1.0 }));
     write_png(&image, &cut).unwrap();
-    let said = train(&place, &[]).ok().stderr;
-    assert!(said.contains("000.png is transparent in 25 % of its pixels"), "{said}");
-    assert!(!said.contains("no priors of") && !said.contains('\u{1b}') && !said.contains("sgs::"), "{said}");
-    let said = sgs(&["plan", &place.text("scene"), "--stage", "all"]).ok().stderr;
-    assert!(said.contains("no priors of normals or materials") && said.contains("docs/PRIORS.md"), "{said}");
+    let output = train(&place, &[]).ok().stderr;
+    assert!(output.contains("000.png is transparent in 25 % of its pixels"), "{output}");
+    assert!(!output.contains("no priors of") && !output.contains('\u{1b}') && !output.contains("sgs::"), "{output}");
+    let output = sgs(&["plan", &place.text("scene"), "--stage", "all"]).ok().stderr;
+    assert!(
+        output.contains("no priors of normals or materials") && output.contains("docs/guide/priors.md"),
+        "{output}"
+    );
     // An evaluation starts from nothing.
     std::fs::remove_file(place.path("scene/points.ply")).unwrap();
-    let said = train(&place, &["--set", "random_points=500"]).ok().stderr;
-    assert!(said.contains("starting from 500 random points"), "{said}");
-    let said = sgs(&["eval", &place.text("run")]).ok().stderr;
-    assert!(!said.contains("random") && !said.contains("transparent"), "{said}");
+    let output = train(&place, &["--set", "random_points=500"]).ok().stderr;
+    assert!(output.contains("starting from 500 random points"), "{output}");
+    let output = sgs(&["eval", &place.text("run")]).ok().stderr;
+    assert!(!output.contains("random") && !output.contains("transparent"), "{output}");
 }
 
 #[test]
@@ -212,9 +215,9 @@ fn points_that_do_not_fit_into_memory_are_thinned() {
     let (all, needed) = (plan["gaussians"].as_u64().unwrap(), plan["needs_bytes"].as_u64().unwrap());
     let budget = (needed / 4 * 3).to_string();
     let trained = train(&place, &["--json", "--memory-budget", &budget]).ok();
-    let kept = trained.json()["gaussians"].as_u64().unwrap();
-    assert!(kept < all && kept > all / 3, "{kept} of {all}");
-    let said = format!("memory does not suffice for all {all} points; training starts from {kept} of them");
-    assert!(trained.stderr.contains(&said), "{}", trained.stderr);
+    let retained = trained.json()["gaussians"].as_u64().unwrap();
+    assert!(retained < all && retained > all / 3, "{retained} of {all}");
+    let output = format!("memory does not suffice for all {all} points; training starts from {retained} of them");
+    assert!(trained.stderr.contains(&output), "{}", trained.stderr);
     place.resume("run").ok();
 }

@@ -43,7 +43,7 @@ fn inputs_that_can_never_work_have_a_status_of_their_own() {
 }
 
 #[test]
-fn memory_and_time_that_do_not_suffice_may_suffice_another_time() {
+fn insufficient_memory_and_time_are_retryable_statuses() {
     let place = Place::new(Room::default());
     let arguments = |more: &[&str]| place.arguments("run", 4, more);
     sgs(&arguments(&["--memory-budget", "64K"])).refused_with(75, &["MiB of device memory"]);
@@ -52,7 +52,7 @@ fn memory_and_time_that_do_not_suffice_may_suffice_another_time() {
 }
 
 #[test]
-fn errors_are_json_where_json_is_asked_for() {
+fn errors_are_json_under_the_json_option() {
     let place = Place::new(Room::default());
     let (none, run) = (place.text("none"), place.text("run"));
     let file = place.text("answer.json");
@@ -67,19 +67,19 @@ fn errors_are_json_where_json_is_asked_for() {
     ] {
         let finished = sgs(&[&arguments[..], &["--json"]].concat());
         assert_eq!(finished.status, Some(status), "{finished:?}");
-        let said = finished.json();
-        assert_eq!(said["kind"], kind, "{said}");
-        assert!(said["error"].as_str().unwrap().contains(word) && finished.stderr.contains(word), "{finished:?}");
+        let output = finished.json();
+        assert_eq!(output["kind"], kind, "{output}");
+        assert!(output["error"].as_str().unwrap().contains(word) && finished.stderr.contains(word), "{finished:?}");
         let finished = sgs(&[&arguments[..], &["--json", &file]].concat());
         assert_eq!((finished.status, finished.stdout.as_str()), (Some(status), ""));
         let written: serde_json::Value = serde_json::from_slice(&place.read("answer.json")).unwrap();
-        assert_eq!(written, said);
+        assert_eq!(written, output);
         std::fs::remove_file(&file).unwrap();
     }
 }
 
 #[test]
-fn steps_under_other_names_are_told_theirs() {
+fn step_option_aliases_suggest_the_right_name() {
     for option in ["--iterations", "--steps"] {
         let finished = sgs(&["train", "scene", "-o", "run", option, "30000"]);
         assert_eq!(finished.status, Some(2));

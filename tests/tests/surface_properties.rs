@@ -1,9 +1,9 @@
 //! What a view sees of surfaces, its matrix of weights and materials through it, of Gaussians whose every number is drawn
-//! log-uniformly, against the double-precision twin. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for
-//! more of them.
+//! log-uniformly, against the double-precision reference. What fails is shrunk. The numbers are the same every time;
+//! `SGS_TEST_CASES` asks for more of them.
 //!
-//! What single precision may be off by is measured: by how much the twin's own answer moves when Gaussians move by some units of the
-//! last place.
+//! What single precision may be off by is measured: by how much the reference's own answer moves when Gaussians move by some
+//! units of the last place.
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -49,7 +49,7 @@ prop_compose! {
     }
 }
 
-/// What the twin says of every pixel.
+/// What the reference says of every pixel.
 struct Truth {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
@@ -95,7 +95,8 @@ fn slopes(raw: &Materials, i: usize) -> [f64; 5] {
     [r, g, b, 0.9 * slope(raw.roughness[i]), raw.metallic.get(i).map_or(0.0, |x| slope(*x))]
 }
 
-/// The case with nothing asked of pixels of which double precision is not sure, the twin's answer and what rounding may make of it.
+/// The case with nothing asked of pixels of which double precision is not sure, the reference's answer and what rounding may
+/// make of it.
 fn prepared(mut case: Case) -> (Case, Truth, Vec<Truth>) {
     let mut sure = truth(&case, &case.scene);
     let others: Vec<Truth> = (0..4).map(|way| truth(&case, &rounded(&case.scene, &case.camera, way))).collect();
@@ -173,9 +174,9 @@ fn check_pixels(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> R
 
 /// Gradients of raw materials.
 fn check_gradients(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> Result<(), TestCaseError> {
-    let kept = |t: &Truth| if case.bits == 16 { stored_rows(&t.rows) } else { t.rows.clone() };
-    let here = gathered(case, &kept(sure));
-    let moved: Vec<_> = others.iter().map(|t| gathered(case, &kept(t))).collect();
+    let retained = |t: &Truth| if case.bits == 16 { stored_rows(&t.rows) } else { t.rows.clone() };
+    let here = gathered(case, &retained(sure));
+    let moved: Vec<_> = others.iter().map(|t| gathered(case, &retained(t))).collect();
     // What every weight may be off by, as a share of its pixel, times what the pixel asks.
     let mut slack = vec![[0.0; 5]; here.len()];
     let mut most = 1.0_f64;
@@ -211,7 +212,7 @@ fn check(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> Result<u
 }
 
 #[test]
-fn surfaces_weights_and_materials_agree_with_the_twin() {
+fn surfaces_weights_and_materials_match_reference() {
     let gpu = Gpu::new();
     let counts = std::cell::Cell::new([0; 4]);
     let result = runner(96).run(&case(), |case| {
@@ -221,14 +222,14 @@ fn surfaces_weights_and_materials_agree_with_the_twin() {
         let (case, sure, others) = prepared(case);
         let compared = check(&case, &sure, &others, &run(&gpu, &case))?;
         let seen = sure.rows.iter().zip(&sure.doubtful).filter(|(r, d)| !r.is_empty() && !**d).count();
-        let [cases, all, sure_, shown] = counts.get();
-        counts.set([cases + 1, all + sure.rows.len(), sure_ + compared, shown + seen]);
+        let [cases, all, sure_, visible] = counts.get();
+        counts.set([cases + 1, all + sure.rows.len(), sure_ + compared, visible + seen]);
         Ok(())
     });
     result.unwrap_or_else(|e| panic!("{e}"));
-    let [cases, all, compared, shown] = counts.get();
-    println!("{cases} scenes; of {all} pixels {compared} were compared, {shown} of which show something");
-    assert!(cases > 48 && compared > all / 2 && shown > all / 10, "{:?}", counts.get());
+    let [cases, all, compared, visible] = counts.get();
+    println!("{cases} scenes; of {all} pixels {compared} were compared, {visible} of which show something");
+    assert!(cases > 48 && compared > all / 2 && visible > all / 10, "{:?}", counts.get());
 }
 
 /// A hundredth is noticed, of every kind of number.

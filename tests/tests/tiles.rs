@@ -32,14 +32,14 @@ fn geometry_is_learned_in_tiles_of_every_size() {
         (s.geometry.correspondence_from, s.geometry.pseudo.poses) = (6, 3);
         s.train.tile_rows = rows;
         let (mut losses, mut entries) = (Vec::new(), 0);
-        let heard = |p: &Progress| {
+        let on_progress = |p: &Progress| {
             if let Progress::Step(r) = p {
                 losses.push(r.losses.total);
                 entries += u64::from(r.entries);
             }
         };
         let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
-        training.train(STEPS, heard, || true).unwrap();
+        training.train(STEPS, on_progress, || true).unwrap();
         (losses, entries, training.splats().unwrap())
     };
     for backward in [Backward::Pixel, Backward::Splat] {
@@ -62,9 +62,9 @@ fn materials_are_learned_in_tiles_of_every_size() {
             let mut s = intrinsic::settings(STEPS);
             (s.train.tile_rows, s.accuracy.weight_bits) = (rows, bits);
             let mut losses = Vec::new();
-            let heard = |r: &IntrinsicReport| losses.push(r.shaded + r.albedo);
+            let on_progress = |r: &IntrinsicReport| losses.push(r.shaded + r.albedo);
             let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-            training.train(STEPS, heard, || true).unwrap();
+            training.train(STEPS, on_progress, || true).unwrap();
             losses
         };
         let own = train(0);

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use sgs_engine::graph::Graph;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::traced::{self as twin, Splat, V3};
+use sgs_passes::reference::traced::{self as reference, Splat, V3};
 use sgs_passes::shade::lights::{Axes, LightModel, Lights, Shape, lights, lights_prepare};
 use sgs_passes::shade::traced::{TracedTree, lights_traced, visibility_traced};
 use sgs_tests::drawn::{runner, signed};
@@ -70,7 +70,7 @@ fn visibility_is_the_product_over_all_gaussians() {
                 }
                 let from = std::array::from_fn(|k| p.point[k] + f64::from(OFFSET) * p.normal[k]);
                 let to = std::array::from_fn(|k| c.raw.positions[3 * l + k]);
-                let (right, doubt) = (twin::transmittance(&splats, from, to), doubt(&splats, from, to));
+                let (right, doubt) = (reference::transmittance(&splats, from, to), doubt(&splats, from, to));
                 assert!((is - right).abs() < 3e-4 + doubt, "{count}: pixel {i}, light {l}: {right} {is} ({doubt})");
                 hidden += usize::from(right < 0.9);
                 doubtful += usize::from(doubt > 0.0);
@@ -85,7 +85,7 @@ fn visibility_is_the_product_over_all_gaussians() {
 }
 
 #[test]
-fn lights_are_dimmed_by_what_hides_them() {
+fn occluders_attenuate_lights() {
     let gpu = Gpu::new();
     // Of a single light, radiance is what it would be times how much of it is seen.
     let c = case([8, 7], 1, 11);
@@ -128,17 +128,17 @@ fn a_surface_does_not_shadow_itself_but_a_wall_does() {
 }
 
 #[test]
-fn what_cannot_be_seen_is_not_in_the_tree() {
+fn invisible_gaussians_are_not_in_the_bvh() {
     let mut splats = random_splats(50, 31);
-    let shown = |s: &&Splat| 1.0 / (1.0 + (-s.opacity_logit).exp()) >= 1.0 / 255.0;
-    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats.iter().filter(shown).count());
+    let visible = |s: &&Splat| 1.0 / (1.0 + (-s.opacity_logit).exp()) >= 1.0 / 255.0;
+    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats.iter().filter(visible).count());
     splats[0].mean[1] = f64::NAN;
     splats[1].log_scale[2] = f64::NAN;
     splats[2].opacity_logit = f64::NAN;
     splats[3].log_scale[0] = f64::NEG_INFINITY;
     splats[4].log_scale[1] = f64::INFINITY;
     splats[5].opacity_logit = f64::INFINITY;
-    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats[6..].iter().filter(shown).count());
+    assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats[6..].iter().filter(visible).count());
     // Many in one place are still a tree.
     let heap = vec![Splat { opacity_logit: 1.0, ..random_splats(1, 1)[0] }; 5000];
     assert_eq!(TracedTree::new(&splat_data(&heap)).unwrap().splats(), 5000);
@@ -149,7 +149,7 @@ fn jitter(rng: &mut Pcg, v: &mut [f64], size: f64) {
     v.iter_mut().for_each(|x| *x += 4e-7 * size * rng.range(-1.0, 1.0));
 }
 
-/// By how much the twin's answer moves when what it is made from is rounded otherwise.
+/// By how much the reference's answer moves when what it is made from is rounded otherwise.
 fn slack(splats: &[Splat], from: V3, to: V3, right: f64) -> f64 {
     let mut rng = Pcg::new(9);
     let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -167,7 +167,7 @@ fn slack(splats: &[Splat], from: V3, to: V3, right: f64) -> f64 {
             s
         };
         let splats: Vec<Splat> = splats.iter().map(other).collect();
-        (twin::transmittance(&splats, from, to) - right).abs()
+        (reference::transmittance(&splats, from, to) - right).abs()
     });
     4.0 * moved.fold(0.0, f64::max)
 }
@@ -191,7 +191,7 @@ fn drawn() -> impl Strategy<Value = Splat> {
 
 /// The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
 #[test]
-fn rays_through_what_is_drawn_at_random_agree_with_the_twin() {
+fn rays_through_random_gaussians_match_reference() {
     let gpu = Gpu::new();
     let c = case([6, 3], 3, 31);
     let counts = std::cell::Cell::new([0, 0, 0]);
@@ -202,7 +202,7 @@ fn rays_through_what_is_drawn_at_random_agree_with_the_twin() {
                 let is = f64::from(found.visibility[l * c.pixels.len() + i]);
                 let from = std::array::from_fn(|k| p.point[k] + f64::from(OFFSET) * p.normal[k]);
                 let to = std::array::from_fn(|k| c.raw.positions[3 * l + k]);
-                let right = twin::transmittance(&splats, from, to);
+                let right = reference::transmittance(&splats, from, to);
                 let slack = 3e-4 + doubt(&splats, from, to) + slack(&splats, from, to, right);
                 prop_assert!((is - right).abs() <= slack, "pixel {}, light {}: {} is {} to {}", i, l, right, is, slack);
                 let [all, hidden, sure] = counts.get();

@@ -2,7 +2,7 @@
 //! ray found; in one stretch and in several.
 
 use sgs_engine::graph::Graph;
-use sgs_passes::reference::lights as twin;
+use sgs_passes::reference::lights as reference;
 use sgs_passes::reference::traced::{self as rays, Splat};
 use sgs_passes::shade::lights::{
     Axes, LightModel, LightParameterGradients, Lights, Shape, lights_materials_bwd, lights_prepare, lights_prepare_bwd,
@@ -53,19 +53,19 @@ fn run(gpu: &Gpu, case: &Lit, splats: &[Splat], largest: [u32; 2], shape: Shape,
     let visibility = g.external("visibility", 4 * many);
     let (sums, sight) = lights_train_traced(&mut g, &what, &traced, direct).unwrap();
     lights_split_traced(&mut g, tuning, &what, &traced, [whole, diffuse], visibility).unwrap();
-    let kept = sight.seen.map(|seen| {
+    let retained = sight.seen.map(|seen| {
         let bytes = u64::from(sight.stretch) * u64::from(model.lights);
-        let kept = g.external("kept", bytes);
-        g.copy("keep", seen, kept).unwrap();
-        kept
+        let retained = g.external("kept", bytes);
+        g.copy("keep", seen, retained).unwrap();
+        retained
     });
     let [materials, metallic] = [("materials_gradient", 16), ("metallic_gradient", 4)].map(|(name, width)| {
         let buffer = g.external(name, width * many);
         bound.inputs.push((buffer, vec![0; (width * many) as usize]));
         buffer
     });
-    let wanted = case.metallic.then_some(metallic);
-    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, wanted).unwrap();
+    let requested = case.metallic.then_some(metallic);
+    lights_materials_bwd(&mut g, tuning, &pixels, &sums, bound.gradient, materials, requested).unwrap();
     let into = LightParameterGradients {
         positions: g.external("positions_gradient", model.position_bytes()),
         lobes: g.external("lobes_gradient", model.lobe_bytes()),
@@ -81,7 +81,7 @@ fn run(gpu: &Gpu, case: &Lit, splats: &[Splat], largest: [u32; 2], shape: Shape,
         all[..width * n].to_vec()
     };
     let byte = |l: u32, i: usize| {
-        let bytes: Vec<u8> = out.get(kept.unwrap());
+        let bytes: Vec<u8> = out.get(retained.unwrap());
         f64::from(bytes[(l * sight.stretch) as usize + i]) / 255.0
     };
     let pairs = (0..model.lights).flat_map(|l| (0..n).map(move |i| (l, i)));
@@ -95,7 +95,7 @@ fn run(gpu: &Gpu, case: &Lit, splats: &[Splat], largest: [u32; 2], shape: Shape,
         lobes: out.get(into.lobes),
         normals: of(normals, 3),
         visibility: of(visibility, 1),
-        seen: if kept.is_some() { pairs.map(|(l, i)| byte(l, i)).collect() } else { vec![] },
+        seen: if retained.is_some() { pairs.map(|(l, i)| byte(l, i)).collect() } else { vec![] },
     }
 }
 
@@ -141,22 +141,23 @@ fn check(case: &Lit, found: &Found, relative: f64) {
     for (l, light) in lights.iter().enumerate() {
         let seen = |i: usize| if light.is_some() { found.seen[l * n + i] } else { 0.0 };
         let alone = [light.clone()];
-        let [d, s] = twin::lights(&case.pixels, &alone, case.camera, case.normalizer());
+        let [d, s] = reference::lights(&case.pixels, &alone, case.camera, case.normalizer());
         for i in 0..3 * n {
             diffuse[i] += seen(i / 3) * d[i];
             whole[i] += seen(i / 3) * (d[i] + s[i]);
         }
         (0..n).for_each(|i| mean[i] += seen(i) / on);
         let gradient: Vec<f64> = case.gradient.iter().enumerate().map(|(i, g)| g * seen(i / 3)).collect();
-        let part = twin::lights_materials_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient);
+        let part = reference::lights_materials_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient);
         materials.iter_mut().zip(&part).for_each(|(sum, p)| (0..5).for_each(|k| sum[k] += p[k]));
-        let part = twin::lights_normals_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient).concat();
+        let part =
+            reference::lights_normals_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient).concat();
         // Without a normal differences see lights that a step in any direction would face.
         let there = |i: usize| case.pixels[i / 3].normal != [0.0; 3];
         (0..3 * n).filter(|i| there(*i)).for_each(|i| normals[i] += part[i]);
         let mut raw = case.raw.clone();
         raw.gains.iter_mut().enumerate().for_each(|(i, g)| *g *= f64::from(i == l));
-        let bwd = twin::lights_bwd(&raw, &case.pixels, case.camera, case.normalizer(), &gradient);
+        let bwd = reference::lights_bwd(&raw, &case.pixels, case.camera, case.normalizer(), &gradient);
         positions.extend_from_slice(&bwd.positions[3 * l..3 * l + 3]);
         lobes.extend_from_slice(&bwd.lobes[row * l..row * (l + 1)]);
     }
@@ -269,7 +270,7 @@ fn extremes() {
 }
 
 #[test]
-fn what_is_compared_can_fail() {
+fn traced_light_checks_can_fail() {
     let gpu = Gpu::new();
     let case = Lit::random([9, 4], MODEL, true, 60);
     let mut found = run(&gpu, &case, &random_splats(80, 61), [9, 4], own(&gpu), 1 << 20);

@@ -1,4 +1,4 @@
-//! Traced shadows in training and in pictures, from settings to files.
+//! Traced shadows in training and in images, from settings to files.
 
 use serde_json::json;
 use sgs_config::{Settings, VisibilityKind};
@@ -35,14 +35,14 @@ fn training_sees_shadows() {
         s.intrinsic.visibility.kind = kind;
         let mut losses = Vec::new();
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-        let mut heard = |r: &sgs_passes::pipeline::IntrinsicReport| losses.push(r.shaded);
+        let mut on_progress = |r: &sgs_passes::pipeline::IntrinsicReport| losses.push(r.shaded);
         if let Some(at) = resumed_at {
-            training.train(at, &mut heard, || true).unwrap();
+            training.train(at, &mut on_progress, || true).unwrap();
             training.save(&place.path("state")).unwrap();
             training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
             training.restore(&place.path("state")).unwrap();
         }
-        training.train(16, &mut heard, || true).unwrap();
+        training.train(16, &mut on_progress, || true).unwrap();
         (training.splats().unwrap(), training.lights().unwrap(), losses)
     };
     let first = train(VisibilityKind::Traced, None);

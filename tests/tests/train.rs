@@ -52,7 +52,7 @@ fn settings_and_seed_decide() {
 /// Room for one entry, for almost all, and for more than enough: overflows, growth and repeated steps leave no trace,
 /// not even when they happen beside densification, resets and resuming.
 #[test]
-fn the_first_room_for_entries_does_not_matter() {
+fn initial_entry_capacity_does_not_change_results() {
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::new();
@@ -60,7 +60,7 @@ fn the_first_room_for_entries_does_not_matter() {
         let mut s = settings(32);
         s.geometry.entry_capacity = capacity;
         let mut reports = Vec::new();
-        let mut heard = |p: &Progress| match p {
+        let mut on_progress = |p: &Progress| match p {
             Progress::Decided(_) => {}
             Progress::Step(r) => reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits())),
             Progress::Densified { step, stats } => reports.push((1000 + step, stats.after, 0, 0)),
@@ -68,12 +68,12 @@ fn the_first_room_for_entries_does_not_matter() {
         let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
         if let Some(at) = resumed_at {
             let file = place.path("state");
-            training.train(at, &mut heard, || true).unwrap();
+            training.train(at, &mut on_progress, || true).unwrap();
             training.save(&file).unwrap();
             training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
             training.restore(&file).unwrap();
         }
-        training.train(32, &mut heard, || true).unwrap();
+        training.train(32, &mut on_progress, || true).unwrap();
         (training.splats().unwrap(), reports)
     };
     let (splats, reports) = train(1 << 20, None);
@@ -84,15 +84,15 @@ fn the_first_room_for_entries_does_not_matter() {
     for (capacity, resumed_at) in
         [(1, None), (first, None), (first / 3, Some(10)), (most - 1, Some(15)), (1, Some(20)), (1 << 20, Some(13))]
     {
-        let (other, heard) = train(capacity, resumed_at);
-        assert_eq!(heard, reports, "capacity {capacity}, resumed at {resumed_at:?}");
+        let (other, on_progress) = train(capacity, resumed_at);
+        assert_eq!(on_progress, reports, "capacity {capacity}, resumed at {resumed_at:?}");
         assert!(other == splats, "capacity {capacity}, resumed at {resumed_at:?}: the splats differ");
     }
 }
 
 /// Room for Gaussians grows with their number; where it stood before must not decide who is refined.
 #[test]
-fn the_room_for_gaussians_does_not_matter() {
+fn gaussian_capacity_does_not_change_results() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     assert!((12_000..20_000).contains(&scene.points.len()), "{} points", scene.points.len());
@@ -106,7 +106,7 @@ fn the_room_for_gaussians_does_not_matter() {
     s.geometry.densify.prune_opacity = 0.16;
     let train = |resumed_at: Option<u32>| {
         let mut after = Vec::new();
-        let mut heard = |p: &Progress| {
+        let mut on_progress = |p: &Progress| {
             if let Progress::Densified { stats, .. } = p {
                 after.push((stats.before, stats.after, stats.refused));
             }
@@ -114,12 +114,12 @@ fn the_room_for_gaussians_does_not_matter() {
         let mut training = Geometry::new(&device, &scene, &s, None).unwrap();
         if let Some(at) = resumed_at {
             let file = place.path("state");
-            training.train(at, &mut heard, || true).unwrap();
+            training.train(at, &mut on_progress, || true).unwrap();
             training.save(&file).unwrap();
             training = Geometry::new(&device, &scene, &s, None).unwrap();
             training.restore(&file).unwrap();
         }
-        training.train(12, &mut heard, || true).unwrap();
+        training.train(12, &mut on_progress, || true).unwrap();
         (training.splats().unwrap(), after)
     };
     let (straight, after) = train(None);
@@ -138,12 +138,12 @@ fn learn(place: &Place, s: &Settings) -> (Vec<f32>, Evaluation) {
     let device = device();
     let mut training = Geometry::new(&device, &scene, s, None).unwrap();
     let mut losses = Vec::new();
-    let heard = |p: &Progress| {
+    let on_progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             losses.push(r.losses.total);
         }
     };
-    training.train(s.geometry.steps, heard, || true).unwrap();
+    training.train(s.geometry.steps, on_progress, || true).unwrap();
     let background = s.geometry.background;
     let views = &scene.split.test;
     let result = evaluate(&device, &scene, training.gaussians(), views, background, |_, _| Ok(())).unwrap();
@@ -209,7 +209,7 @@ fn depth_terms_train_without_normal_priors() {
 
 /// What has no ground truth is absent from the metrics, not zero.
 #[test]
-fn metrics_hold_what_is_known() {
+fn metrics_contain_only_available_values() {
     for (priors, truth) in [(true, true), (true, false), (false, true)] {
         let place = Place::new(Room { priors, truth, ..Room::default() });
         let short = ["--set", "geometry.sh_degree=1"];
@@ -307,12 +307,12 @@ fn atomics_train_as_well_in_less_memory() {
         (s.geometry.backward, s.geometry.densify.enabled) = (backward, false);
         let mut training = Geometry::new(&gpu, &scene, &s, None)?;
         let mut losses = Vec::new();
-        let heard = |p: &Progress| {
+        let on_progress = |p: &Progress| {
             if let Progress::Step(r) = p {
                 losses.push(r.losses.l1);
             }
         };
-        training.train(20, heard, || true)?;
+        training.train(20, on_progress, || true)?;
         Ok::<_, sgs_train::TrainError>((losses, training.needs().arena))
     };
     let ordered = with(sgs_config::Backward::Pixel).unwrap();

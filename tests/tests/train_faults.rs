@@ -122,7 +122,7 @@ fn a_training_that_fails_goes_on_from_its_checkpoint() {
 
 /// Room for more Gaussians that is refused ends densification, not training.
 #[test]
-fn refused_room_for_gaussians_ends_densification() {
+fn refused_gaussian_capacity_ends_densification() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();

@@ -33,13 +33,13 @@ fn frame() -> Frame {
 }
 
 #[test]
-fn a_view_shows_what_the_renderer_gives() {
+fn view_matches_renderer_output() {
     let gpu = Gpu::new();
     let gaussians = upload(&gpu, 300, true);
     let f = frame();
     let all = Channels { colors: true, normals: true, depth: true };
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, SIZE, all).unwrap();
-    let picture = renderer.render(&gaussians, &f.camera, 3, f.background).unwrap();
+    let rendered = renderer.render(&gaussians, &f.camera, 3, f.background).unwrap();
     for layer in [Layer::Color, Layer::Depth, Layer::Normal, Layer::Alpha] {
         let image = gpu.device().image("target", SIZE, ImageFormat::Rgba32Float).unwrap();
         let mut view =
@@ -53,21 +53,21 @@ fn a_view_shows_what_the_renderer_gives() {
         let texels: Vec<f32> =
             gpu.device().download_image(&image).unwrap().chunks(4).map(bytemuck::pod_read_unaligned).collect();
         for (i, texel) in texels.chunks(4).enumerate() {
-            let p = &picture.image[8 * i..8 * i + 8];
-            let alpha = 1.0 - picture.transmittance[i];
-            let want = match layer {
+            let p = &rendered.image[8 * i..8 * i + 8];
+            let alpha = 1.0 - rendered.transmittance[i];
+            let expected = match layer {
                 Layer::Color => [p[0], p[1], p[2]],
                 Layer::Depth => [p[6] * 0.25; 3],
                 Layer::Normal => [p[3], p[4], p[5]],
                 Layer::Alpha => [alpha; 3],
             };
-            assert_eq!(texel, [want[0], want[1], want[2], alpha], "{layer:?}, pixel {i}");
+            assert_eq!(texel, [expected[0], expected[1], expected[2], alpha], "{layer:?}, pixel {i}");
         }
     }
 }
 
 #[test]
-fn room_is_made_for_the_next_frame() {
+fn entry_capacity_grows_for_the_next_frame() {
     let gpu = Gpu::new();
     let gaussians = upload(&gpu, 400, false);
     let f = frame();

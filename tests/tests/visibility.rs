@@ -6,7 +6,7 @@ use sgs_passes::shade::visibility::{
     Field, FieldConfig, Gradients, Moments, packed_tables, visibility_adam, visibility_encode,
 };
 use sgs_shaders::structs::{FieldStep, Step, Work};
-use sgs_tests::field::{Asked, Case, Found, SMALL, jittered};
+use sgs_tests::field::{Case, Found, LossGradients, SMALL, jittered};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -16,7 +16,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 const VALUES: Tolerance = Tolerance::new(2e-6, 2e-5);
 
 #[test]
-fn values_are_the_references() {
+fn visibility_values_match_reference() {
     let gpu = Gpu::new();
     for (config, pixels, lights) in [
         (SMALL, 1, 1),
@@ -34,7 +34,7 @@ fn values_are_the_references() {
 }
 
 #[test]
-fn rows_of_points_are_the_references() {
+fn visibility_rows_match_reference() {
     let gpu = Gpu::new();
     let case = Case::random(SMALL, 100, 1, 4);
     for (first, count) in [(0, 100), (24, 61), (93, 40)] {
@@ -45,7 +45,7 @@ fn rows_of_points_are_the_references() {
             let range = [first as u32, count as u32];
             visibility_encode(&mut g, gpu.tuning(), "encode", &field, &view, range, moved, out).unwrap();
             let found = gpu.run(g, &inputs).get::<f32>(out);
-            let field = case.twin();
+            let field = case.reference();
             for pixel in first..(first + count).min(100) {
                 let point = if moved { jittered(&case, pixel) } else { Case::wide(case.points[pixel]) };
                 let row = &found[(pixel - first) * 32..][..32];
@@ -57,9 +57,9 @@ fn rows_of_points_are_the_references() {
     }
 }
 
-/// Tables that are looked up in 16 bits, of every size that halves have and beyond: the twin's, which rounds them too.
+/// Tables that are looked up in 16 bits, of every size that halves have and beyond: the reference's, which rounds them too.
 #[test]
-fn values_of_tables_in_16_bits_are_the_references() {
+fn visibility_of_16_bit_tables_matches_reference() {
     let gpu = Gpu::new();
     let mut largest = 0.0_f64;
     for size in [1.0_f32, 1e-4, 1e-6, 30.0] {
@@ -125,7 +125,7 @@ fn half_operands_cost_little() {
         let mut case = Case::random(SMALL, 500, 6, 9);
         let (inputs, width) = (case.config.inputs(), 32);
         case.mlp[width * inputs..].iter_mut().for_each(|w| *w *= scale);
-        let field = case.twin();
+        let field = case.reference();
         let (mut worst, mut sum, mut wrong) = (0.0_f64, 0.0, 0);
         for point in &case.points {
             for light in &case.lights {
@@ -164,28 +164,28 @@ type Stepped = (Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>);
 /// One step with gradients as they were found, from moments that are not zero.
 fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32) -> Stepped {
     let (mut g, mut inputs) = (Graph::new("visibility_adam"), Vec::new());
-    let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+    let mut provided = |g: &mut Graph, name: &str, data: Vec<u8>| {
         let buffer = g.external(name, data.len() as u64);
         inputs.push((buffer, data));
         buffer
     };
     let gradients = Gradients {
-        mlp: given(&mut g, "mlp_gradient", bytes(&found.mlp)),
-        lights: given(&mut g, "lights", vec![0; 4]),
-        tables: given(&mut g, "table_gradients", bytes(&found.words)),
-        touched: given(&mut g, "touched", bytes(&found.touched)),
-        scale: given(&mut g, "scale", bytes(&scale)),
+        mlp: provided(&mut g, "mlp_gradient", bytes(&found.mlp)),
+        lights: provided(&mut g, "lights", vec![0; 4]),
+        tables: provided(&mut g, "table_gradients", bytes(&found.words)),
+        touched: provided(&mut g, "touched", bytes(&found.touched)),
+        scale: provided(&mut g, "scale", bytes(&scale)),
     };
     let moments = Moments {
-        tables: given(&mut g, "table_moments", bytes(&moments_of(case.tables.len()))),
-        mlp: given(&mut g, "mlp_moments", bytes(&moments_of(case.mlp.len()))),
-        flags: given(&mut g, "flags", bytes(&[0, flag])),
+        tables: provided(&mut g, "table_moments", bytes(&moments_of(case.tables.len()))),
+        mlp: provided(&mut g, "mlp_moments", bytes(&moments_of(case.mlp.len()))),
+        flags: provided(&mut g, "flags", bytes(&[0, flag])),
         flag_words: 2,
-        skipped: given(&mut g, "skipped", vec![0; 4]),
+        skipped: provided(&mut g, "skipped", vec![0; 4]),
     };
-    let tables = given(&mut g, "tables", bytes(&case.tables));
-    let mlp = given(&mut g, "mlp", bytes(&case.mlp));
-    let packed = (case.table_bits == 16).then(|| given(&mut g, "packed", bytes(&packed_tables(&case.tables))));
+    let tables = provided(&mut g, "tables", bytes(&case.tables));
+    let mlp = provided(&mut g, "mlp", bytes(&case.mlp));
+    let packed = (case.table_bits == 16).then(|| provided(&mut g, "packed", bytes(&packed_tables(&case.tables))));
     let step = g.uniform("field", size_of::<FieldStep>() as u64);
     inputs.push((step, bytes(&[case.step])));
     let field = Field { config: case.config, step, levels: tables, tables, packed, mlp };
@@ -251,9 +251,9 @@ fn a_copy_in_16_bits_follows_the_tables() {
     case.step = FieldStep { rate: 4e-3, correction1: 2.5, correction2: 300.0, ..case.step };
     let sizes = [1.0, 1e-3, 1e-5, 1e5, 3e-8];
     case.tables.iter_mut().enumerate().for_each(|(i, t)| *t *= sizes[i % sizes.len()]);
-    let mut asked = Asked::random(&case, 1.0, 13);
-    asked.options.regularized = false;
-    let found = case.backward(&gpu, &asked);
+    let mut requested = LossGradients::random(&case, 1.0, 13);
+    requested.options.regularized = false;
+    let found = case.backward(&gpu, &requested);
     let scale = [found.scale, 1.0 / found.scale];
     for flag in [0, 4] {
         case.table_bits = 32;
@@ -270,9 +270,9 @@ fn sparse_adam_is_dense_adam_that_skips_zeros() {
     let gpu = Gpu::new();
     let mut case = Case::random(SMALL, 30, 2, 12);
     case.step = FieldStep { rate: 4e-3, correction1: 2.5, correction2: 300.0, ..case.step };
-    let mut asked = Asked::random(&case, 1.0, 13);
-    asked.options.regularized = false;
-    let mut found = case.backward(&gpu, &asked);
+    let mut requested = LossGradients::random(&case, 1.0, 13);
+    requested.options.regularized = false;
+    let mut found = case.backward(&gpu, &requested);
     found.mlp[5] = 0.0;
     let scale = [found.scale, 1.0 / found.scale];
     let (tables, moments, mlp, mlp_moments, words, touched) = step_sparse(&case, &gpu, &found, scale, 0);

@@ -2,28 +2,28 @@
 
 use sgs_passes::shade::visibility::FieldConfig;
 use sgs_tests::Gpu;
-use sgs_tests::field::{Asked, Case, Found, SMALL};
+use sgs_tests::field::{Case, Found, LossGradients, SMALL};
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
 #[test]
-fn gradients_are_the_references() {
+fn visibility_gradients_match_reference() {
     let gpu = Gpu::new();
     let one = FieldConfig::new(1, 8, 5, 5);
     for (config, pixels, lights, regularizer) in [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1)] {
         let mut case = Case::random(config, pixels, lights, 8);
         case.step.regularizer = regularizer;
-        let mut asked = Asked::random(&case, 1.0, 9);
-        asked.options.regularized = regularizer > 0.0;
-        case.check_gradients(&gpu, &asked, 1e-5);
+        let mut requested = LossGradients::random(&case, 1.0, 9);
+        requested.options.regularized = regularizer > 0.0;
+        case.check_gradients(&gpu, &requested, 1e-5);
     }
 }
 
 /// Where tables are looked up in 16 bits gradients are those at the rounded numbers, at ordinary ones and at the edges.
 #[test]
-fn gradients_of_tables_in_16_bits_are_the_references() {
+fn gradients_of_16_bit_tables_match_reference() {
     let gpu = Gpu::new();
     for (regularizer, size) in [(0.0, 1.0), (0.3, 1.0), (0.0, 1e-4)] {
         let mut case = Case::random(SMALL, 120, 4, 8);
@@ -32,30 +32,30 @@ fn gradients_of_tables_in_16_bits_are_the_references() {
         case.points[0] = case.lights[0];
         case.points[1] = [1e6, -1e6, 1e30];
         case.step.regularizer = regularizer;
-        let mut asked = Asked::random(&case, 1.0, 9);
-        asked.options.regularized = regularizer > 0.0;
-        case.check_gradients(&gpu, &asked, 2e-5);
+        let mut requested = LossGradients::random(&case, 1.0, 9);
+        requested.options.regularized = regularizer > 0.0;
+        case.check_gradients(&gpu, &requested, 2e-5);
     }
 }
 
 /// Two runs, and runs with another number of workgroups where only tables are compared: their sums have no order.
 #[test]
-fn gradients_are_the_same_bits() {
+fn visibility_gradients_are_deterministic() {
     let gpu = Gpu::new();
     let mut case = Case::random(SMALL, 150, 3, 14);
     case.step.regularizer = 0.1;
-    let asked = Asked::random(&case, 1.0, 15);
-    let (a, b) = (case.backward(&gpu, &asked), case.backward(&gpu, &asked));
+    let requested = LossGradients::random(&case, 1.0, 15);
+    let (a, b) = (case.backward(&gpu, &requested), case.backward(&gpu, &requested));
     assert!(bytes(&a.mlp) == bytes(&b.mlp) && bytes(&a.lights) == bytes(&b.lights));
     assert!(a.words == b.words && a.touched == b.touched);
     // The same pixels in the other order: other workgroups have them, in another order. Without the draw of each pixel.
-    let mut asked = asked;
-    asked.options.regularized = false;
-    let a = case.backward(&gpu, &asked);
+    let mut requested = requested;
+    requested.options.regularized = false;
+    let a = case.backward(&gpu, &requested);
     case.points.reverse();
     case.coverage.reverse();
-    asked.pixels.reverse();
-    let b = case.backward(&gpu, &asked);
+    requested.pixels.reverse();
+    let b = case.backward(&gpu, &requested);
     assert!(a.words == b.words && a.touched == b.touched && a.scale == b.scale);
     assert!(
         bytes(&a.mlp) != bytes(&b.mlp),
@@ -76,21 +76,21 @@ fn gradients_at_the_edges() {
     case.lights[1] = [-100.0, 0.0, 0.9];
     case.lights[2] = case.high;
     for scale in [1.0, 1e-20, 1e20] {
-        let mut asked = Asked::random(&case, scale, 17);
-        asked.options.regularized = false;
-        case.check_gradients(&gpu, &asked, 2e-5);
+        let mut requested = LossGradients::random(&case, scale, 17);
+        requested.options.regularized = false;
+        case.check_gradients(&gpu, &requested, 2e-5);
     }
-    let asked = Asked::random(&case, 1.0, 17);
+    let requested = LossGradients::random(&case, 1.0, 17);
     let all = |f: &Found| f.mlp.iter().chain(&f.tables).chain(&f.lights).all(|x| x.is_finite());
     for weight in [30.0, 1e4, 1e15] {
         let mut wild = case.clone();
         wild.mlp.iter_mut().for_each(|w| *w *= weight);
-        assert!(all(&wild.backward(&gpu, &asked)), "weights times {weight}");
+        assert!(all(&wild.backward(&gpu, &requested)), "weights times {weight}");
     }
     let mut none = case.clone();
     none.coverage.fill(0.0);
     none.points.fill([f32::NAN; 3]);
-    let found = none.backward(&gpu, &asked);
+    let found = none.backward(&gpu, &requested);
     let zero = |v: &[f32]| v.iter().all(|x| *x == 0.0);
     assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
 }
@@ -103,8 +103,8 @@ fn sampled_pairs_are_unbiased() {
     for (scale, regularizer) in [(1.0, 0.0), (0.0, 0.3)] {
         let mut case = Case::random(FieldConfig::new(1, 8, 5, 5), 160, 6, 18);
         case.step.regularizer = regularizer;
-        let mut asked = Asked::random(&case, scale, 19);
-        asked.options.regularized = regularizer > 0.0;
+        let mut requested = LossGradients::random(&case, scale, 19);
+        requested.options.regularized = regularizer > 0.0;
         let draws = 60;
         let [mut all, mut mean] = [0, 1].map(|_| vec![0.0_f64; case.mlp.len()]);
         let mut first = [vec![], vec![]];
@@ -112,8 +112,8 @@ fn sampled_pairs_are_unbiased() {
             // The jitter is another one with each seed.
             case.step.seed = seed;
             let found = [1, 3].map(|sample| {
-                asked.options.sample = sample;
-                case.backward(&gpu, &asked).mlp.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>()
+                requested.options.sample = sample;
+                case.backward(&gpu, &requested).mlp.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>()
             });
             for (sum, found) in [&mut all, &mut mean].into_iter().zip(&found) {
                 sum.iter_mut().zip(found).for_each(|(m, f)| *m += f / f64::from(draws));
@@ -135,11 +135,11 @@ fn sampled_pairs_are_unbiased() {
 fn a_wrong_gradient_is_noticed() {
     let gpu = Gpu::new();
     let case = Case::random(SMALL, 37, 3, 8);
-    let mut asked = Asked::random(&case, 1.0, 9);
-    asked.options.regularized = false;
-    let mut expected = case.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
+    let mut requested = LossGradients::random(&case, 1.0, 9);
+    requested.options.regularized = false;
+    let mut expected = case.expected_gradients(&requested.options, |i, j| requested.by_visibility(i, j));
     let largest =
         (0..expected.tables.len()).max_by(|a, b| expected.tables[*a].abs().total_cmp(&expected.tables[*b].abs()));
     expected.tables[largest.unwrap()] *= 1.01;
-    case.backward(&gpu, &asked).check(&expected, true, 1e-5);
+    case.backward(&gpu, &requested).check(&expected, true, 1e-5);
 }

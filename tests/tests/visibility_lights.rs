@@ -3,7 +3,7 @@
 
 use sgs_engine::MatrixShape;
 use sgs_engine::graph::{Buffer, Graph};
-use sgs_passes::reference::visibility as twin;
+use sgs_passes::reference::visibility as reference;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_normals_bwd, lights_prepare,
     lights_prepare_bwd,
@@ -72,7 +72,7 @@ impl Scene {
         gains: &[f32],
     ) -> (Lights, LightParameters, Vec<(Buffer, Vec<u8>)>) {
         let mut inputs = Vec::new();
-        let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+        let mut provided = |g: &mut Graph, name: &str, data: Vec<u8>| {
             let buffer = g.input(name, data.len() as u64);
             inputs.push((buffer, data));
             buffer
@@ -80,18 +80,18 @@ impl Scene {
         let mut lobes = model().start_lobes();
         lobes.iter_mut().enumerate().for_each(|(i, x)| *x += 0.3 * (i as f32).cos());
         let parameters = LightParameters {
-            positions: given(g, "positions", bytes(&self.case.lights)),
-            lobes: given(g, "lobes", bytes(&lobes)),
-            gains: given(g, "gains", bytes(gains)),
+            positions: provided(g, "positions", bytes(&self.case.lights)),
+            lobes: provided(g, "lobes", bytes(&lobes)),
+            gains: provided(g, "gains", bytes(gains)),
         };
         let surfaces = Surfaces {
-            points: given(g, "points", bytes(&self.case.points)),
-            normals: given(g, "normals", bytes(&self.normals)),
-            coverage: given(g, "coverage", bytes(&self.case.coverage)),
+            points: provided(g, "points", bytes(&self.case.points)),
+            normals: provided(g, "normals", bytes(&self.normals)),
+            coverage: provided(g, "coverage", bytes(&self.case.coverage)),
         };
         let materials = PixelMaterials {
-            materials: given(g, "materials", bytes(&self.materials)),
-            metallic: metallic.then(|| given(g, "metallic", bytes(&self.metallic))),
+            materials: provided(g, "materials", bytes(&self.materials)),
+            metallic: metallic.then(|| provided(g, "metallic", bytes(&self.metallic))),
         };
         let step = g.uniform("step", size_of::<Step>() as u64);
         let mut values = Step::default();
@@ -130,7 +130,7 @@ impl Scene {
     }
 }
 
-/// Pictures by a field, in every way that there is, against each light's alone times what `visibility` says.
+/// Images by a field, in every way that there is, against each light's alone times what `visibility` says.
 fn seen_as(gpu: &Gpu, tuning: Tuning, scene: &Scene, visibility: impl Fn(usize, usize) -> f64, tolerance: Tolerance) {
     for metallic in [false, true] {
         let alone = scene.unshadowed(gpu, metallic);
@@ -144,41 +144,41 @@ fn seen_as(gpu: &Gpu, tuning: Tuning, scene: &Scene, visibility: impl Fn(usize, 
         let mut g = Graph::new("lights_field");
         let (what, mut inputs) = scene.declare(gpu, &mut g, metallic, &[1.0; LIGHTS]);
         let field = scene.field(&mut g, &mut inputs);
-        let [picture, direct, split, diffuse] =
+        let [image, direct, split, diffuse] =
             ["picture", "direct", "split", "diffuse"].map(|n| g.external(n, 12 * PIXELS as u64));
-        lights_field(&mut g, tuning, &what, &field, picture).unwrap();
+        lights_field(&mut g, tuning, &what, &field, image).unwrap();
         lights_split_field(&mut g, tuning, &what, &field, split, diffuse).unwrap();
         let sums = lights_train_field(&mut g, tuning, &what, &field, direct).unwrap();
-        let kept = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
-        g.copy("keep", sums.buffer, kept).unwrap();
+        let retained = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
+        g.copy("keep", sums.buffer, retained).unwrap();
         let out = gpu.run(g, &inputs);
-        assert_close("picture", &expected, &out.get(picture), tolerance);
+        assert_close("picture", &expected, &out.get(image), tolerance);
         assert_close("in training", &expected, &out.get(direct), tolerance);
         assert_close("in parts", &expected, &out.get(split), tolerance);
         let (whole, diffuse) = (out.get::<f32>(split), out.get::<f32>(diffuse));
         assert!(whole.iter().zip(&diffuse).all(|(w, d)| *d >= 0.0 && *d <= w * (1.0 + 1e-5)));
-        assert!(out.get::<f32>(kept).iter().all(|x| x.is_finite()));
+        assert!(out.get::<f32>(retained).iter().all(|x| x.is_finite()));
     }
 }
 
 #[test]
-fn lights_are_seen_as_the_field_says() {
+fn light_visibility_matches_field() {
     let gpu = Gpu::new();
     let scene = Scene::new();
-    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let (field, at) = (scene.case.reference(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
     let visibility = |i, j| field.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
     seen_as(&gpu, gpu.tuning(), &scene, visibility, Tolerance::new(1e-7, 1e-4));
 }
 
 /// And as a field says whose tables are looked up in 16 bits, which is another.
 #[test]
-fn lights_are_seen_as_tables_of_halves_say() {
+fn light_visibility_matches_16_bit_tables() {
     let gpu = Gpu::new();
     let mut scene = Scene::new();
-    let exact = scene.case.twin();
+    let exact = scene.case.reference();
     scene.case.table_bits = 16;
-    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
-    let of = |f: &twin::Field, i, j| f.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
+    let (field, at) = (scene.case.reference(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let of = |f: &reference::Field, i, j| f.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
     let apart = (0..PIXELS).map(|i| (of(&field, i, 0) - of(&exact, i, 0)).abs()).fold(0.0, f64::max);
     assert!(apart > 1e-5 && apart < 1e-3, "{apart}");
     seen_as(&gpu, gpu.tuning(), &scene, |i, j| of(&field, i, j), Tolerance::new(1e-7, 1e-4));
@@ -192,12 +192,12 @@ fn lights_are_seen_as_tables_of_halves_say() {
 /// The same with the second layer in pieces of 16-bit operands; the reference rounds them too. Layers are large enough for exact ones
 /// to be noticed.
 #[test]
-fn lights_are_seen_as_a_field_of_halves_says() {
+fn light_visibility_matches_half_precision_field() {
     let gpu = Gpu::new();
     let mut scene = Scene::new();
     let first = 32 * scene.case.config.inputs();
     scene.case.mlp[first..].iter_mut().for_each(|w| *w *= 4.0);
-    let (field, at) = (scene.case.twin(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
+    let (field, at) = (scene.case.reference(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
     let exact = |i, j| field.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
     let half = |i, j| field.visibility_half(at(&scene.case.points, i), at(&scene.case.lights, j));
     let pairs = (0..PIXELS).flat_map(|i| (0..LIGHTS).map(move |j| (i, j)));
@@ -221,10 +221,10 @@ fn the_field_learns_from_lights() {
         scene.case.table_bits = table_bits;
         let alone = scene.unshadowed(&gpu, metallic);
         let options = BackwardOptions { regularized: regularizer > 0.0, ..Default::default() };
-        let asked = |i: usize, j: usize| -> f64 {
+        let requested = |i: usize, j: usize| -> f64 {
             (0..3).map(|k| f64::from(scene.gradient[i][k]) * f64::from(alone[j][3 * i + k])).sum()
         };
-        let expected = scene.case.expected_gradients(&options, asked);
+        let expected = scene.case.expected_gradients(&options, requested);
         let mut g = Graph::new("visibility_lights_bwd");
         let (what, mut inputs) = scene.declare(&gpu, &mut g, metallic, &[1.0; LIGHTS]);
         let field = scene.field(&mut g, &mut inputs);
@@ -264,7 +264,7 @@ fn the_field_learns_from_lights() {
 /// Radiance is proportional to amplitudes, so a light's gradients by their logarithms add up to what the light sends times what is
 /// asked, channel by channel: visibility included.
 #[test]
-fn lights_learn_as_far_as_they_are_seen() {
+fn light_gradients_scale_with_visibility() {
     let gpu = Gpu::new();
     for table_bits in [32, 16] {
         let mut scene = Scene::new();
@@ -287,7 +287,7 @@ fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
     let gradients = lights_bwd_field(&mut g, gpu.tuning(), &what, &field, gradient).unwrap();
     lights_prepare_bwd(&mut g, &what.prepared, &parameters, &gradients, None, &into).unwrap();
     let found = gpu.run(g, &inputs).get::<f32>(into.lobes);
-    let reference = scene.case.twin();
+    let reference = scene.case.reference();
     let (mut expected, mut sums) = (vec![], vec![]);
     for j in 0..LIGHTS {
         for k in 0..3 {
@@ -305,7 +305,7 @@ fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
 
 /// What is asked of normals is what each light alone would ask, times how far it is seen.
 #[test]
-fn normals_learn_as_far_as_lights_are_seen() {
+fn normal_gradients_scale_with_visibility() {
     let gpu = Gpu::new();
     for table_bits in [32, 16] {
         let mut scene = Scene::new();
@@ -329,7 +329,7 @@ fn normals_learn_as_seen(gpu: &Gpu, scene: &Scene) {
         }
         gpu.run(g, &inputs).get::<f32>(normals)
     };
-    let reference = scene.case.twin();
+    let reference = scene.case.reference();
     let mut expected = vec![0.0; 3 * PIXELS];
     for j in 0..LIGHTS {
         let gains: Vec<f32> = (0..LIGHTS).map(|i| f32::from(i == j)).collect();

@@ -47,7 +47,7 @@ fn rounds_as_the_reference(name: &str, case: &Case, one: Option<u32>, found: &[f
 }
 
 #[test]
-fn pieces_of_every_shape_make_the_same_layer() {
+fn matrix_tiles_of_every_shape_match() {
     let gpu = Gpu::new();
     // With tables of 16 bits as well.
     for table_bits in [32, 16] {
@@ -66,7 +66,7 @@ fn pieces_of_every_shape_make_the_same_layer() {
 }
 
 #[test]
-fn operands_are_rounded_as_the_reference_rounds_them() {
+fn operand_rounding_matches_reference() {
     let gpu = Gpu::new();
     let tuning = by_pieces(gpu.tuning(), 8, SHAPES[2], false);
     for scale in [1.0, 4.0] {

@@ -49,14 +49,14 @@ fn listening(child: &Child) -> Vec<String> {
 
 /// Where the page of a training is, as it says itself.
 fn address(child: &mut Child) -> String {
-    let mut said = BufReader::new(child.stderr.take().expect("a pipe"));
+    let mut output = BufReader::new(child.stderr.take().expect("a pipe"));
     let mut line = String::new();
     while !line.contains("http://") {
         line.clear();
-        assert!(said.read_line(&mut line).expect("text") > 0, "it never says where the page is");
+        assert!(output.read_line(&mut line).expect("text") > 0, "it never says where the page is");
     }
     // What else it says is not to fill the pipe.
-    std::thread::spawn(move || said.lines().for_each(drop));
+    std::thread::spawn(move || output.lines().for_each(drop));
     line.split_whitespace().find(|w| w.starts_with("http://")).expect("an address").to_owned()
 }
 
@@ -116,23 +116,23 @@ fn a_page_follows_the_training() {
     until_page(&mut browser, "document.querySelectorAll('#views .slider').length === 2");
     let whole = "[...document.images].every(i => i.complete && i.naturalWidth > 0)";
     until_page(&mut browser, whole);
-    // Curves grow, other pictures come, and a slider that was moved stays.
-    let [last, shown] = [
+    // Curves grow, other images come, and a slider that was moved stays.
+    let [last, visible] = [
         "[...document.querySelectorAll('#curves svg')][0].lastElementChild.textContent",
         "document.querySelector('#views p').textContent",
     ];
-    let [before, pictures] = [last, shown].map(|e| browser.eval(e));
-    assert!(pictures.as_str().is_some_and(|p| p.contains("of geometry") && p.contains("% of the time")), "{pictures}");
+    let [before, images] = [last, visible].map(|e| browser.eval(e));
+    assert!(images.as_str().is_some_and(|p| p.contains("of geometry") && p.contains("% of the time")), "{images}");
     browser.eval("{ const s = document.querySelector('.slider input'); s.value = 80; place(s); 1 }");
     until_page(&mut browser, &format!("{last} !== {before}"));
-    until_page(&mut browser, &format!("{shown} !== {pictures}"));
+    until_page(&mut browser, &format!("{visible} !== {images}"));
     assert_eq!(browser.eval("document.querySelector('.slider input').value"), "80");
     let ours = format!("asks for {page}live?");
     let complaints: Vec<String> = browser.complaints().into_iter().filter(|c| !c.starts_with(&ours)).collect();
     assert_eq!(complaints, [""; 0]);
-    let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch.png");
-    browser.photograph(true, &kept);
-    eprintln!("the page is in {}", kept.display());
+    let retained = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch.png");
+    browser.photograph(true, &retained);
+    eprintln!("the page is in {}", retained.display());
 
     let curve =
         "[...document.querySelectorAll('#curves figcaption')].some(c => c.textContent.startsWith('PSNR of held'))";
@@ -155,14 +155,14 @@ fn a_page_follows_the_training() {
 }
 
 #[test]
-fn whoever_watches_changes_nothing() {
+fn watching_does_not_change_training() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     sgs(&arguments(&place, "plain", [40, 12])).ok();
     let mut a = arguments(&place, "watched", [40, 12]);
     a.push("--watch=0".into());
-    let said = sgs(&a).ok();
-    assert!(said.stderr.contains("watch it at http://127.0.0.1:"), "{}", said.stderr);
-    assert!(!said.stderr.contains("no more pictures"), "{}", said.stderr);
+    let output = sgs(&a).ok();
+    assert!(output.stderr.contains("watch it at http://127.0.0.1:"), "{}", output.stderr);
+    assert!(!output.stderr.contains("no more pictures"), "{}", output.stderr);
     place.assert_same("plain", "watched");
     for file in ["lights.json", "environment.exr", "visibility.safetensors"] {
         assert!(place.read(&format!("plain/{file}")) == place.read(&format!("watched/{file}")), "{file}");

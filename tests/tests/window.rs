@@ -1,5 +1,5 @@
 //! `sgs view` in a real window, under Xvfb, by real input: what the screen shows, what the mouse and the keys do, that edits
-//! and pictures are those of the other commands, and what is refused.
+//! and images are those of the other commands, and what is refused.
 
 use glam::{DMat3, DVec3};
 use sgs_relight::Edit;
@@ -37,7 +37,7 @@ fn bytes(path: &Path) -> (u32, Vec<u8>) {
     (picture.width(), picture.into_raw())
 }
 
-/// Largest difference of two pictures in 255ths, and how much of them differs by more than 8.
+/// Largest difference of two images in 255ths, and how much of them differs by more than 8.
 fn apart(a: &Path, b: &Path) -> (u8, f64) {
     let ((width, a), (other, b)) = (bytes(a), bytes(b));
     assert_eq!((width, a.len()), (other, b.len()));
@@ -51,7 +51,7 @@ fn camera_of(path: &Path) -> Camera {
 }
 
 #[test]
-fn what_the_screen_shows_is_what_render_writes() {
+fn window_matches_render_output() {
     let Some(screen) = Screen::start([400, 300]) else { return };
     let place = place();
     let (run, cameras) = (place.text("run"), place.text("cameras.json"));
@@ -64,11 +64,11 @@ fn what_the_screen_shows_is_what_render_writes() {
         a.extend(["--frames", "8", "--save", &saved]);
         a.extend(["--size", "240x160"]);
         let child = start_with(&a, &[("DISPLAY", screen.name())]);
-        let said = wait(child).ok().json();
-        assert_eq!((&said["frames"], &said["size"]), (&8.into(), &serde_json::json!(SIZE)), "{said}");
-        assert_eq!(said["made_later"], 0, "frames make something: {said}");
-        let wanted = place.path(&format!("rendered/first_{channel}.png"));
-        let (most, _) = apart(&place.path("saved.png"), &wanted);
+        let output = wait(child).ok().json();
+        assert_eq!((&output["frames"], &output["size"]), (&8.into(), &serde_json::json!(SIZE)), "{output}");
+        assert_eq!(output["made_later"], 0, "frames make something: {output}");
+        let requested = place.path(&format!("rendered/first_{channel}.png"));
+        let (most, _) = apart(&place.path("saved.png"), &requested);
         assert!(most <= 1, "{channel}: {most}");
     }
     let (_, differ) = apart(&place.path("rendered/first_pbr.png"), &place.path("rendered/first_albedo.png"));
@@ -93,7 +93,7 @@ fn an_exported_glb_is_shown() {
     }
 }
 
-/// The part of the screen below the lines of text, against a picture of the window's size.
+/// The part of the screen below the lines of text, against an image of the window's size.
 fn on_screen(screen: &Image, picture: &Path, at: [usize; 2]) -> f64 {
     let (width, texels) = bytes(picture);
     let rows = texels.len() / 3 / width as usize;
@@ -154,7 +154,7 @@ fn the_window_is_used_as_people_do() {
     };
     assert!(apart(&turned, &render(1, "pbr")).0 <= 1);
 
-    // A light is taken and moved, dimmed up and colored: the picture follows, and relighting by the edit gives the same.
+    // A light is taken and moved, dimmed up and colored: the image follows, and relighting by the edit gives the same.
     let before = read_lights(&place.path("run/lights.json")).unwrap();
     let at = seen_with.project(DVec3::from(before.lights[3].position.map(f64::from))).expect("in front");
     let (from, to) = ([left + at.x, top + at.y], [left + at.x + 24.0, top + at.y - 18.0]);
@@ -213,8 +213,8 @@ fn the_window_is_used_as_people_do() {
 
     assert!(child.try_wait().unwrap().is_none());
     key("Escape");
-    let said = wait(child).ok().json();
-    assert_eq!(said["files"].as_array().map(Vec::len), Some(7), "{said}");
+    let output = wait(child).ok().json();
+    assert_eq!(output["files"].as_array().map(Vec::len), Some(7), "{output}");
 }
 
 #[test]

@@ -1,5 +1,4 @@
-//! `engine-bench ceiling`: the most that the device does, measured on the device. Every share of other commands is a
-//! share of this.
+//! `engine-bench ceiling`: peak rates measured on the device. Other commands report shares of this ceiling.
 
 use crate::ceiling::Ceiling;
 use crate::common::Common;
@@ -142,7 +141,7 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// A dispatch, a barrier and a submission: what is left when there is nothing to do.
+/// Overhead of a dispatch, a barrier and a submission without work.
 fn overheads(device: &Device, report: &mut Report, warmup: u32, repeats: u32) -> anyhow::Result<()> {
     let (few, many) = (32, 512);
     let slope = |ordered: bool| -> anyhow::Result<f64> {

@@ -1,4 +1,4 @@
-//! What a large plan costs the host: compiling it, proving it, and replaying it.
+//! Host cost of a large plan: compilation, proof and replay.
 
 use crate::harness::Rig;
 use crate::report::Report;
@@ -12,15 +12,15 @@ use std::time::Instant;
 /// Passes of the plan.
 const PASSES: u32 = 1000;
 
-/// A step of so many small passes, none of which can be dropped: kernels, and copies of what was made lately or long ago.
+/// A step of so many small passes, none of which can be dropped: kernels, and copies of recent or old results.
 fn large() -> Result<Graph, GraphError> {
     let mut g = Graph::new("thousand");
     let (bytes, kinds) = (256, 24);
-    let kept: Vec<_> =
+    let stored: Vec<_> =
         (0..kinds).map(|i| g.external(format!("kept{i}"), bytes * (PASSES as u64 / kinds + 1))).collect();
     let transients: Vec<_> = (0..PASSES / 4).map(|i| g.transient(format!("transient{i}"), bytes)).collect();
     // Where a pass leaves its result: every pass but each fourth has a place of its own.
-    let own = |pass: u64| kept[(pass % kinds) as usize].slice(pass / kinds * bytes, bytes);
+    let own = |pass: u64| stored[(pass % kinds) as usize].slice(pass / kinds * bytes, bytes);
     for i in 0..u64::from(PASSES) {
         let (made, name) = (transients[i as usize / 4], format!("pass{i}"));
         match i % 4 {

@@ -15,7 +15,7 @@ use std::time::Instant;
 /// Runs the command.
 ///
 /// # Errors
-/// If the device fails, or what is measured is not what it should be.
+/// If the device fails, or a result is wrong.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut report = common.report("step", &device);
@@ -89,7 +89,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// What is modeled by now: settings say what there may be at most.
+/// Current size of the model; settings are upper bounds.
 fn modeled(report: &mut Report, training: &Intrinsic) -> anyhow::Result<()> {
     let (options, required) = (training.options(), training.required());
     match &options.lights {

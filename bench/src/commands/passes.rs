@@ -35,8 +35,8 @@ pub struct Args {
 /// # Errors
 /// If the device fails, or a stage's result is wrong.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let wanted = |name: &str| a.filter.as_ref().is_none_or(|f| name.contains(f.as_str()));
-    let stages: Vec<_> = STAGES.iter().filter(|(name, _)| wanted(name)).collect();
+    let selected = |name: &str| a.filter.as_ref().is_none_or(|f| name.contains(f.as_str()));
+    let stages: Vec<_> = STAGES.iter().filter(|(name, _)| selected(name)).collect();
     if stages.is_empty() {
         let names: Vec<&str> = STAGES.iter().map(|(name, _)| *name).collect();
         anyhow::bail!("No stage is called \"{}\"; there are {}.", a.filter.as_deref().unwrap_or(""), names.join(", "));

@@ -1,4 +1,4 @@
-//! `engine-bench join` and `engine-bench table`: from reports to one file a device, and to the README's table.
+//! `engine-bench join` and `engine-bench table`: from reports to one file a device, and to the table of docs/project/benchmarks.md.
 
 use crate::report::set::{ReportSet, table};
 use std::path::PathBuf;

@@ -1,8 +1,9 @@
-//! `engine-bench savings`: what each exact saving of the intrinsic stage is worth, against the same computation without it.
+//! `engine-bench savings`: time of each exact optimization of the intrinsic stage, with and without it.
 //!
-//! Both forms are timed on the same data and must agree. What is measured: the split first layer of the visibility network,
-//! irradiance and Fresnel's factor out of the sum over lights, lights behind the surface, lights that are off, and views' weights
-//! kept from step to step. And two that are not exact, at stated errors: faint lights left out, and pairs that teach the field.
+//! Both forms are timed on the same data and must agree. Measured: the split first layer of the visibility network,
+//! irradiance and Fresnel's factor out of the sum over lights, lights behind the surface, lights that are off, and views'
+//! weights stored from step to step. Two are approximate, at stated errors: culling of faint lights, and supervision of the
+//! field by a sample of pairs.
 
 use super::ceiling::measure_ceiling;
 use super::step::Args as StepArgs;
@@ -71,14 +72,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Adds both forms, and by how much the saving is faster.
+/// Adds the times of both forms, and their ratio.
 fn add(report: &mut Report, name: &str, plain: Summary, saved: Summary) {
     report.time(&format!("{name}: without"), "ms", plain.scaled(1e-6));
     report.time(&format!("{name}: with"), "ms", saved.scaled(1e-6));
     report.fact(&format!("{name}: times faster"), (100.0 * plain.median / saved.median.max(1.0)).round() / 100.0);
 }
 
-/// That two results are the same but for rounding.
+/// Checks that two results agree up to rounding.
 fn same(name: &str, a: &[f32], b: &[f32], relative: f32) -> anyhow::Result<()> {
     let scale = a.iter().map(|x| x.abs()).sum::<f32>() / a.len().max(1) as f32;
     ensure!(a.len() == b.len() && scale > 0.0, "{name}: there is nothing to compare.");
@@ -109,7 +110,7 @@ impl Bench<'_> {
         Ok(Form { times: Summary::of(&sums), result: rig.get(result)? })
     }
 
-    /// The network's first layer: what it makes of a point worked out once, or for each light.
+    /// The network's first layer: a point's response computed once, or for each light.
     fn first_layer(&self, report: &mut Report) -> anyhow::Result<()> {
         let config = FieldConfig::default();
         let n = self.lit.points.len() as u64;
@@ -151,7 +152,7 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// What is taken out of the sum over lights, each by itself and all together.
+    /// Factors taken out of the sum over lights, each separately and all together.
     fn sums(&self, report: &mut Report) -> anyhow::Result<()> {
         let form = |irradiance: bool, fresnel: bool, facing: bool| {
             let mut g = Graph::new("sums");
@@ -219,7 +220,7 @@ impl Bench<'_> {
         self.measure(g, b.inputs, "lights_train", direct)
     }
 
-    /// Three of ten lights switched off, as where views are shown under other lights.
+    /// Three of ten lights switched off, as in views under other lights.
     fn off(&self, report: &mut Report) -> anyhow::Result<()> {
         let gains: Vec<f32> = (0..self.model.lights).map(|i| f32::from(u8::from(i % 10 >= 3))).collect();
         let faint: Vec<f32> = gains.iter().map(|g| g.max(1e-20)).collect();
@@ -230,7 +231,7 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Faint lights left out of blocks of pixels.
+    /// Faint lights culled per block of pixels.
     fn culled(&self, report: &mut Report, error: f32) -> anyhow::Result<()> {
         let gains = vec![1.0; self.model.lights as usize];
         // The share is of the brightest diffuse white there is.
@@ -249,7 +250,7 @@ impl Bench<'_> {
     }
 }
 
-/// Steps of training with views' weights kept and worked out anew, and with one pair of 16 teaching the field.
+/// Training steps with views' weights stored and recomputed, and with one pair of 16 supervising the field.
 fn steps(common: &Common, a: &Args, size: [u32; 2], report: &mut Report) -> anyhow::Result<()> {
     let mut base = lit_settings(None)?;
     let lit = LitScene::open(None, None, size, &mut base)?;
@@ -268,13 +269,13 @@ fn steps(common: &Common, a: &Args, size: [u32; 2], report: &mut Report) -> anyh
         }
         Ok(Form { times: Summary::of(&wall), result: losses })
     };
-    let kept = form(&|_| {})?;
-    let anew = form(&|s| s.intrinsic.surface_bytes = 1)?;
-    ensure!(kept.result == anew.result, "Steps with weights that are kept and with new ones differ.");
-    add(report, "a step, weights of views kept", anew.times, kept.times);
+    let stored = form(&|_| {})?;
+    let recomputed = form(&|s| s.intrinsic.surface_bytes = 1)?;
+    ensure!(stored.result == recomputed.result, "Steps with stored weights and with recomputed ones differ.");
+    add(report, "a step, weights of views kept", recomputed.times, stored.times);
     let sampled = form(&|s| s.intrinsic.visibility.sample = 16)?;
     ensure!(sampled.result.iter().all(|l| l.is_finite()), "A loss is not finite.");
-    add(report, "a step, one pair of 16 teaching the field (not exact)", kept.times, sampled.times);
-    report.check("weights that are kept give the losses of new ones, bit by bit");
+    add(report, "a step, one pair of 16 teaching the field (not exact)", stored.times, sampled.times);
+    report.check("stored weights give the losses of recomputed ones, bit by bit");
     Ok(())
 }

@@ -42,8 +42,8 @@ pub struct Args {
     /// Settings of the intrinsic stage from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// A run of the intrinsic stage in place of scene, geometry and settings: the step that it has come to, without what has been
-    /// left out.
+    /// A run of the intrinsic stage in place of scene, geometry and settings: its current step, without the disabled
+    /// components.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "geometry", "config", "gaussians", "size"])]
     pub run: Option<PathBuf>,
     /// Steps to measure, in place of --repeats.
@@ -58,7 +58,7 @@ pub struct Args {
     /// With the semantic loss; the scene must have the priors.
     #[arg(long, requires = "scene")]
     pub semantics: bool,
-    /// With two pseudo-views, and a region that is compared.
+    /// With two pseudo-views, and correspondence of a region.
     #[arg(long, requires = "semantics")]
     pub pseudo: bool,
     /// Degree of the spherical harmonics.
@@ -155,7 +155,7 @@ impl Args {
 /// Runs the command.
 ///
 /// # Errors
-/// If the device fails, or what is measured is not what it should be.
+/// If the device fails, or a result is wrong.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic || a.run.is_some() {
         return super::intrinsic::run(common, a);
@@ -267,7 +267,7 @@ fn counts(
     Ok(counts)
 }
 
-/// Times by the host's clock, without timestamps, and what must not happen in a steady state.
+/// Host times without timestamps, and checks of the steady state.
 fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
     let wall = Summary::of(&run.wall);
     let host = Summary::of(&run.host);
@@ -297,7 +297,7 @@ fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a plan is made of.
+/// Composition of a plan.
 pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     let passes: usize = plan.groups.iter().map(|g| g.passes.len()).sum();
     let barriers = plan.groups.iter().filter(|g| g.barrier.is_some()).count();
@@ -308,7 +308,7 @@ pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     );
 }
 
-/// Memory, in all and by Gaussian: the slope is what the same scene with half of the Gaussians would need less.
+/// Memory in total and per Gaussian; the slope comes from the same scene with half of the Gaussians.
 fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &mut Trainer<'_>) -> anyhow::Result<()> {
     let count = workload.start.len();
     let (used, _) = device.memory_use();
@@ -361,7 +361,7 @@ fn shallow(w: &Workload) -> Workload {
     }
 }
 
-/// Whether training does what it is for: a step that computes nonsense may be fast.
+/// Checks that training reduces the loss: a wrong step may be fast.
 fn losses(report: &mut Report, first: &Run, last: &Run) -> anyhow::Result<()> {
     let mean = |run: &Run| {
         run.reports.iter().map(|r| f64::from(r.losses.total)).sum::<f64>() / run.reports.len().max(1) as f64
@@ -375,7 +375,7 @@ fn losses(report: &mut Report, first: &Run, last: &Run) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Renders of the trained Gaussians; each pass, and the whole with the picture read back.
+/// Renders of the trained Gaussians; each pass, and the whole with the image read back.
 fn render(
     device: &Device,
     common: &Common,
@@ -395,14 +395,14 @@ fn render(
     for i in 0..common.warmup.max(1) + report.repeats {
         let (camera, _) = workload.views[i as usize % workload.views.len()];
         let begin = std::time::Instant::now();
-        let picture = renderer.render(gaussians, &camera, degree, background)?;
+        let rendered = renderer.render(gaussians, &camera, degree, background)?;
         if i < common.warmup.max(1) {
             renderer.executor().take_times();
         } else {
             wall.push(begin.elapsed().as_secs_f64() * 1e3);
         }
-        let finite = picture.image.iter().chain(&picture.transmittance).all(|v| v.is_finite());
-        anyhow::ensure!(finite, "A rendered picture holds numbers that are not finite.");
+        let finite = rendered.image.iter().chain(&rendered.transmittance).all(|v| v.is_finite());
+        anyhow::ensure!(finite, "A rendered image holds numbers that are not finite.");
     }
     let times = renderer.executor().take_times();
     let plan = renderer.executor().plan().clone();

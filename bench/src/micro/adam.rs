@@ -1,4 +1,4 @@
-//! `adam` on the widest group, scalar by scalar against its twin.
+//! `adam` on the widest group, scalar by scalar against its reference.
 
 use super::Context;
 use super::view::work_of;
@@ -7,7 +7,7 @@ use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
-use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::Group;
 use sgs_shaders::structs::{Step, Work};
@@ -45,7 +45,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         skipped,
     };
     adam(&mut g, c.tuning, "adam", &what)?;
-    let rates = twin::Rates::at(RATE, 1);
+    let rates = reference::Rates::at(RATE, 1);
     let values = Step {
         lr_sh_rest: RATE as f32,
         correction1: rates.correction1 as f32,
@@ -62,22 +62,22 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let counts = Counts { elements: scalars as f64, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
-    // Every replay was a step with the same rates and gradients; the twin takes as many.
+    // Every replay was a step with the same rates and gradients; the reference takes as many.
     let steps = c.warmup.max(1) + c.repeats;
-    let (found, kept): (Vec<f32>, Vec<[f32; 2]>) = (rig.get(parameters)?, rig.get(moments)?);
+    let (found, stored): (Vec<f32>, Vec<[f32; 2]>) = (rig.get(parameters)?, rig.get(moments)?);
     for i in 0..scalars {
         let (mut p, mut m) = (f64::from(start[i]), [0.0; 2]);
         for _ in 0..steps {
-            (p, m) = twin::adam(p, m, f64::from(slope[i]), rates);
+            (p, m) = reference::adam(p, m, f64::from(slope[i]), rates);
         }
         let close =
             |a: f32, b: f64, absolute: f64, relative: f64| (f64::from(a) - b).abs() <= absolute + relative * b.abs();
         let right = close(found[i], p, 1e-4 * RATE * f64::from(steps), 1e-6 * f64::from(steps))
-            && close(kept[i][0], m[0], 1e-9, 1e-4)
-            && close(kept[i][1], m[1], 1e-20, 1e-4);
+            && close(stored[i][0], m[0], 1e-9, 1e-4)
+            && close(stored[i][1], m[1], 1e-20, 1e-4);
         anyhow::ensure!(right, "Scalar {i} is {} after {steps} steps, but should be {p}.", found[i]);
     }
     anyhow::ensure!(rig.get::<u32>(skipped)? == [0], "Adam skipped gradients that are finite.");
-    report.check(format!("adam: all of {scalars} scalars after {steps} steps are those of the twin"));
+    report.check(format!("adam: all of {scalars} scalars after {steps} steps are those of the reference"));
     Ok(())
 }

@@ -1,11 +1,11 @@
-//! `project`, `intersect` and `blend` of one view, pixel by pixel against the CPU twin's picture.
+//! `project`, `intersect` and `blend` of one view, pixel by pixel against the CPU reference's image.
 
 use super::Context;
 use super::view::{Subject, overlap};
 use crate::harness::{add_passes, spans};
 use crate::report::Report;
 use crate::stats::Summary;
-use crate::workload::{twin_camera, twin_gaussians};
+use crate::workload::{reference_camera, reference_gaussians};
 use sgs_passes::cost::Counts;
 use sgs_passes::reference::blend::{Blended as Truth, render};
 use sgs_passes::splat::{Blended, Channels, blend};
@@ -13,7 +13,7 @@ use sgs_passes::splat::{Blended, Channels, blend};
 /// Where no threshold is near, single and double precision may differ by this much.
 const LARGEST: f64 = 5e-3;
 
-/// Decibels that the whole picture must reach: thresholds decided the other way are rare and small.
+/// Minimum PSNR of the whole image, dB: thresholds decided the other way are rare and small.
 const PSNR: f64 = 55.0;
 
 /// The view that stages are measured with.
@@ -23,7 +23,7 @@ pub fn subject<'s>(c: &'s Context<'_>) -> Subject<'s> {
     Subject { device: c.device, tuning: c.tuning, model: w.model, data: &w.start, camera: w.views[0].0, channels }
 }
 
-/// What the view counts.
+/// Counts of the view.
 pub fn counts(s: &Subject<'_>) -> anyhow::Result<Counts> {
     let o = overlap(s)?;
     Ok(Counts {
@@ -57,16 +57,16 @@ pub fn forward(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     report.time("view, project to blend", "ms", Summary::of(&spans(&inner)).scaled(1e-6));
     report.fact("view: visible, entries", format!("{:.0}, {:.0}", counts.visible, counts.entries));
     let degree = s.model.sh_degree as usize;
-    let truth = render(&twin_gaussians(s.data), &twin_camera(&s.camera), degree, s.channels.depth, [0.0; 3]);
+    let truth = render(&reference_gaussians(s.data), &reference_camera(&s.camera), degree, s.channels.depth, [0.0; 3]);
     let image: Vec<f32> = rig.get(into.image)?;
     let transmittance: Vec<f32> = rig.get(into.transmittance)?;
     let (largest, psnr, doubtful) = difference(&image, &transmittance, &truth, channels as usize);
     anyhow::ensure!(
         largest < LARGEST && psnr > PSNR,
-        "The picture differs from the twin's by {largest:.2e} where it may not ({psnr:.1} dB over all)."
+        "The image differs from the reference's by {largest:.2e} where it may not ({psnr:.1} dB over all)."
     );
     report.check(format!(
-        "project, intersect, blend: {psnr:.1} dB from the twin's picture, at most {largest:.1e} off in {:.1} % of the pixels (the rest is near a threshold)",
+        "project, intersect, blend: {psnr:.1} dB from the reference's image, at most {largest:.1e} off in {:.1} % of the pixels (the rest is near a threshold)",
         100.0 * (1.0 - doubtful)
     ));
     Ok(())

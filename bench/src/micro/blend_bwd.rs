@@ -1,8 +1,8 @@
-//! `blend_bwd` by all kernels that the device has, and which of them is faster here.
+//! All kernels of `blend_bwd` on the device, and their times.
 //!
-//! Checked twice. The picture is linear in the features, so their gradients times themselves, summed over all entries,
-//! are the picture times its gradient, summed over all pixels: an identity that no kernel's method enters. And the kernels, which
-//! share no code for it, must agree on every gradient: by entry, or by splat with the one that leaves sums.
+//! Checked twice. The image is linear in the features, so their gradients times themselves, summed over all entries, are the
+//! image times its gradient, summed over all pixels: an identity that holds for every kernel. The kernels share no code and
+//! must also agree on every gradient: by entry, or by splat with the one that writes sums.
 
 use super::Context;
 use super::blend::{counts, subject};
@@ -19,7 +19,7 @@ use sgs_shaders::structs::Work;
 /// Relative error of the identity: sums of millions of single-precision products.
 const IDENTITY: f64 = 1e-3;
 
-/// What is read back of one kernel.
+/// Outputs of one kernel for readback.
 struct Outcome {
     which: BackwardKernel,
     /// By entry, or by splat where the kernel adds up.
@@ -53,7 +53,7 @@ impl Outcome {
     }
 }
 
-struct Kept {
+struct Outputs {
     gradients: Buffer,
     owners: Buffer,
     features: Buffer,
@@ -70,19 +70,19 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         if !which.runs_on(c.device.info()) {
             continue;
         }
-        let (mut rig, kept) = build(c, &s, which)?;
+        let (mut rig, outputs) = build(c, &s, which)?;
         let (times, _) = rig.measure(c.warmup, c.repeats)?;
         let times: Vec<_> = times.into_iter().filter(|t| t.name.starts_with("blend_bwd")).collect();
         add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
         let time = times.first().map(|t| Summary::of(&t.nanoseconds)).unwrap_or_default();
-        outcomes.push(read(&rig, &kept, s.channels.count() as usize, which, time)?);
+        outcomes.push(read(&rig, &outputs, s.channels.count() as usize, which, time)?);
     }
     let row = 6 + s.channels.count() as usize;
     let (pixel, others) = outcomes.split_first().context("there is no kernel")?;
-    let mut said = Vec::new();
+    let mut errors = Vec::new();
     for o in &outcomes {
         ensure!(o.identity < IDENTITY, "{} violates the identity of features by {:.2e}.", o.name(), o.identity);
-        said.push(format!("{:.1e}", o.identity));
+        errors.push(format!("{:.1e}", o.identity));
     }
     for o in others {
         let apart = match o.which {
@@ -90,9 +90,9 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             _ => disagreement(&pixel.gradients, &o.gradients, row),
         };
         ensure!(apart < 1e-2, "Gradients of {} differ from those by pixels by {apart:.2e} of the largest.", o.name());
-        said.push(format!("{} differs by {apart:.1e}", o.name()));
+        errors.push(format!("{} differs by {apart:.1e}", o.name()));
     }
-    report.check(format!("blend_bwd: the identity of features holds to {}", said.join(", ")));
+    report.check(format!("blend_bwd: the identity of features holds to {}", errors.join(", ")));
     let fastest =
         outcomes.iter().min_by(|a, b| a.time.median.total_cmp(&b.time.median)).context("there is no kernel")?;
     let times: Vec<String> = outcomes.iter().map(|o| format!("{:.3} ms {}", o.time.median / 1e6, o.name())).collect();
@@ -100,7 +100,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Result<(Rig, Kept)> {
+fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Result<(Rig, Outputs)> {
     let channels = u64::from(s.channels.count());
     s.rig(|v| {
         let pixels = v.screen.pixels();
@@ -119,7 +119,7 @@ fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Res
         let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));
         let rows = if which == BackwardKernel::Atomic { n } else { e };
         let (entries, visible) = (v.entries, v.visible);
-        Ok(Kept {
+        Ok(Outputs {
             gradients: v.keep("entry_gradients", sums.gradients, 4 * (6 + channels) * rows)?,
             owners: v.keep("entry_splats", entries.splats, 4 * e)?,
             features: v.keep("features", visible.features, 4 * channels * n)?,
@@ -135,16 +135,22 @@ fn image_gradient(count: u64) -> Vec<f32> {
     (0..count).map(|_| rng.range(0.25, 1.0) as f32).collect()
 }
 
-fn read(rig: &Rig, kept: &Kept, channels: usize, which: BackwardKernel, time: Summary) -> anyhow::Result<Outcome> {
-    let count = rig.get::<Work>(kept.count)?[0].count as usize;
-    let mut gradients: Vec<f32> = rig.get(kept.gradients)?;
-    let (mut owners, features): (Vec<u32>, Vec<f32>) = (rig.get(kept.owners)?, rig.get(kept.features)?);
+fn read(
+    rig: &Rig,
+    outputs: &Outputs,
+    channels: usize,
+    which: BackwardKernel,
+    time: Summary,
+) -> anyhow::Result<Outcome> {
+    let count = rig.get::<Work>(outputs.count)?[0].count as usize;
+    let mut gradients: Vec<f32> = rig.get(outputs.gradients)?;
+    let (mut owners, features): (Vec<u32>, Vec<f32>) = (rig.get(outputs.owners)?, rig.get(outputs.features)?);
     owners.truncate(count);
     if which != BackwardKernel::Atomic {
         gradients.truncate(count * (6 + channels));
     }
-    let image: Vec<f32> = rig.get(kept.image)?;
-    let picture = dot(&image, &image_gradient(image.len() as u64));
+    let image: Vec<f32> = rig.get(outputs.image)?;
+    let image_sum = dot(&image, &image_gradient(image.len() as u64));
     let mut sum = 0.0;
     for (i, values) in gradients.chunks_exact(6 + channels).enumerate() {
         let owner = if which == BackwardKernel::Atomic { i } else { owners[i] as usize };
@@ -153,8 +159,8 @@ fn read(rig: &Rig, kept: &Kept, channels: usize, which: BackwardKernel, time: Su
             sum += dot(&values[6..], &features[owner * channels..][..channels]);
         }
     }
-    ensure!(picture > 0.0 && sum.is_finite(), "The picture is black, or gradients are not finite.");
-    Ok(Outcome { which, gradients, owners, time, identity: (sum / picture - 1.0).abs() })
+    ensure!(image_sum > 0.0 && sum.is_finite(), "The image is black, or gradients are not finite.");
+    Ok(Outcome { which, gradients, owners, time, identity: (sum / image_sum - 1.0).abs() })
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {

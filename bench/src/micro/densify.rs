@@ -1,4 +1,5 @@
-//! `densify`, put back to the same start before each replay; the numbers of pruned, cloned and split ones are the twin's.
+//! `densify`, restored to the same start before each replay; counts of pruned, cloned and split Gaussians must match the
+//! reference.
 
 use super::Context;
 use super::view::work_of;
@@ -75,7 +76,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let inner: Vec<_> = times.into_iter().filter(|t| !t.name.starts_with("out.")).collect();
     report.time("densify", "ms", Summary::of(&inside(&inner)).scaled(1e-6));
     report.check(format!(
-        "densify: {} pruned, {} cloned, {} split of {count}, as the twin decides",
+        "densify: {} pruned, {} cloned, {} split of {count}, as the reference decides",
         stats.pruned, stats.cloned, stats.split
     ));
     Ok(())
@@ -135,7 +136,7 @@ fn check(
         && stats.refused == 0;
     anyhow::ensure!(
         right && whole,
-        "Densification came to {stats:?} with {} alive, but the twin prunes {pruned}, clones {cloned} and splits {split}.",
+        "Densification gave {stats:?} with {} alive, but the reference prunes {pruned}, clones {cloned} and splits {split}.",
         live.count
     );
     Ok(())

@@ -1,15 +1,15 @@
-//! `environment`: filters of cubes of several sizes, light on the surfaces of a view, and the way back.
+//! `environment`: filters of cubes of several sizes, light on the surfaces of a view, and their backward.
 //!
-//! Surfaces are those of rooms: few directions of normals, with some noise, so that many pixels meet in a texel. Checked
-//! by the twin at texels and pixels here and there, and the gradient by its product with the texels, which must be that of
-//! light and its gradient.
+//! Surfaces are those of rooms: few directions of normals, with some noise, so that many pixels meet in a texel. Sampled
+//! texels and pixels are checked against the reference. The gradient is checked by its product with the texels, which must
+//! equal that of light and its gradient.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
-use sgs_passes::reference::environment as twin;
+use sgs_passes::reference::environment as reference;
 use sgs_passes::reference::environment::{Cube, Filter};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::{
@@ -97,10 +97,10 @@ fn one(c: &Context<'_>, report: &mut Report, size: u32) -> anyhow::Result<()> {
     let (radiance, ambient): (Vec<f32>, Vec<f32>) = (rig.get(radiance)?, rig.get(ambient)?);
     let cube = Cube::from_floats(size as usize, &texels);
     for level in e.levels() {
-        let (mip, filter) = (twin::mip(&cube, level.size as usize), Filter::new(level));
+        let (mip, filter) = (reference::mip(&cube, level.size as usize), Filter::new(level));
         for _ in 0..4 {
             let texel = rng.next_u32() % level.texels();
-            let expected = twin::prefilter_texel(&mip, &filter, texel as usize)[0];
+            let expected = reference::prefilter_texel(&mip, &filter, texel as usize)[0];
             let found = f64::from(radiance[3 * (level.first + texel) as usize]);
             let right = (found - expected).abs() < 1e-4 * expected;
             anyhow::ensure!(right, "A filtered texel is {found}, but should be {expected}.");
@@ -110,6 +110,8 @@ fn one(c: &Context<'_>, report: &mut Report, size: u32) -> anyhow::Result<()> {
     let (forward, back) = (product(&ambient, &gradient), product(&texels, &rig.get::<f32>(by_texel)?));
     let right = (forward - back).abs() < 1e-5 * forward;
     anyhow::ensure!(right, "Light times its gradient is {forward}, texels times theirs {back}.");
-    report.check(format!("environment: {size} texels a side, texels as the twin's, the gradient as light's adjoint"));
+    report.check(format!(
+        "environment: {size} texels a side, texels as the reference's, the gradient as light's adjoint"
+    ));
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `lights` and what leads back from it, under 64 lights of 12 lobes, at a sample of pixels against the twin.
+//! `lights` and its backward, under 64 lights of 12 lobes, at a sample of pixels against the reference.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -7,7 +7,7 @@ use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::cost::Counts;
 use sgs_passes::reference::brdf::{Material, unit};
-use sgs_passes::reference::lights::{self as twin, Pixel, Raw};
+use sgs_passes::reference::lights::{self as reference, Pixel, Raw};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{
     LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights, lights_bwd, lights_materials_bwd,
@@ -47,7 +47,7 @@ impl Lit {
             positions: model.start_positions([-1.3; 3], [1.3; 3]),
             lobes: model.start_lobes(),
         };
-        // Few pixels have a gradient, so that the twin can follow; kernels do not ask for it.
+        // Few pixels have a gradient, so that the reference can follow; kernels do not ask for it.
         let each = ((width * height) / 200).max(1);
         lit.lobes.iter_mut().for_each(|x| *x += (0.3 * rng.normal()) as f32);
         for p in 0..width * height {
@@ -66,20 +66,20 @@ impl Lit {
             let tile = (f64::from(point[0]) * 4.0).floor() + (f64::from(point[1]) * 4.0).floor();
             let albedo = 0.5 + 0.3 * (tile * 0.5).sin();
             lit.materials.push([albedo, 0.8 * albedo, 0.5, 0.3 + 0.5 * albedo].map(|x| x as f32));
-            let asked = f64::from(u8::from(p.is_multiple_of(each)));
-            lit.gradient.push([0; 3].map(|_| (asked * rng.range(-1.0, 1.0)) as f32));
+            let share = f64::from(u8::from(p.is_multiple_of(each)));
+            lit.gradient.push([0; 3].map(|_| (share * rng.range(-1.0, 1.0)) as f32));
         }
         lit
     }
 
-    /// A pixel for the twin.
+    /// A pixel for the reference.
     pub fn pixel(&self, i: usize) -> Pixel {
         let m = self.materials[i].map(f64::from);
         let material = Material { albedo: [m[0], m[1], m[2]], roughness: m[3], metallic: 0.0 };
         Pixel { point: self.points[i].map(f64::from), normal: self.normals[i].map(f64::from), coverage: 1.0, material }
     }
 
-    /// The lights for the twin.
+    /// The lights for the reference.
     pub fn raw(&self, model: LightModel) -> Raw {
         Raw {
             model,
@@ -90,7 +90,7 @@ impl Lit {
     }
 }
 
-/// What a program elsewhere has to know of a case that was written beside it.
+/// Description of an exported case, for other programs.
 #[derive(serde::Serialize)]
 struct Case {
     pixels: usize,
@@ -158,7 +158,7 @@ fn compare(what: &str, width: usize, expected: &[f64], found: &[f32]) -> anyhow:
     Ok(())
 }
 
-/// Forward for pictures and for training, and back.
+/// Forward for rendering and for training, and backward.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model) = (c.workload.largest, LightModel::default());
     let lit = Lit::room(size, model);
@@ -173,8 +173,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         normalizer: 1.0 / model.lights as f32,
         shape: Shape::for_device(c.tuning),
     };
-    let (picture, direct) = (g.external("picture", 12 * n as u64), g.external("direct", 12 * n as u64));
-    lights(&mut g, &what, picture)?;
+    let (radiance_image, direct) = (g.external("picture", 12 * n as u64), g.external("direct", 12 * n as u64));
+    lights(&mut g, &what, radiance_image)?;
     let sums = lights_train(&mut g, &what, direct)?;
     let materials = g.external("materials_gradient", 16 * n as u64);
     g.fill("clear_gradients", materials, 0)?;
@@ -187,22 +187,25 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let normals = g.external("normals_gradient", 12 * n as u64);
     lights_normals_bwd(&mut g, &what, b.gradient, normals)?;
     let losses = g.external("losses", 8);
-    let asked = lights_regularize(&mut g, c.tuning, &what, &b.parameters, [0.0; 2], losses)?;
-    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, Some(&asked), &into)?;
+    let regularization = lights_regularize(&mut g, c.tuning, &what, &b.parameters, [0.0; 2], losses)?;
+    lights_prepare_bwd(&mut g, &prepared, &b.parameters, &gradients, Some(&regularization), &into)?;
     let mut rig = Rig::new(c.device, g, b.inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let counts = Counts { pixels: n as f64, lights: f64::from(model.lights), ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
     let (found, gradients_found): (Vec<f32>, Vec<f32>) = (rig.get(direct)?, rig.get(materials)?);
-    anyhow::ensure!(found.iter().zip(rig.get::<f32>(picture)?).all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs()), "lights");
+    anyhow::ensure!(
+        found.iter().zip(rig.get::<f32>(radiance_image)?).all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs()),
+        "lights"
+    );
     let sample: Vec<usize> = (0..n).step_by((n / 200).max(1)).collect();
     let pixels: Vec<Pixel> = sample.iter().map(|&i| lit.pixel(i)).collect();
-    let ready = twin::lights_prepare(&lit.raw(model));
+    let ready = reference::lights_prepare(&lit.raw(model));
     let (camera, normalizer) = (CAMERA.map(f64::from), f64::from(what.normalizer));
-    let [diffuse, specular] = twin::lights(&pixels, &ready, camera, normalizer);
+    let [diffuse, specular] = reference::lights(&pixels, &ready, camera, normalizer);
     let gradient: Vec<f64> = sample.iter().flat_map(|&i| lit.gradient[i].map(f64::from)).collect();
-    let by_material = twin::lights_materials_bwd(&pixels, &ready, camera, normalizer, &gradient);
+    let by_material = reference::lights_materials_bwd(&pixels, &ready, camera, normalizer, &gradient);
     for (s, &i) in sample.iter().enumerate() {
         for k in 0..3 {
             let e = diffuse[3 * s + k] + specular[3 * s + k];
@@ -217,18 +220,18 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     }
     let found: Vec<[f32; 3]> = rig.get(normals)?;
     let found: Vec<f32> = sample.iter().flat_map(|&i| found[i]).collect();
-    let by_normal = twin::lights_normals_bwd(&pixels, &ready, camera, normalizer, &gradient);
+    let by_normal = reference::lights_normals_bwd(&pixels, &ready, camera, normalizer, &gradient);
     compare("normals", 3, &by_normal.concat(), &found)?;
-    let expected = twin::lights_bwd(&lit.raw(model), &pixels, camera, normalizer, &gradient);
+    let expected = reference::lights_bwd(&lit.raw(model), &pixels, camera, normalizer, &gradient);
     compare("positions", 3, &expected.positions, &rig.get(into.positions)?)?;
     compare("lobes", model.row() as usize, &expected.lobes, &rig.get(into.lobes)?)?;
     let whole: Vec<Pixel> = (0..n).map(|i| lit.pixel(i)).collect();
-    let expected = twin::lights_regularize(&lit.raw(model), &whole);
+    let expected = reference::lights_regularize(&lit.raw(model), &whole);
     for (e, f) in expected.iter().zip(rig.get::<f32>(losses)?) {
         anyhow::ensure!((e - f64::from(f)).abs() <= 1e-4 * e, "A regularizer is {f}, but should be {e}.");
     }
     if let Some(folder) = c.dump {
-        // What is needed for the loss alone: a picture and its gradients, without the regularizers' share.
+        // What is needed for the loss alone: an image and its gradients, without the regularizers' share.
         let passes = ["lights_prepare", "lights_train", "lights_materials_bwd", "lights_bwd.clear", "lights_bwd"];
         let rest = ["lights_reduce", "lights_prepare_bwd"];
         let counted = times.iter().filter(|t| passes.contains(&&*t.name) || rest.contains(&&*t.name));
@@ -260,6 +263,6 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             std::fs::write(folder.join(format!("{name}.f32")), data)?;
         }
     }
-    report.check(format!("lights: radiance and all gradients from {} pixels are those of the twin", sample.len()));
+    report.check(format!("lights: radiance and all gradients from {} pixels are those of the reference", sample.len()));
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `region_mask` and `carry_mask` against their twins: a third of the training view, carried to a camera beside it.
+//! `region_mask` and `carry_mask` against their references: a third of the training view, carried to a camera beside it.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -9,14 +9,14 @@ use sgs_passes::cost::Counts;
 use sgs_passes::loss::{CarryOptions, Seen, carry_mask, pack_mask, pack_regions, region_mask};
 use sgs_passes::pipeline as gpu;
 use sgs_passes::reference::project::Camera;
-use sgs_passes::reference::region_mask as twin;
+use sgs_passes::reference::region_mask as reference;
 use sgs_passes::reference::region_mask::{Carried, View};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::splat::{Blended, Channels, Screen, wanted_words};
 use sgs_shaders::structs::Step;
 
 const REGION: u16 = 7;
-/// What training blends, and what suffices for a pseudo-view.
+/// Channels of the training view, and those of a pseudo-view.
 const CHANNELS: [Channels; 2] =
     [Channels { colors: true, normals: true, depth: true }, Channels { colors: false, normals: false, depth: true }];
 /// Nearer to a border than this, single precision may decide either way.
@@ -93,25 +93,27 @@ pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         seen.push(Seen { screen: Screen { step, largest: size, tile: c.tuning.tile }, blended, channels });
     }
     let packed = pack_regions(&ids);
-    let given = g.input("ids", 4 * packed.len() as u64);
-    inputs.push((given, bytes(&packed)));
+    let region_ids = g.input("ids", 4 * packed.len() as u64);
+    inputs.push((region_ids, bytes(&packed)));
     let words = 4 * wanted_words(pixels as u64);
     let (mask, into) = (g.external("mask", words), g.external("carried", words));
-    region_mask(&mut g, c.tuning, &seen[0].screen, given, mask)?;
+    region_mask(&mut g, c.tuning, &seen[0].screen, region_ids, mask)?;
     let options = CarryOptions::default();
     carry_mask(&mut g, c.tuning, "carry_mask", &seen[0], mask, &seen[1], options, into)?;
     let mut rig = Rig::new(c.device, g, inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
 
-    let trained = twin::region_mask(&ids, u32::from(REGION));
+    let trained = reference::region_mask(&ids, u32::from(REGION));
     let (opacity, tolerance) = (f64::from(options.least_opacity), f64::from(options.tolerance));
-    let expected = twin::carry_mask(&views[0], &trained, &views[1], opacity, tolerance);
+    let expected = reference::carry_mask(&views[0], &trained, &views[1], opacity, tolerance);
     let masked = expected.iter().filter(|e| e.inside).count();
     let counts = Counts { pixels: pixels as f64, masked: masked as f64, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
     anyhow::ensure!(rig.get::<u32>(mask)? == pack_mask(&trained), "The training view's region is wrong.");
     compare(&expected, &rig.get::<u32>(into)?)?;
-    report.check(format!("masks: the region, and {masked} pixels of {pixels} that it is carried to, are the twins'"));
+    report.check(format!(
+        "masks: the region, and {masked} pixels of {pixels} that it is carried to, are the references'"
+    ));
     Ok(())
 }
 

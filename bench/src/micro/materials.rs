@@ -1,4 +1,4 @@
-//! Pictures of materials and of light, and the losses of materials, against their twins.
+//! Material images, composed light, and the losses of materials, against their references.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -13,8 +13,8 @@ use sgs_passes::loss::{
 use sgs_passes::reference::msg::Difference;
 use sgs_passes::reference::photometric::unpack;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::{compose as light_twin, cross_view as cross_twin, edge_aware as edge_twin};
-use sgs_passes::reference::{material_pictures as picture_twin, msg as msg_twin};
+use sgs_passes::reference::{compose as light_reference, cross_view as cross_reference, edge_aware as edge_reference};
+use sgs_passes::reference::{material_pictures as materials_reference, msg as msg_reference};
 use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
 
 const WEIGHTS: MaterialWeights = MaterialWeights {
@@ -55,12 +55,12 @@ impl Subject {
         let materials = (0..pixels).map(|p| [0, 1, 2, 3].map(|c| single(wave(p, c) + 0.1 * rng.uniform()))).collect();
         let light = (0..pixels).map(|p| [0, 1, 2].map(|c| single(1.5 * wave(p, c) + 0.1 * rng.uniform()))).collect();
         let coverage = (0..pixels).map(|_| single(rng.range(0.7, 1.0))).collect();
-        let mut picture = || -> Vec<u32> {
+        let mut random_image = || -> Vec<u32> {
             let mut byte = |p: usize, c: usize| (255.0 * (wave(p, c) + 0.2 * rng.uniform())) as u32;
             (0..pixels).map(|p| byte(p, 0) | byte(p, 1) << 8 | byte(p, 2) << 16 | 0xff00_0000).collect()
         };
-        let photo = picture();
-        let priors = (0..2 + ESTIMATES).map(|_| picture()).collect();
+        let photo = random_image();
+        let priors = (0..2 + ESTIMATES).map(|_| random_image()).collect();
         let mask = (0..pixels).map(|p| p % size[0] < size[0] / 3).collect();
         Subject { size, materials, light, coverage, photo, priors, mask }
     }
@@ -69,19 +69,19 @@ impl Subject {
         self.size.map(|s| s as u32)
     }
 
-    /// A picture less a prior of it.
-    fn difference(&self, picture: &[f64], channels: usize, prior: &[u32], masked: bool) -> Difference {
+    /// Difference of an image and its prior.
+    fn difference(&self, values: &[f64], channels: usize, prior: &[u32], masked: bool) -> Difference {
         let present: Vec<bool> = self.mask.iter().map(|m| *m || !masked).collect();
         let value = |i: usize| match present[i / channels] {
-            true => picture[i] - unpack(prior[i / channels], i % channels),
+            true => values[i] - unpack(prior[i / channels], i % channels),
             false => 0.0,
         };
-        Difference { size: self.size, channels, values: (0..picture.len()).map(value).collect(), present }
+        Difference { size: self.size, channels, values: (0..values.len()).map(value).collect(), present }
     }
 
     /// The gradient by materials of all losses, and their total.
     fn expected(&self) -> (Vec<f64>, f64) {
-        let (albedo, gray) = picture_twin::material_pictures(&self.materials, &self.coverage);
+        let (albedo, gray) = materials_reference::material_pictures(&self.materials, &self.coverage);
         let roughness: Vec<f64> = gray.iter().step_by(3).copied().collect();
         let (mut by_albedo, mut by_gray, mut total) = (vec![0.0; albedo.len()], vec![0.0; gray.len()], 0.0);
         let mut add = |to: &mut [f64], weight: f32, (loss, gradient): (f64, Vec<f64>)| {
@@ -90,29 +90,30 @@ impl Subject {
             to.iter_mut().step_by(step).zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
         };
         let edge = |x: &[f64], channels| {
-            let loss = edge_twin::edge_aware(x, channels, &self.photo, self.size);
-            (loss, edge_twin::edge_aware_bwd(x, channels, &self.photo, self.size))
+            let loss = edge_reference::edge_aware(x, channels, &self.photo, self.size);
+            (loss, edge_reference::edge_aware_bwd(x, channels, &self.photo, self.size))
         };
         add(&mut by_albedo, WEIGHTS.albedo_edge, edge(&albedo, 3));
         add(&mut by_gray, WEIGHTS.roughness_edge, edge(&roughness, 1));
         let msg = |x: &[f64], channels, prior: usize| {
-            msg_twin::msg(&self.difference(x, channels, &self.priors[prior], false))
+            msg_reference::msg(&self.difference(x, channels, &self.priors[prior], false))
         };
         add(&mut by_albedo, WEIGHTS.albedo_msg, msg(&albedo, 3, 0));
         add(&mut by_gray, WEIGHTS.roughness_msg, msg(&roughness, 1, 1));
         for estimate in &self.priors[2..] {
             let d = self.difference(&albedo, 3, estimate, true);
             let weight = WEIGHTS.relight / ESTIMATES as f32;
-            add(&mut by_albedo, weight, msg_twin::msg(&d));
-            add(&mut by_albedo, weight, msg_twin::square(&d));
+            add(&mut by_albedo, weight, msg_reference::msg(&d));
+            add(&mut by_albedo, weight, msg_reference::square(&d));
         }
         // Pseudo-views show albedo in linear numbers, which makes them differ.
-        let of = |albedo: &[f64]| cross_twin::Picture { albedo: albedo.to_vec(), mask: self.mask.clone() };
+        let of = |albedo: &[f64]| cross_reference::Picture { albedo: albedo.to_vec(), mask: self.mask.clone() };
         let linear: Vec<f64> = self.materials.iter().flat_map(|m| [m[0], m[1], m[2]]).collect();
         let pictures: Vec<_> = [of(&albedo)].into_iter().chain((0..PSEUDO).map(|_| of(&linear))).collect();
-        let cross = (cross_twin::cross_view(&pictures).0, cross_twin::cross_view_bwd(&pictures).swap_remove(0));
+        let cross =
+            (cross_reference::cross_view(&pictures).0, cross_reference::cross_view_bwd(&pictures).swap_remove(0));
         add(&mut by_albedo, WEIGHTS.cross_view, cross);
-        let by = picture_twin::material_pictures_bwd(&self.materials, &self.coverage, &by_albedo, &by_gray);
+        let by = materials_reference::material_pictures_bwd(&self.materials, &self.coverage, &by_albedo, &by_gray);
         (by.as_flattened().to_vec(), total)
     }
 }
@@ -142,34 +143,35 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut values = Step { background: [0.5; 3], ..Default::default() };
     values.camera.size = largest;
     inputs.extend([(step, bytes(&[values])), (weights, bytes(&[WEIGHTS]))]);
-    let mut given = |g: &mut Graph, name: &str, data: Vec<u8>| {
+    let mut input = |g: &mut Graph, name: &str, data: Vec<u8>| {
         let buffer = g.input(name, data.len() as u64);
         inputs.push((buffer, data));
         buffer
     };
-    let materials = given(&mut g, "materials", flat(s.materials.as_flattened()));
-    let coverage = given(&mut g, "coverage", flat(&s.coverage));
-    let direct = given(&mut g, "direct", flat(s.light.as_flattened()));
-    let ambient = given(&mut g, "ambient", vec![0; 12 * pixels as usize]);
-    let targets = given(&mut g, "targets", bytes(&s.photo));
-    let mask = given(&mut g, "mask", bytes(&pack_mask(&s.mask)));
+    let materials = input(&mut g, "materials", flat(s.materials.as_flattened()));
+    let coverage = input(&mut g, "coverage", flat(&s.coverage));
+    let direct = input(&mut g, "direct", flat(s.light.as_flattened()));
+    let ambient = input(&mut g, "ambient", vec![0; 12 * pixels as usize]);
+    let targets = input(&mut g, "targets", bytes(&s.photo));
+    let mask = input(&mut g, "mask", bytes(&pack_mask(&s.mask)));
     let mut priors = s.priors.iter().enumerate();
     let mut prior = |g: &mut Graph| {
         let (i, p) = priors.next().context("There is a prior too few.")?;
-        anyhow::Ok(given(g, &format!("prior{i}"), bytes(p)))
+        anyhow::Ok(input(g, &format!("prior{i}"), bytes(p)))
     };
     let (albedo_prior, roughness_prior) = (prior(&mut g)?, prior(&mut g)?);
     let estimates = (0..ESTIMATES).map(|_| prior(&mut g)).collect::<Result<Vec<_>, _>>()?;
     let linear: Vec<f64> = s.materials.iter().flat_map(|m| [m[0], m[1], m[2]]).collect();
-    let beside = given(&mut g, "beside", flat(&linear));
+    let beside = input(&mut g, "beside", flat(&linear));
 
     let view = Materials { step, materials, coverage, largest };
     let pictures = sgs_passes::loss::pictures(&mut g, "pictures", largest, true);
     material_pictures(&mut g, c.tuning, &view, &pictures)?;
     let [image, radiance_gradient] = ["image", "radiance_gradient"].map(|name| g.external(name, 12 * pixels));
-    let shown = Compose { step, direct: Some(direct), ambient: Some(ambient), coverage, returning: false, largest };
-    let saturated = compose(&mut g, c.tuning, &shown, image)?;
-    compose_bwd(&mut g, c.tuning, &shown, image, radiance_gradient)?;
+    let composition =
+        Compose { step, direct: Some(direct), ambient: Some(ambient), coverage, returning: false, largest };
+    let saturated = compose(&mut g, c.tuning, &composition, image)?;
+    compose_bwd(&mut g, c.tuning, &composition, image, radiance_gradient)?;
     let gradients = sgs_passes::loss::pictures(&mut g, "gradients", largest, true);
     let gray = gradients.roughness.context("There is roughness.")?;
     g.fill("out.clear_albedo", gradients.albedo, 0)?;
@@ -201,10 +203,10 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         views.push(CrossPicture { step, albedo: beside, mask, albedo_gradient, largest });
     }
     losses.cross_view = Some(cross_view(&mut g, c.tuning, weights, &views)?);
-    // What nobody wants would not be done.
+    // The graph drops passes without a reader.
     for (k, v) in views.iter().enumerate().skip(1) {
-        let kept = g.external(format!("beside{k}"), 12 * pixels);
-        g.copy(format!("out.beside{k}"), v.albedo_gradient, kept)?;
+        let output = g.external(format!("beside{k}"), 12 * pixels);
+        g.copy(format!("out.beside{k}"), v.albedo_gradient, output)?;
     }
     let stats = g.external("stats", size_of::<MaterialStats>() as u64);
     material_sum(&mut g, c.tuning, step, weights, &losses, stats)?;
@@ -218,17 +220,19 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let counts = Counts { pixels: pixels as f64, masked, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
-    let (lit, cut) = light_twin::compose(&s.light, &s.coverage, [0.5; 3]);
-    compare("The composed picture", &lit, &rig.get(image)?, 1e-5)?;
+    let (lit, cut) = light_reference::compose(&s.light, &s.coverage, [0.5; 3]);
+    compare("The composed image", &lit, &rig.get(image)?, 1e-5)?;
     let by_image: Vec<f64> = rig.get::<f32>(image)?.iter().map(|&x| f64::from(x)).collect();
-    let by_light = light_twin::compose_bwd(&s.light, &s.coverage, [0.5; 3], &by_image, false);
+    let by_light = light_reference::compose_bwd(&s.light, &s.coverage, [0.5; 3], &by_image, false);
     compare("The gradient of light", &by_light, &rig.get(radiance_gradient)?, 2e-5)?;
     let (by_materials, total) = s.expected();
     compare("The gradient of materials", &by_materials, &rig.get(materials_gradient)?, 2e-4)?;
     let stats: MaterialStats = rig.get(stats)?[0];
     compare("The sum of the losses of materials", &[total], &[stats.total], 1e-4)?;
     compare("Saturated pixels", &[cut as f64 / pixels as f64], &[stats.saturated], 1e-4)?;
-    report.check("materials: pictures, light, the losses' sum and their gradients by materials are those of the twins");
+    report.check(
+        "materials: images, light, the losses' sum and their gradients by materials are those of the references",
+    );
     Ok(())
 }
 

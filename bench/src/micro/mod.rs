@@ -1,4 +1,4 @@
-//! Single stages, each with inputs made for it, timed by the device's clock, and checked against the CPU twin or an
+//! Single stages, each with inputs made for it, timed by the device's clock, and checked against the CPU reference or an
 //! identity that only a right result satisfies. The check reads what the timed replays left.
 
 mod adam;
@@ -23,7 +23,7 @@ use sgs_engine::Device;
 use sgs_passes::Tuning;
 use std::path::Path;
 
-/// What every stage is measured with.
+/// Shared inputs of every stage.
 pub struct Context<'c> {
     /// The device.
     pub device: &'c Device,
@@ -33,7 +33,7 @@ pub struct Context<'c> {
     pub warmup: u32,
     /// Measured repetitions.
     pub repeats: u32,
-    /// What the device can do at best.
+    /// Peak rates of the device.
     pub ceiling: Ceiling,
     /// Elements of the primitives.
     pub elements: u32,

@@ -1,6 +1,6 @@
-//! `photometric` and `photometric_bwd` against their twin: the loss over the whole view, the gradient in windows of it.
+//! `photometric` and `photometric_bwd` against their reference: the loss over the whole view, the gradient in windows of it.
 //!
-//! The gradient at a pixel depends on what is at most ten pixels away, so the twin, which is slow, need not see the rest.
+//! The gradient at a pixel depends on pixels at most ten away, so the slow reference processes windows only.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -8,7 +8,7 @@ use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
 use sgs_passes::loss::{Photometric, loss_sum, photometric, photometric_bwd};
-use sgs_passes::reference::photometric as twin;
+use sgs_passes::reference::photometric as reference;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::{LossStats, Step};
@@ -25,7 +25,7 @@ const WINDOW: usize = 72;
 pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let [width, height] = c.workload.largest.map(|s| s as usize);
     let shape = Shape { width, height, channels: 3 };
-    let (image, targets) = picture(shape);
+    let (image, targets) = random_image(shape);
     let mut g = Graph::new("photometric");
     let floats = 4 * image.len() as u64;
     let step = g.uniform("step", size_of::<Step>() as u64);
@@ -48,7 +48,7 @@ pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let found: Vec<f32> = rig.get(grad_image)?;
     let stats: LossStats = rig.get(stats)?[0];
     let n = 3.0 * shape.pixels() as f64;
-    let l1 = image.iter().enumerate().map(|(i, &x)| (f64::from(x) - twin::unpack(targets[i / 3], i % 3)).abs());
+    let l1 = image.iter().enumerate().map(|(i, &x)| (f64::from(x) - reference::unpack(targets[i / 3], i % 3)).abs());
     let l1 = l1.sum::<f64>() / n;
     anyhow::ensure!((l1 - f64::from(stats.l1)).abs() < 1e-5 * l1, "L1 is {}, but should be {l1}.", stats.l1);
     let mut compared = 0;
@@ -56,7 +56,7 @@ pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         let worst = compare_window(&image, &targets, &found, shape, corner, &mut compared);
         anyhow::ensure!(worst < 1.0, "The photometric gradient is off by {worst:.2} times its tolerance.");
     }
-    report.check(format!("photometric: L1 over all, the gradient at {compared} pixels, are those of the twin"));
+    report.check(format!("photometric: L1 over all, the gradient at {compared} pixels, are those of the reference"));
     Ok(())
 }
 
@@ -87,7 +87,7 @@ fn compare_window(
             packed.push(targets[at(x, y)]);
         }
     }
-    let expected = twin::photometric_bwd(&wide, &packed, part, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
+    let expected = reference::photometric_bwd(&wide, &packed, part, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
     // Losses are means: the window has fewer pixels.
     let scale = part.pixels() as f64 / shape.pixels() as f64;
     let n = 3.0 * shape.pixels() as f64;
@@ -111,7 +111,7 @@ fn compare_window(
 }
 
 /// A photograph with large and small structure, and a render near it.
-fn picture(s: Shape) -> (Vec<f32>, Vec<u32>) {
+fn random_image(s: Shape) -> (Vec<f32>, Vec<u32>) {
     let mut rng = Pcg::new(8);
     let (mut image, mut targets) = (Vec::new(), Vec::new());
     for p in 0..s.pixels() {
@@ -120,7 +120,7 @@ fn picture(s: Shape) -> (Vec<f32>, Vec<u32>) {
         let byte = |v: f64| (255.0 * v.clamp(0.0, 1.0)) as u32;
         let packed = (0..3).map(|c| byte(wave + 0.1 * rng.uniform()) << (8 * c)).sum::<u32>() | 0xff00_0000;
         targets.push(packed);
-        image.extend((0..3).map(|c| (twin::unpack(packed, c) + rng.range(-0.1, 0.1)) as f32));
+        image.extend((0..3).map(|c| (reference::unpack(packed, c) + rng.range(-0.1, 0.1)) as f32));
     }
     (image, targets)
 }
@@ -130,11 +130,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_sees_what_the_whole_sees_and_errors_are_caught() {
+    fn windowed_gradient_matches_the_whole_and_detects_errors() {
         let shape = Shape { width: 100, height: 90, channels: 3 };
-        let (image, targets) = picture(shape);
+        let (image, targets) = random_image(shape);
         let wide: Vec<f64> = image.iter().map(|&v| f64::from(v)).collect();
-        let whole = twin::photometric_bwd(&wide, &targets, shape, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
+        let whole = reference::photometric_bwd(&wide, &targets, shape, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
         let mut found: Vec<f32> = whole.iter().map(|&v| v as f32).collect();
         let mut compared = 0;
         for corner in windows(shape) {

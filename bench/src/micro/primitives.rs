@@ -1,4 +1,4 @@
-//! `scan` and `radix_sort`, word for word against their twins.
+//! `scan` and `radix_sort`, word for word against their references.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes, spans};
@@ -8,7 +8,7 @@ use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
 use sgs_passes::prim::{Count, exclusive_scan, radix_sort};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::{radix_sort as sort_twin, scan as scan_twin};
+use sgs_passes::reference::{radix_sort as sort_reference, scan as scan_reference};
 
 /// Prefix sums, from one buffer to another.
 pub fn scan(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
@@ -21,9 +21,9 @@ pub fn scan(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     exclusive_scan(&mut g, c.tuning, "scan", source, None, target, total, Count::Host(c.elements))?;
     let mut rig = Rig::new(c.device, g, vec![(source, bytes(&values))], true)?;
     measure(c, report, &mut rig, "scanned")?;
-    let (expected, sum) = scan_twin::exclusive_scan(&values, None);
+    let (expected, sum) = scan_reference::exclusive_scan(&values, None);
     anyhow::ensure!(rig.get::<u32>(target)? == expected && rig.get::<u32>(total)? == [sum], "The scan is wrong.");
-    report.check(format!("scan: all of {} sums are those of the twin", c.elements));
+    report.check(format!("scan: all of {} sums are those of the reference", c.elements));
     Ok(())
 }
 
@@ -41,10 +41,10 @@ pub fn sort(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     g.copy("out.values", sorted.values, values_out)?;
     let mut rig = Rig::new(c.device, g, vec![(source, bytes(&keys))], true)?;
     measure(c, report, &mut rig, "sorted")?;
-    let (expected_keys, expected_values) = sort_twin::radix_sort(&keys, None, 0..32);
+    let (expected_keys, expected_values) = sort_reference::radix_sort(&keys, None, 0..32);
     let right = rig.get::<u32>(keys_out)? == expected_keys && rig.get::<u32>(values_out)? == expected_values;
     anyhow::ensure!(right, "The sort is wrong.");
-    report.check(format!("radix_sort: all of {} pairs are where the twin has them", c.elements));
+    report.check(format!("radix_sort: all of {} pairs are where the reference has them", c.elements));
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! The semantic loss of a view, and the correspondence of a region, against their twins: losses, gradients by features
+//! The semantic loss of a view, and the correspondence of a region, against their references: losses, gradients by features
 //! and by the decoder.
 
 use super::Context;
@@ -12,27 +12,27 @@ use sgs_passes::loss::{
     normalize_embeddings, pack_mask, region, regions, sampled_pixels, semantic_loss, semantic_prepare, semantic_sum,
     semantic_targets,
 };
-use sgs_passes::reference::correspondence as region_twin;
+use sgs_passes::reference::correspondence as region_reference;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::semantic as twin;
+use sgs_passes::reference::semantic as reference;
 use sgs_passes::scene::{Decoder, EMBEDDING, FEATURES};
 use sgs_shaders::structs::{LossStats, SemanticTarget, Step};
 
-/// As many as a furnished room has.
+/// Typical of a furnished room.
 const CLASSES: usize = 27;
 /// Color and features.
 const CHANNELS: usize = 3 + FEATURES;
 const FIRST: usize = 3;
-/// The twin forms everything at full width; larger maps would take it minutes.
+/// The reference computes everything at full width; larger maps would take it minutes.
 const LARGEST_MAP: [u32; 2] = [240, 180];
-/// Likewise, for pictures of a region.
+/// Likewise, for images of a region.
 const LARGEST_PICTURE: [u32; 2] = [640, 480];
 
-fn head() -> twin::Head {
+fn head() -> reference::Head {
     let mut rng = Pcg::new(3);
     let text: Vec<f32> = (0..CLASSES * EMBEDDING).map(|_| rng.normal() as f32).collect();
     let wide = |v: Vec<f32>| v.into_iter().map(f64::from).collect();
-    twin::Head {
+    reference::Head {
         features: FEATURES,
         embedding: EMBEDDING,
         decoder: wide(Decoder::initial(3)),
@@ -44,7 +44,7 @@ fn narrow(v: &[f64]) -> Vec<f32> {
     v.iter().map(|&x| x as f32).collect()
 }
 
-/// Features of a picture among its channels.
+/// Features of an image among its channels.
 fn interleaved(features: &[f64]) -> Vec<f32> {
     let pixel = |f: &[f64]| [vec![0.0; FIRST], narrow(f)].concat();
     features.chunks(FEATURES).flat_map(pixel).collect()
@@ -93,7 +93,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     }
     let sides = |s: [u32; 2]| s.map(|n| n as usize);
     let targets: Vec<f64> = halves.iter().map(|t| t.to_f64()).collect();
-    let mut view = twin::View { size: sides(size), image, map: sides(map), targets, labels: vec![] };
+    let mut view = reference::View { size: sides(size), image, map: sides(map), targets, labels: vec![] };
     view.labels = view.own_labels(&h);
 
     let mut g = Graph::new("semantic");
@@ -141,7 +141,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
     let (terms, expected) =
-        twin::semantic_loss(&h, &view, &twin::Weights { cosine: 1.0, class: 1.0, temperature: 1.0 });
+        reference::semantic_loss(&h, &view, &reference::Weights { cosine: 1.0, class: 1.0, temperature: 1.0 });
     let found: LossStats = rig.get(stats)?[0];
     for (name, e, f) in [("cosine", terms.cosine, found.semantic), ("cross-entropy", terms.class, found.semantic_class)]
     {
@@ -149,7 +149,7 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     }
     close("features", &expected.image, &features_of(&rig.get(grad_image)?))?;
     close("the decoder", &expected.decoder, &rig.get(gradient)?)?;
-    report.check(format!("semantic: losses and gradients of {samples} samples are those of the twin"));
+    report.check(format!("semantic: losses and gradients of {samples} samples are those of the reference"));
     Ok(())
 }
 
@@ -158,7 +158,7 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
     let size = [0, 1].map(|k| c.workload.largest[k].min(LARGEST_PICTURE[k]));
     let pixels = (size[0] * size[1]) as usize;
     let h = head();
-    let picture = |seed: u32| {
+    let random_image = |seed: u32| {
         let mut rng = Pcg::new(seed);
         let image = (0..pixels * FEATURES).map(|_| f64::from((1.0 + rng.normal()) as f32)).collect();
         // Four tenths of the columns and of the rows.
@@ -166,9 +166,9 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
             let (x, y) = (p as u32 % size[0], p as u32 / size[0]);
             10 * x >= 3 * size[0] && 10 * x < 7 * size[0] && 10 * y >= 3 * size[1] && 10 * y < 7 * size[1]
         };
-        region_twin::Picture { image, mask: (0..pixels).map(within).collect() }
+        region_reference::Picture { image, mask: (0..pixels).map(within).collect() }
     };
-    let pictures = [picture(1), picture(2)];
+    let images = [random_image(1), random_image(2)];
     let mut g = Graph::new("correspondence");
     let floats = 4 * (pixels * CHANNELS) as u64;
     let step = g.uniform("step", size_of::<Step>() as u64);
@@ -184,9 +184,9 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
         (decoder, bytes(&narrow(&h.decoder))),
     ];
     let mut declared = Vec::new();
-    for (i, p) in pictures.iter().enumerate() {
+    for (i, p) in images.iter().enumerate() {
         let mask = pack_mask(&p.mask);
-        let on_gpu_picture = Pictured {
+        let device_image = Pictured {
             step,
             image: g.input(format!("image{i}"), floats),
             channels: CHANNELS as u32,
@@ -194,10 +194,10 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
             largest: size,
             mask: g.input(format!("mask{i}"), 4 * mask.len() as u64),
         };
-        inputs.push((on_gpu_picture.image, bytes(&interleaved(&p.image))));
-        inputs.push((on_gpu_picture.mask, bytes(&mask)));
-        region(&mut g, &on_gpu_picture, &on_gpu, &prepared, &shared, i as u32)?;
-        declared.push((on_gpu_picture, g.external(format!("grad_image{i}"), floats)));
+        inputs.push((device_image.image, bytes(&interleaved(&p.image))));
+        inputs.push((device_image.mask, bytes(&mask)));
+        region(&mut g, &device_image, &on_gpu, &prepared, &shared, i as u32)?;
+        declared.push((device_image, g.external(format!("grad_image{i}"), floats)));
     }
     correspondence_bwd(&mut g, c.tuning, &declared[1..], &on_gpu, &prepared, &shared)?;
     g.fill("out.clear", declared[0].1, 0)?;
@@ -205,15 +205,15 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
     decoder_gradient(&mut g, c.tuning, &on_gpu, &prepared, None, gradient)?;
     let mut rig = Rig::new(c.device, g, inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
-    let masked = pictures[0].mask.iter().filter(|&&m| m).count();
+    let masked = images[0].mask.iter().filter(|&&m| m).count();
     let counts = Counts { pixels: pixels as f64, masked: masked as f64, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
-    let (_, expected) = region_twin::correspondence(&h, &pictures[0], &pictures[1..], 1.0, 1.0);
+    let (_, expected) = region_reference::correspondence(&h, &images[0], &images[1..], 1.0, 1.0);
     close("the training view", &expected.train, &features_of(&rig.get(declared[0].1)?))?;
     close("the pseudo-view", &expected.pseudo[0], &features_of(&rig.get(declared[1].1)?))?;
     close("the decoder", &expected.decoder, &rig.get(gradient)?)?;
-    report.check(format!("correspondence: gradients of {masked} pixels of {pixels} are those of the twin"));
+    report.check(format!("correspondence: gradients of {masked} pixels of {pixels} are those of the reference"));
     Ok(())
 }
 

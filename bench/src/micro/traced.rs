@@ -1,5 +1,6 @@
-//! `visibility_traced`: how much of four places a surface across the Gaussians sees, and the twin's product over all of
-//! them for some rays; then `lights_train_traced` and `lights_bwd_traced`: a room under eight lights that Gaussians hide.
+//! `visibility_traced` of four points from a surface across the Gaussians, against the reference's product for some rays.
+//!
+//! Then `lights_train_traced` and `lights_bwd_traced`: a room under eight lights with Gaussian occluders.
 
 use super::Context;
 use super::lights::{CAMERA, Lit, bind};
@@ -7,9 +8,9 @@ use crate::harness::{Rig, add_passes, bytes};
 use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
-use sgs_passes::reference::lights as lights_twin;
+use sgs_passes::reference::lights as lights_reference;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::traced::{self as twin, Splat};
+use sgs_passes::reference::traced::{self as reference, Splat};
 use sgs_passes::scene::{GaussianData, Group};
 use sgs_passes::shade::Surfaces;
 use sgs_passes::shade::lights::{
@@ -20,13 +21,13 @@ use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 use std::time::Instant;
 
-/// Places that are looked at.
+/// Target points of the rays.
 const PLACES: u32 = 4;
 /// Lights of the room.
 const LIGHTS: u32 = 8;
 /// Gaussians in it.
 const HIDING: usize = 4000;
-/// Rays that the twin follows.
+/// Rays that the reference follows.
 const CHECKED: usize = 64;
 
 /// Both.
@@ -35,7 +36,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     lights(c, report)
 }
 
-/// Balls in the room of the lights' stage: what the kernels take, and the twin.
+/// Balls in the room of the lights' stage: what the kernels take, and the reference.
 fn hiding() -> (GaussianData, Vec<Splat>) {
     let mut rng = Pcg::new(23);
     let narrow = |x: f64| f64::from(x as f32);
@@ -56,7 +57,7 @@ fn hiding() -> (GaussianData, Vec<Splat>) {
     (data, splats)
 }
 
-/// A room's worth of pairs: traced, shaded in training, and back.
+/// All pairs of a room: traced, shaded in training, and back.
 fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model) = (c.workload.largest, LightModel { lights: LIGHTS, ..Default::default() });
     let (lit, (data, splats)) = (Lit::room(size, model), hiding());
@@ -85,14 +86,14 @@ fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
     let found: Vec<f32> = rig.get(direct)?;
-    let ready = lights_twin::lights_prepare(&lit.raw(model));
+    let ready = lights_reference::lights_prepare(&lit.raw(model));
     let (mut off, mut checked) = (0, 0);
     for i in (0..n).step_by((n / CHECKED).max(1)) {
         let pixel = lit.pixel(i);
         let mut expected = [0.0; 3];
         for light in ready.iter().flatten() {
-            let seen = twin::transmittance(&splats, pixel.point, light.place);
-            let [d, s] = lights_twin::shine(&pixel, light, CAMERA.map(f64::from));
+            let seen = reference::transmittance(&splats, pixel.point, light.place);
+            let [d, s] = lights_reference::shine(&pixel, light, CAMERA.map(f64::from));
             (0..3).for_each(|k| expected[k] += seen * (d[k] + s[k]) / f64::from(LIGHTS));
         }
         let size = expected.iter().fold(0.0, |m: f64, e| m.max(*e));
@@ -100,14 +101,14 @@ fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         off += usize::from((0..3).any(wrong));
         checked += 1;
     }
-    anyhow::ensure!(off <= checked / 10, "{off} of {checked} pixels have other light than the twin's.");
+    anyhow::ensure!(off <= checked / 10, "{off} of {checked} pixels have other light than the reference's.");
     let moved: Vec<f32> = rig.get(into.positions)?;
     anyhow::ensure!(moved.iter().all(|x| x.is_finite()), "A gradient is not finite.");
-    report.check(format!("traced: {} of {checked} pixels have the light that the twin's have", checked - off));
+    report.check(format!("traced: {} of {checked} pixels have the light that the reference's have", checked - off));
     Ok(())
 }
 
-/// A view's worth of rays.
+/// All rays of a view.
 fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let start = &c.workload.start;
     let begin = Instant::now();
@@ -170,11 +171,11 @@ fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut off = 0;
     for k in 0..CHECKED {
         let (place, pixel) = (k % PLACES as usize, rng.next_u32() as usize % count);
-        let expected = twin::transmittance(&splats, three(&points, pixel), three(&places, place));
+        let expected = reference::transmittance(&splats, three(&points, pixel), three(&places, place));
         off += usize::from((expected - f64::from(found[place * count + pixel])).abs() > 2e-3);
     }
     // A Gaussian may be in or out by rounding where its alpha is 1/255 or it peaks at an end.
-    anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} rays see something else than the twin's.");
-    report.check(format!("traced: {} of {CHECKED} rays see what the twin's do", CHECKED - off));
+    anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} rays see something else than the reference's.");
+    report.check(format!("traced: {} of {CHECKED} rays see what the reference's do", CHECKED - off));
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! One view of some Gaussians as a graph, projected and cut into entries, and how much blending it asks for.
+//! One view of some Gaussians as a graph, projected and cut into entries, and its blending workload.
 
 use crate::harness::{Rig, bytes};
 use sgs_engine::Device;
@@ -15,14 +15,14 @@ pub struct View {
     pub graph: Graph,
     /// The image side.
     pub screen: Screen,
-    /// What the camera sees.
+    /// Visible Gaussians.
     pub visible: Visible,
     /// The entries.
     pub entries: Entries,
     /// Room for content that later stages add.
     pub inputs: Vec<(Buffer, Vec<u8>)>,
     flags: Buffer,
-    wanted: Buffer,
+    required: Buffer,
 }
 
 /// What a view shows, and how.
@@ -37,7 +37,7 @@ pub struct Subject<'s> {
     pub data: &'s GaussianData,
     /// The camera.
     pub camera: Camera,
-    /// What is blended.
+    /// Blended channels.
     pub channels: Channels,
 }
 
@@ -51,14 +51,14 @@ impl Subject<'_> {
         for _ in 0..3 {
             let mut view = self.view(capacity)?;
             let more = extend(&mut view)?;
-            let View { graph, inputs, flags, wanted, .. } = view;
+            let View { graph, inputs, flags, required, .. } = view;
             let mut rig = Rig::new(self.device, graph, inputs, true)?;
             rig.measure(1, 1)?;
             if rig.get::<u32>(flags)?[0] == 0 {
                 return Ok((rig, more));
             }
-            let wanted = rig.get::<u32>(wanted)?[0];
-            capacity = wanted.saturating_add(wanted / 8);
+            let required = rig.get::<u32>(required)?[0];
+            capacity = required.saturating_add(required / 8);
         }
         anyhow::bail!("There is no room for the view's tile entries.")
     }
@@ -73,29 +73,29 @@ impl Subject<'_> {
         let screen = Screen { step, largest: self.camera.size, tile: t.tile };
         let handles = gaussians.declare(&mut g, false);
         let flags = g.external("flags", 4);
-        let wanted = g.external("wanted", 4);
+        let required = g.external("wanted", 4);
         let visible = project(&mut g, &t, &screen, &handles, self.channels)?;
         let entries = intersect(&mut g, &t, &screen, &visible, capacity, flags)?;
-        g.copy("out.wanted", entries.wanted, wanted)?;
+        g.copy("out.wanted", entries.wanted, required)?;
         let mut inputs = gaussian_inputs(&handles, self.model, self.data);
         let mut camera = self.camera;
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
         let values = Step { camera, step: 1, sh_degree: self.model.sh_degree, ..Default::default() };
         inputs.push((step, bytes(&[values])));
-        Ok(View { graph: g, screen, visible, entries, inputs, flags, wanted })
+        Ok(View { graph: g, screen, visible, entries, inputs, flags, required })
     }
 }
 
 impl View {
-    /// Keeps a copy of a transient for the host.
+    /// Copies a transient to an external buffer for the host.
     ///
     /// # Errors
     /// If the graph refuses it.
     pub fn keep(&mut self, name: &str, what: impl Into<Slice>, bytes: u64) -> anyhow::Result<Buffer> {
-        let kept = self.graph.external(name, bytes);
+        let output = self.graph.external(name, bytes);
         let what: Slice = what.into();
-        self.graph.copy(format!("out.{name}"), Slice { bytes, ..what }, kept)?;
-        Ok(kept)
+        self.graph.copy(format!("out.{name}"), Slice { bytes, ..what }, output)?;
+        Ok(output)
     }
 }
 
@@ -113,7 +113,7 @@ pub fn work_of(count: u32) -> Work {
     Work { x, y: groups.div_ceil(x), z: 1, count }
 }
 
-/// How much blending a view asks for, an entry on average.
+/// Blending workload of a view, averages per entry.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Overlap {
     /// Visible splats.
@@ -163,9 +163,9 @@ pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
                 continue;
             }
             let order = list.iter().map(|&e| &splats[owners[e as usize] as usize]);
-            let (t, shown) = walk(order, at.map(|x| x as f32 + 0.5));
+            let (t, contributing) = walk(order, at.map(|x| x as f32 + 0.5));
             tried += t;
-            showing += shown;
+            showing += contributing;
         }
     }
     let each = 1.0 / walked.max(1) as f64;

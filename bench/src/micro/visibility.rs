@@ -1,6 +1,7 @@
-//! The visibility field at its published size with 64 lights: values against the twin; gradients by an identity. A layer without
-//! bias is linear in its weights, and what comes before and after a rectifier is a multiple of itself, so weights times gradients
-//! add up to the same in every layer; and in the tables to as much as in the first layer's features.
+//! The visibility field at its published size with 64 lights: values against the reference; gradients by an identity.
+//!
+//! A layer without bias is linear in its weights, and a ReLU scales its input by 0 or 1. So weights times gradients have the
+//! same sum in every layer, and in the tables the same sum as in the first layer's features.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -9,7 +10,7 @@ use crate::report::Report;
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
 use sgs_passes::cost::Counts;
-use sgs_passes::reference::visibility as twin;
+use sgs_passes::reference::visibility as reference;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::shade::visibility::{
     BackwardOptions, Constant, FIELD_WIDTH, FieldConfig, Gradients, View, VisibilityField, visibility, visibility_adam,
@@ -34,7 +35,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         coverage: g.input("coverage", 4 * n as u64),
         lights: g.input("lights", 12 * u64::from(model.lights)),
     };
-    let asked = Constant {
+    let constant = Constant {
         radiance: g.input("radiance", 12 * u64::from(model.lights)),
         radiance_gradient: g.input("radiance_gradient", 12 * n as u64),
     };
@@ -51,7 +52,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let gradients = gradients.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
     let mlp_gradient = g.external("mlp_gradient", 4 * config.weights() as u64);
     let gradients = Gradients { mlp: mlp_gradient, ..gradients };
-    visibility_bwd(&mut g, c.tuning, &f, &view, model.lights, &asked, &BackwardOptions::default(), &gradients)?;
+    visibility_bwd(&mut g, c.tuning, &f, &view, model.lights, &constant, &BackwardOptions::default(), &gradients)?;
     // How many entries were touched, before the step clears the bits.
     let touched = g.external("touched", 4 * u64::from(config.entries().div_ceil(32)));
     g.copy("out.touched", gradients.touched, touched)?;
@@ -60,7 +61,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let moments = moments.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
     visibility_adam(&mut g, c.tuning, &f, &gradients, &moments)?;
 
-    // Features of a size that matters; a rate of zero leaves everything where the twin has it.
+    // Features of a size that matters; a rate of zero leaves everything where the reference has it.
     let tables: Vec<f32> = config.initial_tables(1).iter().map(|t| 5e3 * t).collect();
     let mlp = config.initial_weights(1);
     let pairs = n as f32 * model.lights as f32;
@@ -86,8 +87,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         (view.points, bytes(&lit.points)),
         (view.coverage, bytes(&vec![1.0_f32; n])),
         (view.lights, bytes(&lit.positions)),
-        (asked.radiance, bytes(&vec![[1.0_f32; 3]; model.lights as usize])),
-        (asked.radiance_gradient, bytes(&gradient)),
+        (constant.radiance, bytes(&vec![[1.0_f32; 3]; model.lights as usize])),
+        (constant.radiance_gradient, bytes(&gradient)),
     ];
     let mut rig = Rig::new(c.device, g, inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
@@ -96,7 +97,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let counts = Counts { pixels: n as f64, lights, touched: count, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
 
-    let reference = twin::Field::new(&config, &tables, &mlp, LOW, HIGH);
+    let reference = reference::Field::new(&config, &tables, &mlp, LOW, HIGH);
     let (found, again) = (rig.get::<f32>(seen)?, rig.get::<f32>(plain)?);
     let sample: Vec<usize> = (0..n).step_by((n / 100).max(1)).collect();
     for &i in &sample {
@@ -146,7 +147,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         anyhow::ensure!(right, "Weights times gradients add up to {a} in one layer and to {b} in the next.");
     }
     anyhow::ensure!(rig.get::<u32>(skipped)? == [0], "Gradients of layers are not finite.");
-    let what = format!("{} pixels are the twin's, weights times gradients are the same in every layer", sample.len());
+    let what =
+        format!("{} pixels are the reference's, weights times gradients are the same in every layer", sample.len());
     report.check(format!("visibility: values of {what}"));
     Ok(())
 }

@@ -1,14 +1,14 @@
-//! Whether one run is slower than another, or takes or errs by more, beyond what runs differ by on their own.
+//! Regression check of one run against another, beyond their noise.
 //!
 //! A figure counts as worse if its median exceeds the baseline's by more than the noise band
 //!
 //! > 3 · sqrt(σ² + σ₀²) + tolerance · median₀ + floor
 //!
-//! with σ = 1.4826 · MAD of either run's samples: the spread of single samples, not of the median, since runs at
-//! different times on a shared machine differ by more than repeats within one. The tolerance covers what clocks and
-//! caches do between processes. The floor of times is 2 µs, what a timestamp can resolve, and for a pass 0.1 % of its plan if that
-//! is more: below it a difference is the scheduler's and matters to nobody. That of ratios, errors and megabytes is what the
-//! order of sums in single precision may change of a number near one. What was a finite number and is none any more is worse.
+//! with σ = 1.4826 · MAD of either run's samples: the spread of single samples, not of the median, since runs at different
+//! times on a shared machine differ by more than repeats within one. The tolerance covers variation of clocks and caches
+//! between processes. The floor of times is 2 µs, the resolution of a timestamp, and for a pass 0.1 % of its plan if
+//! that is more: below it a difference is scheduling noise. The floor of ratios, errors and megabytes is the effect of the order of
+//! single-precision sums on a number near one. A finite number that becomes non-finite is worse.
 
 use super::{Report, standing};
 use crate::stats::Summary;
@@ -50,7 +50,7 @@ impl Difference {
     }
 }
 
-/// What a comparison found.
+/// Result of a comparison.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     /// How many figures both runs have.
@@ -61,7 +61,7 @@ pub struct Outcome {
     pub faster: Vec<Difference>,
     /// Choices that stood on the front, and are beaten now.
     pub fallen: Vec<String>,
-    /// Whether the runs' choices are not the same, so that nothing is said of how they stand: each stands among all others.
+    /// Whether the runs have different choices. Standings, which are relative to all choices, are then not compared.
     pub other_choices: bool,
     /// Names that only the baseline has.
     pub missing: Vec<String>,
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_clock_cannot_resolve_or_nobody_would_notice_does_not_count() {
+    fn changes_within_clock_resolution_or_tolerance_pass() {
         // The plan takes 11.1 ms, so that 11.1 us in a pass of 0.5 us are the floor.
         let (mut a, mut b) = (run(1, 0.0, 1.0), run(1, 0.0, 1.0));
         a.passes[0].nanoseconds = Summary::of(&[500.0]);
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_falls_off_the_front_is_named() {
+    fn choices_that_leave_the_front_are_named() {
         let all = [standing::FRONT, standing::TIE, standing::BEATEN];
         let report = |now: &str| {
             let mut report = run(1, 0.0, 1.0);
@@ -296,7 +296,7 @@ mod tests {
                 assert_eq!(outcome.text().contains("OFF THE FRONT: fast,"), fallen);
             }
         }
-        // Not measured, which is said of what is compared, and proves nothing.
+        // A choice that was not measured proves nothing.
         assert!(compare(&report(standing::FRONT), &run(1, 0.0, 1.0), 0.05).unwrap().fallen.is_empty());
     }
 
@@ -331,8 +331,8 @@ mod tests {
             report
         };
         let (old, small, large) = (report(None), report(Some("levels=8")), report(Some("levels=16")));
-        let said = compare(&small, &large, 0.05).unwrap_err().to_string();
-        assert_eq!(said, "The baseline has settings \"levels=8\", this run \"levels=16\".");
+        let message = compare(&small, &large, 0.05).unwrap_err().to_string();
+        assert_eq!(message, "The baseline has settings \"levels=8\", this run \"levels=16\".");
         // An old report does not say what its settings were.
         assert!(compare(&old, &small, 0.05).is_ok() && compare(&small, &old, 0.05).is_err());
     }
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_any_more_has_grown() {
+    fn values_that_become_non_finite_fail() {
         let report = |value: Summary| {
             let mut report = run(1, 0.0, 1.0);
             report.time("mean error, fast", "", value);
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_comparable_is_refused() {
+    fn incomparable_reports_are_refused() {
         let base = run(1, 0.0, 1.0);
         let mut other = run(1, 0.0, 1.0);
         other.setting("gaussians", 2000);

@@ -1,4 +1,4 @@
-//! What a command found: for people as tables, for programs as JSON. Fields may be added; what stands keeps its meaning.
+//! Report of a command: tables for people, JSON for programs. Fields may be added; existing fields keep their meaning.
 
 pub mod compare;
 pub mod set;
@@ -19,12 +19,12 @@ pub mod standing {
     pub const TIE: &str = "within noise of the front";
     /// Another surely is.
     pub const BEATEN: &str = "beaten";
-    /// It trades nothing, but comes to the same as `exact` in another way, so that it is not ranked.
+    /// It matches `exact` up to rounding and is not ranked.
     pub const SAME: &str = "as exact";
 }
 
-/// The setting that says which choices were measured at all. Reports of fewer choices are comparable; how choices stand among others
-/// then is not.
+/// Name of the setting that filters the measured choices. Reports with other filters are comparable, except for the
+/// standings of their choices.
 pub const FILTER: &str = "filter";
 
 /// A report.
@@ -40,7 +40,7 @@ pub struct Report {
     pub repeats: u32,
     /// Those before.
     pub warmup: u32,
-    /// What the device can do at best.
+    /// Peak rates of the device.
     pub ceiling: Option<Ceiling>,
     /// Passes by the device's own clock.
     pub passes: Vec<PassRow>,
@@ -48,7 +48,7 @@ pub struct Report {
     pub values: Vec<ValueRow>,
     /// Counts and outcomes.
     pub facts: Vec<Fact>,
-    /// What was checked, and held.
+    /// Checks that passed.
     pub checks: Vec<String>,
 }
 
@@ -96,7 +96,7 @@ pub struct ValueRow {
     pub unit: String,
     /// How much.
     pub value: Summary,
-    /// Whether less is better and more is worth failing for.
+    /// Whether an increase over the baseline fails the comparison.
     pub compared: bool,
 }
 
@@ -126,8 +126,8 @@ impl Report {
         }
     }
 
-    /// The first setting that this report has and another has not, or otherwise: they are not comparable then. What only the other has
-    /// is not known of this one, which may be from before it was recorded.
+    /// Returns the first setting that another report lacks or has with another value; the reports are then not comparable.
+    /// Settings that only the other report has are ignored: this one may be from before they were recorded.
     pub fn differs(&self, other: &Report) -> Option<(&str, &serde_json::Value)> {
         let same = |name: &str, value| name == FILTER || other.settings.get(name) == Some(value);
         self.settings.iter().find(|(name, value)| !same(name, value)).map(|(name, value)| (name.as_str(), value))
@@ -138,8 +138,8 @@ impl Report {
         self.settings.insert(name.to_owned(), value.into());
     }
 
-    /// A size or choice as text.
-    pub fn said(&self, name: &str) -> Option<String> {
+    /// Returns a size or choice as text.
+    pub fn setting_text(&self, name: &str) -> Option<String> {
         self.settings.get(name).map(|value| value.as_str().map_or_else(|| value.to_string(), str::to_owned))
     }
 
@@ -153,8 +153,8 @@ impl Report {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: true });
     }
 
-    /// Adds the time of a choice: alone only that of `exact` is compared, others by how they stand to it, since that does not
-    /// depend on how fast a machine happens to be.
+    /// Adds the time of a choice and its ratio to `exact`. Comparisons use the absolute time of `exact` only, and the ratios
+    /// of other choices, which do not depend on the current speed of the machine.
     pub fn choice(&mut self, what: &str, name: &str, milliseconds: Summary, of_exact: Summary) {
         let own = format!("{what}, {name}");
         if name == "exact" {
@@ -170,7 +170,7 @@ impl Report {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: false });
     }
 
-    /// Refuses what could not be read back: JSON has no word for what is not finite.
+    /// Refuses non-finite figures, which JSON cannot represent.
     ///
     /// # Errors
     /// If a figure is not finite, with a sentence that names it.
@@ -187,7 +187,7 @@ impl Report {
         }
     }
 
-    /// Says what was checked and held.
+    /// Adds a check that passed.
     pub fn check(&mut self, what: impl Into<String>) {
         self.checks.push(what.into());
     }
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_finite_is_refused_by_name() {
+    fn non_finite_facts_are_refused_by_name() {
         let device = DeviceLine {
             name: "a".into(),
             kind: "cpu".into(),
@@ -209,7 +209,7 @@ mod tests {
         let report = |value: f64, fact: f64| {
             let mut report = Report::new("tradeoff", device.clone(), 1, 0);
             report.time("mean error, fast", "", Summary::of(&[value]));
-            report.fact("picture, fast, dB", fact);
+            report.fact("image, fast, dB", fact);
             report
         };
         let good = report(1e-3, 40.0);
@@ -221,8 +221,8 @@ mod tests {
             let bad = report(wrong, 40.0);
             assert!(serde_json::from_str::<Report>(&serde_json::to_string(&bad).unwrap()).is_err());
             assert!(bad.ensure_finite().unwrap_err().to_string().starts_with("\"mean error, fast\" is not"), "{wrong}");
-            let said = report(1e-3, wrong).ensure_finite().unwrap_err().to_string();
-            assert!(said.starts_with("\"picture, fast, dB\" is not a finite number"), "{said}");
+            let message = report(1e-3, wrong).ensure_finite().unwrap_err().to_string();
+            assert!(message.starts_with("\"image, fast, dB\" is not a finite number"), "{message}");
         }
     }
 }

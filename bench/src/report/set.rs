@@ -1,4 +1,4 @@
-//! All reports of one device in one file, and the table that the README shows of them.
+//! All reports of one device in one file, and the table of them in docs/project/benchmarks.md.
 
 use super::{Report, ValueRow};
 use anyhow::Context;
@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
 
-/// What was measured on one device.
+/// Reports of one device.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ReportSet {
     /// One a command and choice of sizes.
     pub reports: Vec<Report>,
 }
 
-/// Facts worth a line.
+/// Facts with a line in the table.
 const FACTS: [&str; 4] = [
     "step: passes, groups, barriers",
     "step: arena, and without sharing memory, MB",
@@ -38,8 +38,8 @@ impl ReportSet {
         set.map_err(|e| anyhow::anyhow!("\"{}\" is not a report of engine-bench: {e}.", path.display()))
     }
 
-    /// The report that another one can be set against: of the same command, with the same settings if there is one, or at least with
-    /// none that differs.
+    /// Returns the baseline report for another one.
+    /// It has the same command, and the same settings if such a report exists, or else no conflicting setting.
     ///
     /// # Errors
     /// If there is none of that command.
@@ -58,14 +58,15 @@ impl ReportSet {
     pub fn only(&self, command: &str, settings: &[(String, String)]) -> anyhow::Result<&Report> {
         let all: Vec<&Report> = self.reports.iter().filter(|r| r.command == command).collect();
         anyhow::ensure!(!all.is_empty(), "There is no report of \"{command}\".");
-        let fits = |r: &&Report| settings.iter().all(|(name, value)| said(r, name).as_ref() == Some(value));
+        let fits =
+            |r: &&Report| settings.iter().all(|(name, value)| setting_or_default(r, name).as_ref() == Some(value));
         let found: Vec<&Report> = all.iter().copied().filter(fits).collect();
-        let wanted: Vec<String> = settings.iter().map(|(name, value)| format!("{name}={value}")).collect();
-        let wanted = if wanted.is_empty() { String::new() } else { format!(" with {}", wanted.join(", ")) };
+        let filter: Vec<String> = settings.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        let filter = if filter.is_empty() { String::new() } else { format!(" with {}", filter.join(", ")) };
         match found[..] {
             [one] => Ok(one),
-            [] => anyhow::bail!("There is no report of \"{command}\"{wanted}, but:{}", told_apart(&all)),
-            _ => anyhow::bail!("Reports of \"{command}\"{wanted} are:{}", told_apart(&found)),
+            [] => anyhow::bail!("There is no report of \"{command}\"{filter}, but:{}", distinguishing_settings(&all)),
+            _ => anyhow::bail!("Reports of \"{command}\"{filter} are:{}", distinguishing_settings(&found)),
         }
     }
 
@@ -89,19 +90,21 @@ fn key(r: &Report) -> (String, String) {
     (r.command.clone(), serde_json::to_string(&r.settings).unwrap_or_default())
 }
 
-/// A setting as text.
-fn said(report: &Report, name: &str) -> Option<String> {
-    report.said(name).or_else(|| (name == "stage").then(|| "geometry".to_owned()))
+/// Returns a setting as text; `stage` defaults to `geometry`.
+fn setting_or_default(report: &Report, name: &str) -> Option<String> {
+    report.setting_text(name).or_else(|| (name == "stage").then(|| "geometry".to_owned()))
 }
 
 /// A line a report, with the settings in which they differ.
-fn told_apart(reports: &[&Report]) -> String {
+fn distinguishing_settings(reports: &[&Report]) -> String {
     let mut names: Vec<&str> = reports.iter().flat_map(|r| r.settings.keys()).map(String::as_str).collect();
     names.sort_unstable();
     names.dedup();
-    names.retain(|name| *name == "scene" || reports.iter().any(|r| said(r, name) != said(reports[0], name)));
+    names.retain(|name| {
+        *name == "scene" || reports.iter().any(|r| setting_or_default(r, name) != setting_or_default(reports[0], name))
+    });
     let line = |r: &&Report| {
-        let all = names.iter().filter_map(|name| Some(format!("{name}={}", said(r, name)?)));
+        let all = names.iter().filter_map(|name| Some(format!("{name}={}", setting_or_default(r, name)?)));
         format!("\n  {}", all.collect::<Vec<_>>().join(", "))
     };
     reports.iter().map(line).collect()
@@ -214,7 +217,9 @@ mod tests {
         let set = ReportSet { reports };
         let only = |command: &str, settings: &[(&str, &str)]| {
             let settings: Vec<_> = settings.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
-            set.only(command, &settings).map(|r| (r.said("scene"), r.said("stage"))).map_err(|e| e.to_string())
+            set.only(command, &settings)
+                .map(|r| (r.setting_text("scene"), r.setting_text("stage")))
+                .map_err(|e| e.to_string())
         };
         assert_eq!(only("tradeoff", &[("scene", "fox")]), Ok((Some("fox".into()), None)));
         assert_eq!(only("tradeoff", &[("scene", "room"), ("stage", "geometry")]), Ok((Some("room".into()), None)));
@@ -223,13 +228,16 @@ mod tests {
             only("tradeoff", &[("scene", "room")]).unwrap_err(),
             "Reports of \"tradeoff\" with scene=room are:\n  scene=room, stage=geometry\n  scene=room, stage=intrinsic"
         );
-        let said = only("tradeoff", &[("gaussians", "7")]).unwrap_err();
-        assert!(said.starts_with("There is no report of \"tradeoff\" with gaussians=7, but:\n  scene=fox"), "{said}");
+        let message = only("tradeoff", &[("gaussians", "7")]).unwrap_err();
+        assert!(
+            message.starts_with("There is no report of \"tradeoff\" with gaussians=7, but:\n  scene=fox"),
+            "{message}"
+        );
         assert_eq!(only("scaling", &[]).unwrap_err(), "There is no report of \"scaling\".");
     }
 
     #[test]
-    fn the_readme_shows_what_was_measured() {
+    fn benchmarks_table_matches_recorded_reports() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut files: Vec<_> = std::fs::read_dir(root.join("results"))
             .unwrap()
@@ -238,13 +246,12 @@ mod tests {
             .collect();
         files.sort();
         let sets: Vec<ReportSet> = files.iter().map(|path| ReportSet::read(path).unwrap()).collect();
-        let readme = std::fs::read_to_string(root.join("../README.md")).unwrap();
-        let (_, rest) =
-            readme.split_once("<!-- engine-bench table -->\n").expect("the README has a place for the table");
-        let (shown, _) = rest.split_once("<!-- end -->").expect("the table ends");
+        let page = std::fs::read_to_string(root.join("../docs/project/benchmarks.md")).unwrap();
+        let (_, rest) = page.split_once("<!-- engine-bench table -->\n").expect("the page has a place for the table");
+        let (found_table, _) = rest.split_once("<!-- end -->").expect("the table ends");
         assert!(
-            shown == table(&sets),
-            "the README should show (engine-bench table bench/results/*.json)\n{}",
+            found_table == table(&sets),
+            "docs/project/benchmarks.md should show (engine-bench table bench/results/*.json)\n{}",
             table(&sets)
         );
     }

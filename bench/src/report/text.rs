@@ -13,8 +13,8 @@ impl Report {
             "{}: {} ({}), {}, Vulkan {}, subgroups of {}",
             self.command, d.name, d.kind, d.driver, d.api, d.subgroup_size
         );
-        let said = self.settings.iter().filter(|(_, v)| v.as_str() != Some(""));
-        let settings: Vec<String> = said.map(|(k, v)| format!("{k} {}", plain(v))).collect();
+        let stated = self.settings.iter().filter(|(_, v)| v.as_str() != Some(""));
+        let settings: Vec<String> = stated.map(|(k, v)| format!("{k} {}", plain(v))).collect();
         let _ = writeln!(out, "{}; {} repeats after {}", settings.join(", "), self.repeats, self.warmup);
         if let Some(c) = &self.ceiling {
             let _ = writeln!(

@@ -1,4 +1,4 @@
-//! What the intrinsic stage is measured on: surfaces of a scene directory, or of a synthetic room that is made for it.
+//! Workload of the intrinsic stage: surfaces of a scene directory, or of a generated synthetic room.
 
 use anyhow::{Context, ensure};
 use sgs_config::Settings;
@@ -85,8 +85,8 @@ pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
     Ok(settings)
 }
 
-/// The same for steps that are measured: those that compare with pseudo-views, or under other lights, are other graphs, so that plain
-/// ones are.
+/// Returns the settings for measured steps, without losses that need other graphs (pseudo-views, other lights), so that
+/// every step is the same graph.
 pub fn plain(settings: &Settings) -> Settings {
     let mut plain = settings.clone();
     (plain.intrinsic.losses.cross_view, plain.intrinsic.losses.relight) = (0.0, 0.0);

@@ -1,4 +1,4 @@
-//! What is trained while it is measured: views on the device, and Gaussians to begin with.
+//! Workload of training: views on the device, and initial Gaussians.
 
 mod lit;
 mod room;
@@ -10,7 +10,7 @@ pub use synthetic::{Synthetic, synthetic};
 use sgs_config::Settings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::{Camera, Inputs};
-use sgs_passes::reference::project as twin;
+use sgs_passes::reference::project as reference;
 use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
 use sgs_run::gaussian_data;
 use sgs_scene::{Scene, SceneOptions, Splats};
@@ -66,7 +66,7 @@ pub struct Priors {
 }
 
 impl Workload {
-    /// What a step is bound to.
+    /// Buffers that a step is bound to.
     pub fn inputs(&self) -> Inputs<'_> {
         Inputs {
             targets: &self.targets,
@@ -122,10 +122,10 @@ pub fn directory(
     })
 }
 
-/// Gaussians as the CPU twin takes them.
-pub fn twin_gaussians(d: &GaussianData) -> twin::Gaussians {
+/// Gaussians as the CPU reference takes them.
+pub fn reference_gaussians(d: &GaussianData) -> reference::Gaussians {
     let wide = |g: Group| d.group(g).iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
-    twin::Gaussians {
+    reference::Gaussians {
         means: wide(Group::Means),
         log_scales: wide(Group::LogScales),
         rotations: wide(Group::Rotations),
@@ -136,11 +136,11 @@ pub fn twin_gaussians(d: &GaussianData) -> twin::Gaussians {
     }
 }
 
-/// A camera as the CPU twin takes it.
-pub fn twin_camera(c: &Camera) -> twin::Camera {
+/// A camera as the CPU reference takes it.
+pub fn reference_camera(c: &Camera) -> reference::Camera {
     let w = c.world_to_camera.map(|row| row.map(f64::from));
     let column = |k: usize| glam::DVec3::new(w[0][k], w[1][k], w[2][k]);
-    twin::Camera {
+    reference::Camera {
         rotation: glam::DMat3::from_cols(column(0), column(1), column(2)),
         translation: column(3),
         focal: glam::DVec2::new(f64::from(c.focal[0]), f64::from(c.focal[1])),

@@ -1,5 +1,6 @@
-//! The deterministic room: photographs are rendered from Gaussians that are known, on the device that is measured, and
-//! training starts from other points of the same surfaces. So losses and gradients are those of a real scene.
+//! The deterministic room: photographs rendered from known Gaussians on the measured device.
+//!
+//! Training starts from other points of the same surfaces, so losses and gradients resemble those of a real scene.
 
 use super::{Workload, room, settings};
 use glam::{DMat3, DVec3};
@@ -21,7 +22,7 @@ const RING: f64 = 1.3;
 /// Gaussians of the truth: enough for a photograph's detail, few enough to be made at once.
 const TRUTH: std::ops::RangeInclusive<u32> = 40_000..=400_000;
 
-/// What the room is made with.
+/// Options of the room.
 #[derive(Clone, Copy, Debug)]
 pub struct Synthetic {
     /// Gaussians that training starts from.
@@ -42,18 +43,18 @@ pub struct Synthetic {
 /// If memory runs out or the device fails.
 pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
     let views: Vec<Camera> = (0..VIEWS).map(|i| view(i, s.size)).collect();
-    let pictures = photographs(device, s, &views)?;
+    let images = photographs(device, s, &views)?;
     let pixels = s.size[0] * s.size[1];
     let words = u64::from(VIEWS) * u64::from(pixels);
     let targets = device.buffer("targets", 4 * words, Location::Device)?;
     let normals = if s.normals { Some(device.buffer("normal_priors", 4 * words, Location::Device)?) } else { None };
-    for (i, picture) in pictures.iter().enumerate() {
+    for (i, rendered) in images.iter().enumerate() {
         let offset = 4 * i as u64 * u64::from(pixels);
-        let channels = picture.channels as usize;
-        let packed: Vec<u32> = picture.image.chunks_exact(channels).map(pack).collect();
+        let channels = rendered.channels as usize;
+        let packed: Vec<u32> = rendered.image.chunks_exact(channels).map(pack).collect();
         device.upload(&targets, offset, bytemuck::cast_slice(&packed))?;
         if let Some(normals) = &normals {
-            let packed = picture.image.chunks_exact(channels).map(|p| octahedral_encode([p[3], p[4], p[5]]));
+            let packed = rendered.image.chunks_exact(channels).map(|p| octahedral_encode([p[3], p[4], p[5]]));
             device.upload(normals, offset, bytemuck::cast_slice(&packed.collect::<Vec<u32>>()))?;
         }
     }
@@ -144,7 +145,7 @@ mod tests {
     #[test]
     fn cameras_are_rigid_and_stand_on_the_ring() {
         for i in 0..VIEWS {
-            let c = super::super::twin_camera(&view(i, [64, 48]));
+            let c = super::super::reference_camera(&view(i, [64, 48]));
             assert!((c.rotation.determinant() - 1.0).abs() < 1e-6);
             let at = -(c.rotation.transpose() * c.translation);
             assert!((at.x.hypot(at.z) - RING).abs() < 1e-6 && (at.y - 0.15).abs() < 1e-6);

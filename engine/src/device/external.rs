@@ -1,15 +1,14 @@
-//! A host's device: the engine at home in an application that has Vulkan already.
+//! Adoption of a host's Vulkan device, for use inside an application that already runs Vulkan.
 //!
-//! Promises: nothing is destroyed that was not made here; nothing waits for the whole device or for a queue; the order of
-//! our own work is kept by a timeline semaphore of our own; the host's queue is touched only between its `lock` and
-//! `unlock`, and then only for one submission. What can be checked of a host's claims is checked; the rest is the host's
-//! promise, written down at [`Device::adopt`].
+//! Promises: destroys only objects created here; never waits for the whole device or a queue; orders its own work by
+//! its own timeline semaphore. Touches the host's queue only between `lock` and `unlock`, for one submission at a
+//! time. Checks every claim of the host that can be checked; [`Device::adopt`] lists the rest as safety requirements.
 
 use super::fault::{Faults, Gate};
 use super::instance::Instance;
 use super::objects::Objects;
 use super::requirements::{API_VERSION, Feature, Requirements};
-use super::{Bare, Device, DeviceOptions, select};
+use super::{Device, DeviceOptions, RawDevice, select};
 use crate::error::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
@@ -17,63 +16,65 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A host's instance and the physical device it has chosen.
+/// Host's instance and its chosen physical device.
 #[derive(Clone, Copy)]
 pub struct HostInstance {
-    /// The loader's entry point, or whatever the host puts in its place. Every other function is found through it.
+    /// Entry point of the loader, or the host's replacement for it. All other functions are loaded through it.
     pub get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
-    /// The instance.
+    /// Vulkan instance.
     pub instance: vk::Instance,
-    /// One of its physical devices.
+    /// Physical device of the instance.
     pub physical_device: vk::PhysicalDevice,
     /// `VkApplicationInfo::apiVersion` of the instance.
     pub api_version: u32,
-    /// Whether `VK_EXT_debug_utils` is enabled on the instance; objects then get names, passes labels.
+    /// Whether `VK_EXT_debug_utils` is enabled on the instance; enables object names and pass labels.
     pub debug_utils: bool,
 }
 
-/// A host's device, and what was enabled on it.
+/// Host's device, with its enabled extensions and features.
 pub struct HostDevice<'a> {
-    /// Where the device comes from.
+    /// Instance and physical device of the device.
     pub instance: HostInstance,
-    /// The device.
+    /// Vulkan device.
     pub device: vk::Device,
-    /// Device extensions that are enabled. Optional ones that are not named here are not used.
+    /// Enabled device extensions. Optional extensions missing from this list are not used.
     pub extensions: &'a [&'a CStr],
-    /// Features that are enabled, of those in [`Feature`].
+    /// Enabled features, of those in [`Feature`].
     pub features: &'a [Feature],
-    /// The queue family whose command buffers we record; it can compute.
+    /// Queue family of the recorded command buffers; must support compute.
     pub queue_family: u32,
-    /// A queue of that family, if we are to submit. Without one we only record into the host's command buffers.
+    /// Queue of that family for submissions. Without one, the engine only records into the host's command buffers.
     pub queue: Option<HostQueue>,
-    /// Where compiled pipelines are kept between runs; nowhere if absent.
+    /// Folder of the pipeline cache; no cache if absent.
     pub pipeline_cache: Option<PathBuf>,
-    /// After how long a wait for our own work gives up.
+    /// Time limit of a wait for the engine's own work.
     pub timeout: Duration,
-    /// As [`DeviceOptions::closing`](super::DeviceOptions::closing).
-    pub closing: Duration,
-    /// Bytes that our buffers and images may take; what the device tells if absent.
+    /// Same as [`DeviceOptions::close_timeout`](super::DeviceOptions::close_timeout).
+    pub close_timeout: Duration,
+    /// Memory budget of buffers and images in bytes; the device's own budget if absent.
     pub memory_budget: Option<u64>,
-    /// Failures on purpose, for tests of the host.
+    /// Injected faults, for tests of the host.
     pub faults: Faults,
-    /// Where what we make is counted.
+    /// Counters of live Vulkan objects.
     pub objects: Objects,
 }
 
-/// A queue that the host shares with us.
+/// Queue shared by the host.
 pub struct HostQueue {
-    /// The queue.
+    /// Vulkan queue.
     pub queue: vk::Queue,
-    /// What the host itself holds whenever it uses the queue.
+    /// Lock that the host holds whenever it uses the queue.
     pub lock: Box<dyn QueueLock>,
 }
 
-/// The host's lock of a queue. It is held for the length of one `vkQueueSubmit2` and never while we call anything else
-/// of the host's. `()` is the lock of a queue that the host itself never touches.
+/// Host's lock of a queue.
+///
+/// Held for one `vkQueueSubmit2`, never across any other call to the host. Use `()` for a queue that the host never
+/// touches.
 pub trait QueueLock: Send + Sync {
-    /// Returns when nobody else uses the queue.
+    /// Blocks until the caller has exclusive use of the queue.
     fn lock(&self);
-    /// Lets others use it.
+    /// Releases the queue.
     fn unlock(&self);
 }
 
@@ -82,7 +83,7 @@ impl QueueLock for () {
     fn unlock(&self) {}
 }
 
-/// Holds a host's lock, and lets go of it on every way out.
+/// Guard that holds a host's lock and releases it on drop.
 pub(super) struct Locked<'a>(&'a dyn QueueLock);
 
 impl<'a> Locked<'a> {
@@ -98,24 +99,26 @@ impl Drop for Locked<'_> {
     }
 }
 
-/// What a physical device of the host needs to have enabled, before a device exists.
+/// Returns the requirements of a host's physical device before device creation.
 ///
 /// # Errors
-/// If the entry point does not know the instance, or the physical device is none of its own. A device that lacks
-/// something is no error: see [`DeviceInfo::missing`](super::DeviceInfo::missing).
+/// If the entry point does not know the instance, or the physical device does not belong to it. Missing features are
+/// not an error: see [`DeviceInfo::missing`](super::DeviceInfo::missing).
 ///
 /// # Safety
-/// The entry point behaves as `vkGetInstanceProcAddr`, and the instance is alive, was made through it, and stays alive
-/// during the call.
+/// The entry point behaves as `vkGetInstanceProcAddr`. The instance was created through it and stays alive during the
+/// call.
 pub unsafe fn requirements(host: &HostInstance) -> Result<Requirements> {
     // SAFETY: as the caller promises.
-    let (_, candidate) = unsafe { look(host, &Gate::default()) }?;
+    let (_, candidate) = unsafe { find_candidate(host, &Gate::default()) }?;
     Ok(Requirements::new(candidate.info, candidate.queue_family))
 }
 
+/// Finds the host's physical device among the instance's candidates.
+///
 /// # Safety
 /// As for [`requirements`].
-unsafe fn look(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instance>, select::Candidate)> {
+unsafe fn find_candidate(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instance>, select::Candidate)> {
     let refuse = |reason: &str| Err(Error::Host(reason.to_owned()));
     if host.instance == vk::Instance::null() {
         return refuse("the instance is null");
@@ -139,28 +142,29 @@ unsafe fn look(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instance>, selec
 }
 
 impl Device {
-    /// Moves into a host's device.
+    /// Adopts a host's device.
     ///
     /// # Errors
-    /// [`Error::MissingFeatures`] if the device lacks something or the host did not enable it; [`Error::Host`] if what
-    /// the host says contradicts itself or the device.
+    /// [`Error::MissingFeatures`] if the device lacks a required feature or the host did not enable it;
+    /// [`Error::Host`] if the host's description contradicts itself or the device.
     ///
     /// # Safety
-    /// The host promises, until the last clone of the returned device and everything made from it is gone:
-    /// * the entry point behaves as `vkGetInstanceProcAddr`; instance, device and queue come from it, belong together,
-    ///   and stay alive;
-    /// * the extensions and features it names are enabled on the device;
-    /// * the queue is of the named family (created without flags), and the host uses it only while it holds the lock
-    ///   that it passes;
-    /// * commands recorded by us are submitted to that queue, or the host orders them against our submissions itself.
+    /// The host promises, until the last clone of the returned device and everything created from it is dropped:
+    /// * The entry point behaves as `vkGetInstanceProcAddr`. Instance, device and queue come from it, belong
+    ///   together, and stay alive.
+    /// * The listed extensions and features are enabled on the device.
+    /// * The queue belongs to the named family (created without flags). The host uses it only while it holds the
+    ///   provided lock.
+    /// * The host submits commands recorded here to that queue, or orders them against the engine's submissions
+    ///   itself.
     pub unsafe fn adopt(host: HostDevice<'_>) -> Result<Device> {
         let refuse = |reason: String| Err(Error::Host(reason));
         let gate = Gate::new(host.faults, host.objects);
         // SAFETY: as the caller promises.
-        let (instance, candidate) = unsafe { look(&host.instance, &gate) }?;
+        let (instance, candidate) = unsafe { find_candidate(&host.instance, &gate) }?;
         let mut info = candidate.info;
-        let unstated = Feature::ALL.into_iter().filter(|f| f.required() && !host.features.contains(f));
-        info.missing.extend(unstated.map(|f| format!("{} (not enabled by the host)", f.name())));
+        let not_enabled = Feature::ALL.into_iter().filter(|f| f.required() && !host.features.contains(f));
+        info.missing.extend(not_enabled.map(|f| format!("{} (not enabled by the host)", f.name())));
         let control = host.features.contains(&Feature::SubgroupSizeControl);
         if info.optional.subgroup_size_control {
             info.missing.extend(select::missing_size_control(control, info.subgroup_sizes));
@@ -189,7 +193,7 @@ impl Device {
         })?;
         for name in host.extensions {
             if !known.iter().any(|k| k.extension_name_as_c_str() == Ok(*name)) {
-                return refuse(format!("{} is said to be enabled, but the device has no such extension", text(name)));
+                return refuse(format!("{} is listed as enabled, but the device has no such extension", text(name)));
             }
         }
         let functions = [c"vkQueueSubmit2", c"vkCmdPipelineBarrier2", c"vkWaitSemaphores", c"vkCmdWriteTimestamp2"];
@@ -199,7 +203,7 @@ impl Device {
                 return refuse(format!("the device does not know {}", text(name)));
             }
         }
-        info.optional = info.optional.only(host.features, host.extensions);
+        info.optional = info.optional.restricted_to(host.features, host.extensions);
         if !info.optional.cooperative_matrix {
             info.matrices.clear();
         }
@@ -210,30 +214,31 @@ impl Device {
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), host.device) };
         let (queue, lock) = host.queue.map_or((vk::Queue::null(), None), |q| (q.queue, Some(q.lock)));
         let (physical, queue_family) = (candidate.physical, host.queue_family);
-        // A host lends one queue: both lanes share it.
+        // A host shares one queue: both lanes use it.
         let second = None;
-        let bare = Bare { instance, physical, raw, owned: false, info, queue_family, queue, lock, second, gate };
+        let raw_device =
+            RawDevice { instance, physical, raw, owned: false, info, queue_family, queue, lock, second, gate };
         let options = DeviceOptions {
             pipeline_cache: host.pipeline_cache,
             timeout: host.timeout,
-            closing: host.closing,
+            close_timeout: host.close_timeout,
             memory_budget: host.memory_budget,
             ..Default::default()
         };
-        Device::assemble(bare, &options)
+        Device::assemble(raw_device, &options)
     }
 
-    /// Whether the device belongs to a host.
+    /// Returns whether the device belongs to a host.
     pub fn adopted(&self) -> bool {
         !self.0.owned
     }
 
-    /// Something that differs between devices that are open at the same time, and is the same for clones.
+    /// Returns an identifier that is unique among open devices and equal for clones.
     pub fn address(&self) -> usize {
         Arc::as_ptr(&self.0).addr()
     }
 
-    /// The raw device, for hosts that make their own objects from it.
+    /// Returns the raw device, for hosts that create their own objects from it.
     pub fn raw(&self) -> vk::Device {
         self.0.raw.handle()
     }

@@ -1,9 +1,8 @@
-//! Failure on purpose: every Vulkan call that can fail asks here first.
+//! Fault injection for every Vulkan call that can fail.
 //!
-//! Promises: a [`Faults`] belongs to whoever made it and to the devices opened with it, never to the process; while
-//! nothing is planned a call costs one relaxed load. A planned failure stands in place of the call, which is not made, so
-//! that nothing it would have made is left behind. Leaves what a failure leads to to the caller, who cannot tell it from
-//! a real one. The loss of a device is remembered: from then on every call fails at once.
+//! Promises: a [`Faults`] affects only the devices opened with it, never the process. Without planned faults, a call
+//! costs one relaxed load. A planned fault replaces the call, so the call creates nothing. The caller handles it like
+//! a real failure. After the loss of a device, every later call fails immediately.
 
 use super::objects::{ObjectKind, Objects};
 use crate::error::{Check, Error, Result};
@@ -11,7 +10,7 @@ use ash::vk;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
-/// Result codes that can be planned.
+/// Result codes that can be injected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum FaultKind {
@@ -21,7 +20,7 @@ pub enum FaultKind {
     OutOfDeviceMemory,
     /// `VK_ERROR_DEVICE_LOST`; the device stays lost.
     DeviceLost,
-    /// `VK_TIMEOUT`, as if the time limit of a wait had passed.
+    /// `VK_TIMEOUT`, as if a wait had reached its time limit.
     Timeout,
     /// `VK_NOT_READY`.
     NotReady,
@@ -59,7 +58,7 @@ impl FaultKind {
         }
     }
 
-    /// The codes with which a call may fail (Vulkan 1.3, the section of each call).
+    /// Returns the error codes that a call can return (Vulkan 1.3, the section of each call).
     pub fn of(call: &str) -> &'static [FaultKind] {
         use FaultKind::{
             DeviceLost, FragmentedPool, IncompatibleDriver, InitializationFailed, MemoryMapFailed, NotReady,
@@ -80,39 +79,41 @@ impl FaultKind {
     }
 }
 
-/// A failure to come.
+/// Planned fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// The call that fails, or [`Fault::ANY`].
+    /// Vulkan call that fails, or [`Fault::ANY`].
     pub call: &'static str,
-    /// So many of these calls succeed before.
+    /// Number of matching calls that succeed first.
     pub skip: u64,
-    /// How it fails.
+    /// Result code of the failure.
     pub result: FaultKind,
 }
 
 impl Fault {
-    /// Matches every call.
+    /// Wildcard that matches every call.
     pub const ANY: &'static str = "*";
 }
 
-/// A call that was counted.
+/// Recorded Vulkan call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Call {
-    /// Its name.
+    /// Name of the call.
     pub call: &'static str,
-    /// The object or pass it was for.
+    /// Object or pass of the call.
     pub what: String,
 }
 
-/// What is to fail, and the record of what was called. Clones are the same plan: keep one, give one to
-/// [`super::DeviceOptions::faults`]. Devices opened with clones of one plan share it.
+/// Fault plan and call record, shared by clones.
+///
+/// Keep one clone and pass another as [`super::DeviceOptions::faults`]. Devices opened with clones of one plan share
+/// it.
 #[derive(Clone, Debug, Default)]
-pub struct Faults(Arc<Watched>);
+pub struct Faults(Arc<FaultsInner>);
 
 #[derive(Debug, Default)]
-struct Watched {
-    /// Whether anything is planned or recorded.
+struct FaultsInner {
+    /// Whether any fault is planned or calls are recorded.
     active: AtomicBool,
     state: Mutex<State>,
 }
@@ -125,28 +126,28 @@ struct State {
 }
 
 impl Faults {
-    /// Plans a failure. Each plan fires once; several may be waiting.
+    /// Plans a fault. Each fires once; several may be pending.
     pub fn inject(&self, fault: Fault) {
         let mut state = self.lock();
         state.planned.push(fault);
         self.0.active.store(true, Ordering::Relaxed);
     }
 
-    /// Forgets the failures that have not come yet.
+    /// Removes all pending faults.
     pub fn clear(&self) {
         let mut state = self.lock();
         state.planned.clear();
         self.0.active.store(state.record.is_some(), Ordering::Relaxed);
     }
 
-    /// Starts to write down every call.
+    /// Starts to record every call.
     pub fn record(&self) {
         let mut state = self.lock();
         state.record = Some(Vec::new());
         self.0.active.store(true, Ordering::Relaxed);
     }
 
-    /// The calls since [`Faults::record`]; ends the recording.
+    /// Returns the calls since [`Faults::record`] and ends the recording.
     pub fn take_record(&self) -> Vec<Call> {
         let mut state = self.lock();
         let calls = state.record.take().unwrap_or_default();
@@ -154,7 +155,7 @@ impl Faults {
         calls
     }
 
-    /// The failures that came, emptied.
+    /// Returns and clears the faults that fired.
     pub fn take_fired(&self) -> Vec<(Call, FaultKind)> {
         std::mem::take(&mut self.lock().fired)
     }
@@ -163,14 +164,14 @@ impl Faults {
         self.0.state.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// The planned failure of this call, if it is its turn.
+    /// Returns the planned failure of this call, if it is due.
     #[inline]
     fn planned(&self, call: &'static str, what: &str) -> std::result::Result<(), vk::Result> {
-        if self.0.active.load(Ordering::Relaxed) { self.consult(call, what) } else { Ok(()) }
+        if self.0.active.load(Ordering::Relaxed) { self.take_due(call, what) } else { Ok(()) }
     }
 
     #[cold]
-    fn consult(&self, call: &'static str, what: &str) -> std::result::Result<(), vk::Result> {
+    fn take_due(&self, call: &'static str, what: &str) -> std::result::Result<(), vk::Result> {
         let mut state = self.lock();
         let named = || Call { call, what: what.to_owned() };
         if let Some(record) = &mut state.record {
@@ -194,7 +195,7 @@ impl Faults {
     }
 }
 
-/// The one way to the driver: a device's plan of failures, its tally of objects, and whether it is lost.
+/// Gateway to the driver: fault plan, object counts, and device-lost state of one device.
 #[derive(Debug, Default)]
 pub(crate) struct Gate {
     pub faults: Faults,
@@ -207,7 +208,7 @@ impl Gate {
         Gate { faults, objects, lost: OnceLock::new() }
     }
 
-    /// Makes a call that can fail, unless the device is lost or the call is to fail on purpose.
+    /// Makes a call that can fail, unless the device is lost or a fault is due.
     pub fn call<T>(
         &self,
         call: &'static str,
@@ -224,7 +225,7 @@ impl Gate {
         result.check(call, what)
     }
 
-    /// As [`Gate::call`], for a call that makes one object, which is counted until [`Gate::gone`].
+    /// Like [`Gate::call`], for a call that creates one object; counts the object until [`Gate::count_destroyed`].
     pub fn make<T>(
         &self,
         kind: ObjectKind,
@@ -238,7 +239,7 @@ impl Gate {
     }
 
     /// Counts an object as destroyed.
-    pub fn gone(&self, kind: ObjectKind) {
+    pub fn count_destroyed(&self, kind: ObjectKind) {
         self.objects.remove(kind);
     }
 }
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_planned_failure_comes_in_its_turn_and_once() {
+    fn planned_fault_fires_once_after_its_skips() {
         let gate = Gate::default();
         gate.faults.inject(Fault { call: "vkCreateBuffer", skip: 1, result: FaultKind::OutOfDeviceMemory });
         gate.faults.inject(Fault { call: Fault::ANY, skip: 3, result: FaultKind::OutOfHostMemory });
@@ -272,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn calls_are_recorded_and_plans_can_be_dropped() {
+    fn calls_are_recorded_and_faults_can_be_cleared() {
         let gate = Gate::default();
         gate.faults.record();
         let made = gate.make(ObjectKind::Buffer, "vkCreateBuffer", "a", ok);
@@ -283,7 +284,7 @@ mod tests {
             [("vkCreateBuffer", "a"), ("vkMapMemory", "b")]
         );
         assert_eq!(gate.objects.count(ObjectKind::Buffer), 1);
-        gate.gone(ObjectKind::Buffer);
+        gate.count_destroyed(ObjectKind::Buffer);
         assert_eq!(gate.objects.total(), 0);
         gate.faults.inject(Fault { call: Fault::ANY, skip: 0, result: FaultKind::Unknown });
         gate.faults.clear();
@@ -291,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_device_stays_lost() {
+    fn lost_device_stays_lost() {
         let gate = Gate::default();
         gate.faults.inject(Fault { call: "vkQueueSubmit2", skip: 0, result: FaultKind::DeviceLost });
         let first = gate.call("vkQueueSubmit2", "step", ok).unwrap_err().to_string();

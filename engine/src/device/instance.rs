@@ -1,4 +1,4 @@
-//! The Vulkan instance, and the messages that validation sends.
+//! Vulkan instance and its validation messages.
 
 use super::fault::Gate;
 use super::objects::{ObjectKind, Objects};
@@ -13,23 +13,23 @@ const LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// Collects validation messages of one instance.
 #[derive(Debug, Default)]
 pub struct Messages {
-    said: Mutex<Vec<String>>,
-    /// What each thread is recording, the outermost first: messages come on the thread that they are about.
+    reports: Mutex<Vec<String>>,
+    /// Labels that each thread is recording, outermost first. Messages arrive on the thread that caused them.
     labels: Mutex<Vec<(ThreadId, String)>>,
 }
 
 impl Messages {
-    /// Everything reported so far, emptied.
+    /// Returns and clears all collected messages.
     pub fn take(&self) -> Vec<String> {
-        std::mem::take(&mut *lock(&self.said))
+        std::mem::take(&mut *lock(&self.reports))
     }
 
-    /// What this thread records from here on carries a name.
+    /// Opens a label for the commands that this thread records.
     pub(crate) fn open(&self, label: &str) {
         lock(&self.labels).push((thread::current().id(), label.to_owned()));
     }
 
-    /// What this thread opened last ends here.
+    /// Closes the innermost label of this thread.
     pub(crate) fn close(&self) {
         let mut labels = lock(&self.labels);
         if let Some(last) = labels.iter().rposition(|(owner, _)| *owner == thread::current().id()) {
@@ -37,7 +37,7 @@ impl Messages {
         }
     }
 
-    /// Whatever this thread left open, by failing in the middle, ends here.
+    /// Closes all labels that this thread left open after an error.
     pub(crate) fn close_all(&self) {
         lock(&self.labels).retain(|(owner, _)| *owner != thread::current().id());
     }
@@ -48,7 +48,7 @@ impl Messages {
     }
 
     fn push(&self, message: String) {
-        lock(&self.said).push(message);
+        lock(&self.reports).push(message);
     }
 }
 
@@ -56,15 +56,15 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// An instance with its loader and, in validation mode, its messenger; or a host's instance, which stays the host's.
+/// Instance with its loader and, with validation, its messenger; or a borrowed instance of a host.
 pub(crate) struct Instance {
     pub raw: ash::Instance,
-    /// Keeps the loader in memory; a host keeps its own.
+    /// Keeps the loader in memory; absent for a host's instance.
     pub(super) entry: Option<ash::Entry>,
     get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
     pub messages: Arc<Messages>,
     pub validation: bool,
-    /// Of the validation layer, if it is used.
+    /// Version of the validation layer, if enabled.
     pub layer_version: Option<(u32, u32, u32)>,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     pub debug_utils: bool,
@@ -72,8 +72,8 @@ pub(crate) struct Instance {
 }
 
 impl Instance {
-    /// `wanted`: extensions without which there is no use in an instance.
-    pub fn new(validation: bool, wanted: &[&'static CStr], gate: &Gate) -> Result<Arc<Instance>> {
+    /// Creates an instance. Fails if an extension in `required` is missing.
+    pub fn new(validation: bool, required: &[&'static CStr], gate: &Gate) -> Result<Arc<Instance>> {
         // SAFETY: loading the system's Vulkan loader runs its initializers, which are sound by the platform's contract.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::Loader(e.to_string()))?;
         // SAFETY: the entry is loaded; the call only enumerates.
@@ -94,7 +94,7 @@ impl Instance {
         let debug_utils =
             validation || extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(ext::debug_utils::NAME));
         let known = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
-        if let Some(absent) = wanted.iter().find(|name| !known(name)) {
+        if let Some(absent) = required.iter().find(|name| !known(name)) {
             return Err(Error::Window(format!("the Vulkan drivers here have no {}", absent.to_string_lossy())));
         }
         let messages = Arc::new(Messages::default());
@@ -103,7 +103,7 @@ impl Instance {
             .engine_name(c"sgs-engine")
             .api_version(vk::API_VERSION_1_3);
         let layer_names = [LAYER.as_ptr()];
-        let mut extension_names: Vec<_> = wanted.iter().map(|name| name.as_ptr()).collect();
+        let mut extension_names: Vec<_> = required.iter().map(|name| name.as_ptr()).collect();
         if debug_utils {
             extension_names.push(ext::debug_utils::NAME.as_ptr());
         }
@@ -120,17 +120,17 @@ impl Instance {
             .make(ObjectKind::Instance, "vkCreateInstance", "sgs", || unsafe { entry.create_instance(&info, None) })?;
         let messenger = if validation {
             let api = ext::debug_utils::Instance::new(&entry, &raw);
-            // SAFETY: the instance is alive and has the extension; the sink outlives the messenger, which is destroyed
-            // before the last reference to the sink that this struct holds goes away.
+            // SAFETY: the instance is alive and has the extension; the messages outlive the messenger, which is
+            // destroyed before this struct drops its last reference to them.
             let made = gate.make(ObjectKind::Messenger, "vkCreateDebugUtilsMessengerEXT", "validation", || unsafe {
                 api.create_debug_utils_messenger(&messenger_info(&messages), None)
             });
             match made {
                 Ok(m) => Some((api, m)),
                 Err(error) => {
-                    // SAFETY: nothing was made from the instance yet.
+                    // SAFETY: nothing was created from the instance yet.
                     unsafe { raw.destroy_instance(None) };
-                    gate.gone(ObjectKind::Instance);
+                    gate.count_destroyed(ObjectKind::Instance);
                     return Err(error);
                 }
             }
@@ -150,11 +150,11 @@ impl Instance {
         }))
     }
 
-    /// A host's instance, which is not destroyed here.
+    /// Wraps a host's instance, which is never destroyed here.
     ///
     /// # Safety
-    /// The entry point behaves as `vkGetInstanceProcAddr`; the instance was made through it and outlives what is
-    /// returned.
+    /// The entry point behaves as `vkGetInstanceProcAddr`. The instance was created through it and outlives the
+    /// returned value.
     pub unsafe fn borrow(
         get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
         instance: vk::Instance,
@@ -178,10 +178,10 @@ impl Instance {
 }
 
 impl Instance {
-    /// What asks for shapes of cooperative matrices, if whoever stands for the loader knows it.
+    /// Loads the cooperative-matrix query, if the loader or its replacement has it.
     pub fn cooperative_matrices(&self) -> Option<khr::cooperative_matrix::Instance> {
         let name = c"vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR";
-        // SAFETY: the entry point made the instance, which is alive.
+        // SAFETY: the instance was created through the entry point and is alive.
         unsafe { (self.get_instance_proc_addr)(self.raw.handle(), name.as_ptr()) }?;
         let functions = ash::StaticFn { get_instance_proc_addr: self.get_instance_proc_addr };
         // SAFETY: as above; the loader outlives this instance.
@@ -195,7 +195,7 @@ impl Drop for Instance {
         if self.entry.is_none() {
             return;
         }
-        // SAFETY: devices hold an `Arc` of this, so none is left; the messenger belongs to this instance.
+        // SAFETY: devices hold an `Arc` of this, so no device is left; the messenger belongs to this instance.
         unsafe {
             if let Some((api, messenger)) = self.messenger.take() {
                 api.destroy_debug_utils_messenger(messenger, None);
@@ -220,7 +220,7 @@ fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfo
 }
 
 /// # Safety
-/// Called by the layer with its own data and the sink that `messenger_info` registered.
+/// Called by the layer with its own data and the `Messages` that `messenger_info` registered.
 unsafe extern "system" fn on_message(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     kind: vk::DebugUtilsMessageTypeFlagsEXT,
@@ -230,24 +230,24 @@ unsafe extern "system" fn on_message(
     if data.is_null() || user.is_null() {
         return vk::FALSE;
     }
-    // SAFETY: the layer passes valid data for the duration of the call, and `user` is the sink registered with it,
-    // which outlives the messenger.
+    // SAFETY: the layer passes valid data for the duration of the call; `user` is the registered `Messages`, which
+    // outlives the messenger.
     let (data, messages) = unsafe { (&*data, &*user.cast::<Messages>()) };
-    // SAFETY: as above; the text ends in a zero.
+    // SAFETY: as above; the text is zero-terminated.
     let text = unsafe { data.message_as_c_str() };
     let mut text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
-    // SAFETY: as above; the layer gives as many labels as it says.
+    // SAFETY: as above; the layer passes as many labels as it counts.
     let labels = unsafe { labels(data) };
-    // Layers give labels only with messages about the command buffer itself.
+    // Layers pass labels only with messages about the command buffer itself.
     let (place, labels) =
         if labels.is_empty() { ("Recording", messages.open_labels()) } else { ("In the command buffer", labels) };
     if !labels.is_empty() {
         text = format!("{text} {place}: {}.", labels.join(", "));
     }
-    // Images are used in the general layout on purpose (docs/adr/0010-images-and-layouts.md).
+    // Images stay in the general layout by design (docs/adr/0010-images-and-layouts.md).
     let layout_advice =
         kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE) && text.contains("InvalidImageLayout");
-    // The loader speaks of absent drivers and layers through GENERAL: not about our use of Vulkan.
+    // GENERAL messages report absent drivers and layers, not errors in Vulkan usage.
     if layout_advice || kind.contains(vk::DebugUtilsMessageTypeFlagsEXT::GENERAL) {
         tracing::debug!("{text}");
     } else {
@@ -256,23 +256,23 @@ unsafe extern "system" fn on_message(
     vk::FALSE
 }
 
-/// The labels that were open in the command buffer that a message is about, the outermost first.
+/// Returns the open labels of the command buffer of a message, outermost first.
 ///
 /// # Safety
-/// The data must be as a layer gives it.
+/// The data must be as passed by a layer.
 unsafe fn labels(data: &vk::DebugUtilsMessengerCallbackDataEXT<'_>) -> Vec<String> {
     if data.p_cmd_buf_labels.is_null() {
         return Vec::new();
     }
-    // SAFETY: the caller's promise: so many labels are there.
+    // SAFETY: by the caller's promise, `cmd_buf_label_count` labels are present.
     let labels = unsafe { std::slice::from_raw_parts(data.p_cmd_buf_labels, data.cmd_buf_label_count as usize) };
-    // Layers give the innermost first.
+    // Layers pass the innermost first.
     let names = labels.iter().rev().filter_map(|label| {
-        // SAFETY: the caller's promise: names end in a zero.
+        // SAFETY: by the caller's promise, names are zero-terminated.
         unsafe { label.label_name_as_c_str() }
     });
     let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into_owned()).collect();
-    // Version 1.3.239 gives each of them twice.
+    // Version 1.3.239 passes each label twice.
     names.dedup();
     names
 }

@@ -1,20 +1,20 @@
-//! Limits that single buffers and kernels must keep, checked before anything is allocated.
+//! Checks of buffers and kernels against device limits, before anything is allocated.
 
 use super::DeviceInfo;
 use crate::error::{Error, Result};
 use crate::graph::{BufferKind, PassKind, Plan};
 use crate::shader::BindingKind;
 
-/// Upper bounds in addition to the device's own, to test or to plan for a smaller device. The default changes nothing.
+/// Upper bounds below the device's own, to test or plan for a smaller device. The default changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Bytes of one storage binding.
+    /// Maximum storage binding in bytes.
     pub storage_range: u64,
-    /// Bytes of one buffer.
+    /// Maximum buffer size in bytes.
     pub buffer: u64,
-    /// Bytes of one allocation.
+    /// Maximum allocation size in bytes.
     pub allocation: u64,
-    /// Storage buffers of one kernel.
+    /// Maximum number of storage buffers of a kernel.
     pub storage_buffers: u32,
 }
 
@@ -35,17 +35,17 @@ impl Limits {
 }
 
 impl DeviceInfo {
-    /// Bytes of the largest buffer that can be made.
+    /// Returns the size of the largest possible buffer in bytes.
     pub fn largest_buffer(&self) -> u64 {
         self.max_buffer.min(self.max_allocation)
     }
 
-    /// Bytes of the largest buffer that can be made and bound whole.
+    /// Returns the size of the largest buffer that can be bound as a whole, in bytes.
     pub fn largest_binding(&self) -> u64 {
         self.largest_buffer().min(self.max_storage_range)
     }
 
-    /// Checks the size of a buffer.
+    /// Checks the size of a buffer against the device limits.
     pub(crate) fn check_buffer(&self, name: &str, bytes: u64) -> Result<()> {
         let limit = self.largest_buffer();
         if bytes <= limit {
@@ -55,7 +55,7 @@ impl DeviceInfo {
         Err(Error::BufferTooLarge { what, bytes, limit, device: self.name.clone() })
     }
 
-    /// Checks that a plan's buffers and kernels keep the limits of this device.
+    /// Checks the buffers and kernels of a plan against the limits of this device.
     ///
     /// # Errors
     /// [`Error::BufferTooLarge`], [`Error::BindingTooLarge`], [`Error::TooManyBuffers`].

@@ -1,4 +1,4 @@
-//! The workgroup size of a SPIR-V module with its specialization constants.
+//! Workgroup size of a SPIR-V module with its specialization constants.
 
 const OP_EXECUTION_MODE: u32 = 16;
 const OP_EXECUTION_MODE_ID: u32 = 331;
@@ -13,7 +13,7 @@ const DECORATION_SPEC_ID: u32 = 1;
 const DECORATION_BUILT_IN: u32 = 11;
 const BUILT_IN_WORKGROUP_SIZE: u32 = 25;
 
-/// Returns the invocations of a workgroup along each axis; ones if the module does not say.
+/// Returns the workgroup size along each axis; ones if the module does not declare it.
 ///
 /// The built-in `WorkgroupSize` overrides the execution mode, as SPIR-V requires. `specs` holds constant ids and bits.
 pub fn local_size(spirv: &[u32], specs: &[(u32, u32)]) -> [u32; 3] {
@@ -44,14 +44,14 @@ pub fn local_size(spirv: &[u32], specs: &[(u32, u32)]) -> [u32; 3] {
     }
     let find = |list: &[(u32, u32)], key: u32| list.iter().find(|(k, _)| *k == key).map(|(_, value)| *value);
     let value = |id: u32| {
-        let given = find(&constant_ids, id).and_then(|constant| find(specs, constant));
-        given.or_else(|| find(&values, id)).unwrap_or(1)
+        let specialized = find(&constant_ids, id).and_then(|constant| find(specs, constant));
+        specialized.or_else(|| find(&values, id)).unwrap_or(1)
     };
     let composite = |id: u32| composites.iter().find(|(other, _)| *other == id).map(|(_, ids)| *ids);
     built_in.and_then(composite).or(mode_ids).map_or(mode, |ids| ids.map(value))
 }
 
-/// Instructions of a module, each with its leading word; stops at a damaged one.
+/// Iterates over the instructions of a module, leading word included; stops at a damaged one.
 pub fn instructions(spirv: &[u32]) -> impl Iterator<Item = &[u32]> {
     let mut rest = spirv.get(5..).unwrap_or_default();
     std::iter::from_fn(move || {

@@ -1,12 +1,12 @@
-//! How many Vulkan objects of each kind a device has alive.
+//! Counts of live Vulkan objects by kind.
 //!
-//! Promises: the counts outlive the device, so that what was never given back shows. Leaves naming the culprits to the
-//! validation layer.
+//! Promises: the counts outlive the device, so leaked objects remain visible. The validation layer names the leaked
+//! objects.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Kinds of objects that are counted.
+/// Kinds of counted objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[allow(missing_docs)] // The names are Vulkan's.
 #[repr(usize)]
@@ -20,7 +20,7 @@ pub enum ObjectKind {
     Image,
     ImageView,
     Sampler,
-    /// Allocations of memory, whether they have a block of their own or share one.
+    /// Memory allocations, dedicated or sub-allocated.
     Memory,
     PipelineCache,
     Pipeline,
@@ -60,8 +60,9 @@ impl ObjectKind {
     ];
 }
 
-/// Counts of live objects; clones count together. Give one to [`super::DeviceOptions::objects`] to see what is left after
-/// the device is gone.
+/// Counters of live objects, shared by clones.
+///
+/// Pass a clone as [`super::DeviceOptions::objects`] to find leaks after the device is dropped.
 #[derive(Clone, Debug, Default)]
 pub struct Objects(Arc<[AtomicU64; ObjectKind::ALL.len()]>);
 
@@ -75,17 +76,17 @@ impl Objects {
         debug_assert!(before > 0, "{kind:?} destroyed more often than made");
     }
 
-    /// How many of a kind are alive.
+    /// Returns the number of live objects of a kind.
     pub fn count(&self, kind: ObjectKind) -> u64 {
         self.0[kind as usize].load(Ordering::Relaxed)
     }
 
-    /// How many are alive in all.
+    /// Returns the number of live objects of all kinds.
     pub fn total(&self) -> u64 {
         ObjectKind::ALL.into_iter().map(|k| self.count(k)).sum()
     }
 
-    /// The kinds of which any are alive, with their counts.
+    /// Returns the kinds with live objects, and their counts.
     pub fn alive(&self) -> Vec<(ObjectKind, u64)> {
         ObjectKind::ALL.into_iter().map(|k| (k, self.count(k))).filter(|(_, n)| *n > 0).collect()
     }
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_given_back_shows() {
+    fn leaked_objects_stay_counted() {
         let objects = Objects::default();
         let seen = objects.clone();
         objects.add(ObjectKind::Buffer);

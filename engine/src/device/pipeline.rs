@@ -1,4 +1,4 @@
-//! Compute pipelines, made once for each kernel and specialization, and their cache on disk.
+//! Compute pipelines, cached per kernel and specialization, and their on-disk cache.
 
 use super::fault::Gate;
 use super::local_size::local_size;
@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-/// A kernel ready to run, with the layouts it is bound through.
+/// Compute pipeline with its layouts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pipeline {
     pub raw: vk::Pipeline,
@@ -37,11 +37,11 @@ pub struct PipelineInfo {
     pub requested: bool,
     /// Whether the pipeline sets `REQUIRE_FULL_SUBGROUPS`.
     pub full_subgroups: bool,
-    /// Whether the kernel uses subgroups at all.
+    /// Whether the kernel uses subgroups.
     pub uses_subgroups: bool,
 }
 
-/// How a pipeline runs its subgroups.
+/// Subgroup configuration of a pipeline.
 #[derive(Clone, Copy)]
 struct Subgroups {
     /// Size to request, where the device allows requests.
@@ -51,7 +51,7 @@ struct Subgroups {
 
 #[derive(PartialEq, Eq, Hash)]
 struct Key {
-    // Names are unique among kernels of one program, but hosts may bring their own: the module itself is the key.
+    // Names are unique only within one program; hosts may bring other kernels, so the module itself is the key.
     shader: Arc<Shader>,
     specs: Vec<(u32, u32)>,
     subgroup_size: u32,
@@ -62,10 +62,10 @@ pub(crate) struct Pipelines {
     path: Option<PathBuf>,
     subgroup_size_control: bool,
     full_subgroups: bool,
-    /// Size of pipelines whose pass names none.
+    /// Subgroup size of pipelines whose pass requests none.
     subgroup_size: u32,
     subgroup_sizes: (u32, u32),
-    made: Mutex<HashMap<Key, Pipeline>>,
+    pipelines: Mutex<HashMap<Key, Pipeline>>,
 }
 
 impl Pipelines {
@@ -73,8 +73,8 @@ impl Pipelines {
         let path = folder.map(|f| cache::file(&f, info));
         let data = path.as_deref().map(cache::read).unwrap_or_default();
         let create = vk::PipelineCacheCreateInfo::default().initial_data(&data);
-        // SAFETY: the device is alive; the data are what a driver once gave, by their checksum, and one that is not theirs ignores them,
-        // by their header.
+        // SAFETY: the device is alive; by its checksum, the data was written by a driver, and by its header, a driver
+        // ignores data of another.
         let cache = gate.make(ObjectKind::PipelineCache, "vkCreatePipelineCache", "kernels", || unsafe {
             device.create_pipeline_cache(&create, None)
         })?;
@@ -85,11 +85,11 @@ impl Pipelines {
             full_subgroups: info.optional.full_subgroups,
             subgroup_size: info.subgroup_size,
             subgroup_sizes: info.subgroup_sizes,
-            made: Mutex::default(),
+            pipelines: Mutex::default(),
         })
     }
 
-    /// The pipeline of a kernel at a subgroup size; at the device's default size if the pass names none.
+    /// Returns the pipeline of a kernel at a subgroup size; the device's default size if `None`.
     pub fn get(
         &self,
         device: &super::Shared,
@@ -103,8 +103,8 @@ impl Pipelines {
             return Err(Error::SubgroupSize { kernel: shader.name.to_string(), size: subgroup_size, low, high });
         }
         let key = Key { shader: shader.clone(), specs: specs.to_vec(), subgroup_size };
-        let mut made = self.made.lock().unwrap_or_else(|e| e.into_inner());
-        if let Some(pipeline) = made.get(&key) {
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
+        if let Some(pipeline) = pipelines.get(&key) {
             return Ok(*pipeline);
         }
         let workgroup = local_size(&shader.spirv, specs);
@@ -113,12 +113,12 @@ impl Pipelines {
         let subgroups = Subgroups { requested: Some(subgroup_size).filter(|_| self.subgroup_size_control), full };
         let pipeline = create(device, self.cache, shader, specs, subgroups, workgroup)?;
         device.name(pipeline.raw, &shader.name);
-        made.insert(key, pipeline);
+        pipelines.insert(key, pipeline);
         Ok(pipeline)
     }
 
     fn infos(&self) -> Vec<PipelineInfo> {
-        let made = self.made.lock().unwrap_or_else(|e| e.into_inner());
+        let pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
         let name_of = |shader: &Shader, id: u32| {
             let known = shader.specs.iter().find(|s| s.id == id);
             known.map_or_else(|| id.to_string(), |s| s.name.to_string())
@@ -132,15 +132,15 @@ impl Pipelines {
             full_subgroups: pipeline.full_subgroups,
             uses_subgroups: key.shader.uses_subgroups(),
         };
-        let mut infos: Vec<_> = made.iter().map(info).collect();
+        let mut infos: Vec<_> = pipelines.iter().map(info).collect();
         infos.sort_by(|a, b| (&a.kernel, &a.specs).cmp(&(&b.kernel, &b.specs)));
         infos
     }
 
-    /// Writes the cache and destroys every pipeline.
+    /// Writes the on-disk cache and destroys every pipeline.
     pub fn destroy(&self, device: &ash::Device, gate: &Gate) {
-        let mut made = self.made.lock().unwrap_or_else(|e| e.into_inner());
-        if let (Some(path), false) = (&self.path, made.is_empty()) {
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
+        if let (Some(path), false) = (&self.path, pipelines.is_empty()) {
             // SAFETY: the cache is alive.
             let data = gate
                 .call("vkGetPipelineCacheData", "kernels", || unsafe { device.get_pipeline_cache_data(self.cache) });
@@ -148,28 +148,28 @@ impl Pipelines {
                 cache::write(path, &data);
             }
         }
-        for (_, p) in made.drain() {
+        for (_, p) in pipelines.drain() {
             // SAFETY: the caller has waited for all work; these came from this device.
             unsafe {
                 device.destroy_pipeline(p.raw, None);
                 device.destroy_pipeline_layout(p.layout, None);
                 device.destroy_descriptor_set_layout(p.set_layout, None);
             }
-            gate.gone(ObjectKind::Pipeline);
-            gate.gone(ObjectKind::PipelineLayout);
-            gate.gone(ObjectKind::SetLayout);
+            gate.count_destroyed(ObjectKind::Pipeline);
+            gate.count_destroyed(ObjectKind::PipelineLayout);
+            gate.count_destroyed(ObjectKind::SetLayout);
         }
-        // SAFETY: as above; nothing is made from the cache any more.
+        // SAFETY: as above; nothing uses the cache any more.
         unsafe { device.destroy_pipeline_cache(self.cache, None) };
-        gate.gone(ObjectKind::PipelineCache);
+        gate.count_destroyed(ObjectKind::PipelineCache);
     }
 }
 
 impl Device {
-    /// Compiles a kernel before its first pass does. Constants that are not given have their defaults.
+    /// Compiles a kernel ahead of its first pass. Constants not in `specs` have their defaults.
     ///
     /// # Errors
-    /// If the device does not run that subgroup size, or the driver refuses the kernel.
+    /// If the device does not support the subgroup size, or the driver rejects the kernel.
     pub fn compile(&self, shader: &Arc<Shader>, specs: &[(&str, u32)], subgroup_size: Option<u32>) -> Result<()> {
         let id = |name: &str| shader.specs.iter().find(|s| s.name == name).map(|s| s.id);
         let mut ids: Vec<_> = specs.iter().filter_map(|(name, bits)| Some((id(name)?, *bits))).collect();
@@ -177,7 +177,7 @@ impl Device {
         self.0.pipelines.get(&self.0, shader, &ids, subgroup_size).map(|_| ())
     }
 
-    /// Create infos of all pipelines made here, by kernel name.
+    /// Lists the create infos of all pipelines, by kernel name.
     pub fn pipelines(&self) -> Vec<PipelineInfo> {
         self.0.pipelines.infos()
     }
@@ -210,19 +210,19 @@ fn create(
     let set_layout = gate.make(ObjectKind::SetLayout, "vkCreateDescriptorSetLayout", name, || unsafe {
         raw.create_descriptor_set_layout(&set_info, None)
     })?;
-    let made = layout(device, shader, set_layout).and_then(|layout| {
+    let result = layout(device, shader, set_layout).and_then(|layout| {
         compile(device, cache, shader, specs, subgroups, layout)
             .map(|pipeline| Pipeline { raw: pipeline, layout, set_layout, workgroup, full_subgroups: subgroups.full })
             .inspect_err(|_| {
-                // SAFETY: nothing was made with the layout.
+                // SAFETY: nothing was created with the layout.
                 unsafe { raw.destroy_pipeline_layout(layout, None) };
-                gate.gone(ObjectKind::PipelineLayout);
+                gate.count_destroyed(ObjectKind::PipelineLayout);
             })
     });
-    made.inspect_err(|_| {
-        // SAFETY: nothing made with the layout is left.
+    result.inspect_err(|_| {
+        // SAFETY: no object created with the layout is left.
         unsafe { raw.destroy_descriptor_set_layout(set_layout, None) };
-        gate.gone(ObjectKind::SetLayout);
+        gate.count_destroyed(ObjectKind::SetLayout);
     })
 }
 
@@ -276,13 +276,13 @@ fn compile(
     }
     let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];
     // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.
-    let made = gate.make(ObjectKind::Pipeline, "vkCreateComputePipelines", &shader.name, || unsafe {
+    let result = gate.make(ObjectKind::Pipeline, "vkCreateComputePipelines", &shader.name, || unsafe {
         raw.create_compute_pipelines(cache, &info, None).map(|p| p[0]).map_err(|(_, result)| result)
     });
-    // SAFETY: a module is not needed once its pipeline is made.
+    // SAFETY: a module is not needed once its pipeline is created.
     unsafe { raw.destroy_shader_module(module, None) };
-    gate.gone(ObjectKind::ShaderModule);
-    made
+    gate.count_destroyed(ObjectKind::ShaderModule);
+    result
 }
 
 pub(crate) fn descriptor_type(kind: BindingKind) -> vk::DescriptorType {

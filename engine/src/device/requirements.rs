@@ -1,17 +1,17 @@
-//! What a device must have for the engine, and what is used where it exists, as data: known before a device is made, so
-//! that a host can make a fitting one.
+//! Device requirements of the engine, as data: required and optional features and extensions.
 //!
-//! Promises that the names are Vulkan's own and that the list is the one by which [`Device::open`](super::Device::open)
-//! and [`Device::adopt`](super::Device::adopt) judge. Leaves making the device to whoever asks.
+//! Known before a device exists, so that a host can create a suitable one. Promises: the names are Vulkan's own, and
+//! [`Device::open`](super::Device::open) and [`Device::adopt`](super::Device::adopt) check against the same list. The
+//! caller creates the device.
 
-use super::select::{DeviceInfo, Optional};
+use super::select::{DeviceInfo, OptionalFeatures};
 use ash::{ext, khr, vk};
 use std::ffi::CStr;
 
-/// The lowest version that instance and device must have.
+/// Lowest API version of instance and device.
 pub const API_VERSION: u32 = vk::API_VERSION_1_3;
 
-/// A feature that the engine uses.
+/// Feature used by the engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Feature {
     /// `timelineSemaphore` of Vulkan 1.2.
@@ -32,17 +32,17 @@ pub enum Feature {
     ShaderBufferFloat32AtomicAdd,
     /// `shaderFloat16` of Vulkan 1.2; optional, for cooperative matrices.
     ShaderFloat16,
-    /// `vulkanMemoryModel` of Vulkan 1.2; optional, for cooperative matrices, whose modules are compiled for it.
+    /// `vulkanMemoryModel` of Vulkan 1.2; optional, for cooperative matrices, whose modules require it.
     VulkanMemoryModel,
-    /// `vulkanMemoryModelDeviceScope` of Vulkan 1.2; optional, with the one before: with that alone the atomics of all other kernels
-    /// would not be allowed.
+    /// `vulkanMemoryModelDeviceScope` of Vulkan 1.2; optional, enabled together with `vulkanMemoryModel`. Without it,
+    /// the memory model forbids the device-scope atomics of all other kernels.
     VulkanMemoryModelDeviceScope,
     /// `cooperativeMatrix` of `VK_KHR_cooperative_matrix`; optional.
     CooperativeMatrix,
 }
 
 impl Feature {
-    /// All of them.
+    /// All features.
     pub const ALL: [Feature; 12] = [
         Feature::TimelineSemaphore,
         Feature::ScalarBlockLayout,
@@ -58,12 +58,12 @@ impl Feature {
         Feature::CooperativeMatrix,
     ];
 
-    /// Its name in Vulkan's feature structs.
+    /// Returns the name in Vulkan's feature structs.
     pub fn name(self) -> &'static str {
         self.c_name().to_str().unwrap_or_default()
     }
 
-    /// Its name, for C.
+    /// Returns the name as a C string.
     pub fn c_name(self) -> &'static CStr {
         match self {
             Feature::TimelineSemaphore => c"timelineSemaphore",
@@ -81,12 +81,13 @@ impl Feature {
         }
     }
 
-    /// The feature of that name.
+    /// Returns the feature of a name.
     pub fn from_name(name: &str) -> Option<Feature> {
         Feature::ALL.into_iter().find(|f| f.name() == name)
     }
 
-    /// Whether every device needs it. Devices of several subgroup sizes need [`Feature::SubgroupSizeControl`], too.
+    /// Returns whether every device needs it. Devices with several subgroup sizes also need
+    /// [`Feature::SubgroupSizeControl`].
     pub fn required(self) -> bool {
         !matches!(
             self,
@@ -101,7 +102,7 @@ impl Feature {
     }
 }
 
-/// Device extensions that are used where they are enabled. None is required.
+/// Device extensions that are used if enabled. None is required.
 pub const OPTIONAL_EXTENSIONS: [&CStr; 5] = [
     ext::shader_atomic_float::NAME,
     ext::memory_budget::NAME,
@@ -110,22 +111,22 @@ pub const OPTIONAL_EXTENSIONS: [&CStr; 5] = [
     khr::cooperative_matrix::NAME,
 ];
 
-/// What one physical device needs to have enabled, and what may be.
+/// Requirements of one physical device.
 #[derive(Clone, Debug)]
 pub struct Requirements {
-    /// The device; what it lacks is in [`DeviceInfo::missing`].
+    /// Device properties; [`DeviceInfo::missing`] lists missing features.
     pub info: DeviceInfo,
     /// Lowest `apiVersion` of the instance.
     pub api_version: u32,
-    /// A queue family that can compute.
+    /// Queue family with compute support.
     pub queue_family: Option<u32>,
-    /// To be enabled.
+    /// Required features.
     pub required: Vec<Feature>,
-    /// Present here, and used if enabled.
+    /// Optional features that the device has.
     pub optional: Vec<Feature>,
-    /// To be enabled: none so far.
+    /// Required extensions; currently none.
     pub required_extensions: Vec<&'static CStr>,
-    /// Present here, and used if enabled.
+    /// Optional extensions that the device has.
     pub optional_extensions: Vec<&'static CStr>,
 }
 
@@ -165,24 +166,24 @@ impl Requirements {
         }
     }
 
-    /// Every feature that should be enabled, required ones first.
+    /// Returns every feature to enable, required ones first.
     pub fn features(&self) -> Vec<Feature> {
         self.required.iter().chain(&self.optional).copied().collect()
     }
 
-    /// Every extension that should be enabled.
+    /// Returns every extension to enable.
     pub fn extensions(&self) -> Vec<&'static CStr> {
         self.required_extensions.iter().chain(&self.optional_extensions).copied().collect()
     }
 
-    /// The feature structs that enable all of [`Requirements::features`].
+    /// Returns the feature structs that enable all of [`Requirements::features`].
     pub fn feature_structs(&self) -> FeatureStructs {
         FeatureStructs::enabling(&self.features())
     }
 }
 
-/// Vulkan's feature structs with the wanted features switched on; a host may merge the fields into its own, or chain
-/// the structs as they are.
+/// Vulkan feature structs with selected features enabled. A host may merge the fields into its own structs, or chain
+/// these as they are.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FeatureStructs {
     /// Vulkan 1.2.
@@ -191,12 +192,12 @@ pub struct FeatureStructs {
     pub v13: vk::PhysicalDeviceVulkan13Features<'static>,
     /// `VK_EXT_shader_atomic_float`; chained only if it enables something.
     pub atomics: vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT<'static>,
-    /// `VK_KHR_cooperative_matrix`; likewise.
+    /// `VK_KHR_cooperative_matrix`; chained only if it enables something.
     pub matrices: vk::PhysicalDeviceCooperativeMatrixFeaturesKHR<'static>,
 }
 
 impl FeatureStructs {
-    /// With exactly these features on.
+    /// Returns structs that enable exactly these features.
     pub fn enabling(features: &[Feature]) -> FeatureStructs {
         let on = |f: Feature| features.contains(&f);
         FeatureStructs {
@@ -219,7 +220,7 @@ impl FeatureStructs {
         }
     }
 
-    /// Puts the structs behind a device's creation.
+    /// Chains the structs to a device create info.
     pub fn chain<'a>(&'a mut self, mut create: vk::DeviceCreateInfo<'a>) -> vk::DeviceCreateInfo<'a> {
         create = create.push_next(&mut self.v12).push_next(&mut self.v13);
         if self.atomics.shader_buffer_float32_atomic_add != 0 {
@@ -232,12 +233,12 @@ impl FeatureStructs {
     }
 }
 
-impl Optional {
-    /// Without what is not enabled.
-    pub(crate) fn only(self, features: &[Feature], extensions: &[&CStr]) -> Optional {
+impl OptionalFeatures {
+    /// Returns the subset that the given features and extensions enable.
+    pub(crate) fn restricted_to(self, features: &[Feature], extensions: &[&CStr]) -> OptionalFeatures {
         let on = |f: Feature| features.contains(&f);
         let has = |name: &CStr| extensions.contains(&name);
-        Optional {
+        OptionalFeatures {
             float_atomics: self.float_atomics
                 && on(Feature::ShaderBufferFloat32AtomicAdd)
                 && has(ext::shader_atomic_float::NAME),
@@ -261,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_feature_is_found_by_its_name_and_switched_on_alone() {
+    fn features_are_found_by_name_and_enabled_alone() {
         for feature in Feature::ALL {
             assert_eq!(Feature::from_name(feature.name()), Some(feature));
             let s = FeatureStructs::enabling(&[feature]);
@@ -286,8 +287,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_enabled_is_not_used() {
-        let all = Optional {
+    fn features_not_enabled_are_not_used() {
+        let all = OptionalFeatures {
             float_atomics: true,
             subgroup_size_control: true,
             full_subgroups: true,
@@ -296,10 +297,10 @@ mod tests {
             external_semaphore_fd: true,
             cooperative_matrix: true,
         };
-        assert_eq!(all.only(&Feature::ALL, &OPTIONAL_EXTENSIONS), all);
-        assert_eq!(all.only(&[], &[]), Optional::default());
-        // The feature without its extension is nothing.
-        assert!(!all.only(&Feature::ALL, &[]).float_atomics);
+        assert_eq!(all.restricted_to(&Feature::ALL, &OPTIONAL_EXTENSIONS), all);
+        assert_eq!(all.restricted_to(&[], &[]), OptionalFeatures::default());
+        // A feature without its extension counts as absent.
+        assert!(!all.restricted_to(&Feature::ALL, &[]).float_atomics);
         for needed in [
             Feature::ShaderFloat16,
             Feature::VulkanMemoryModel,
@@ -307,8 +308,11 @@ mod tests {
             Feature::CooperativeMatrix,
         ] {
             let rest: Vec<Feature> = Feature::ALL.into_iter().filter(|f| *f != needed).collect();
-            assert!(!all.only(&rest, &OPTIONAL_EXTENSIONS).cooperative_matrix, "{}", needed.name());
+            assert!(!all.restricted_to(&rest, &OPTIONAL_EXTENSIONS).cooperative_matrix, "{}", needed.name());
         }
-        assert_eq!(Optional::default().only(&Feature::ALL, &OPTIONAL_EXTENSIONS), Optional::default());
+        assert_eq!(
+            OptionalFeatures::default().restricted_to(&Feature::ALL, &OPTIONAL_EXTENSIONS),
+            OptionalFeatures::default()
+        );
     }
 }

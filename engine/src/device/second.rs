@@ -1,7 +1,7 @@
-//! A second queue for compute, where the device has one.
+//! Second compute queue, where the device has one.
 //!
-//! Promises nothing about what runs on it: plans say when either queue waits for the other. Work on it is always waited
-//! for by something on the first queue, so that the device's timeline covers it.
+//! Plans state when either queue waits for the other. The first queue always waits for work on the second, so that
+//! the device's timeline covers both.
 
 use super::external::{Locked, QueueLock};
 use super::{ObjectKind, Shared, Ticket};
@@ -9,25 +9,28 @@ use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::{Mutex, PoisonError};
 
-/// What submissions of second lanes signal. It belongs to the device and not to executors: some drivers still touch a
-/// semaphore for a moment after the work that waited for it has been seen to end.
+/// Timeline that submissions to the second lane signal.
+///
+/// Belongs to the device, not to executors: some drivers still access a semaphore shortly after the work that waited
+/// for it has ended.
 #[derive(Default)]
 pub(crate) struct SecondTimeline {
-    made: Mutex<Option<vk::Semaphore>>,
+    handle: Mutex<Option<vk::Semaphore>>,
     submitted: Mutex<u64>,
 }
 
-/// The queue itself.
-pub(crate) struct Second {
+/// Second queue of a device.
+pub(crate) struct SecondQueue {
     pub family: u32,
     queue: Mutex<vk::Queue>,
 }
 
-/// Where a device would find a second queue: another family that computes, best one that does not draw, or another queue
-/// of the first family.
-pub(super) fn place(families: &[vk::QueueFamilyProperties], first: u32) -> Option<(u32, u32)> {
+/// Finds family and index of a second queue.
+///
+/// Prefers another compute family, without graphics if possible; otherwise another queue of the first family.
+pub(super) fn find_second_queue(families: &[vk::QueueFamilyProperties], first: u32) -> Option<(u32, u32)> {
     let other = |(index, family): &(usize, &vk::QueueFamilyProperties)| {
-        // Passes are timed on both.
+        // Passes are timed on both queues.
         let fits = family.queue_flags.contains(vk::QueueFlags::COMPUTE) && family.timestamp_valid_bits > 0;
         fits && *index as u32 != first
     };
@@ -37,7 +40,7 @@ pub(super) fn place(families: &[vk::QueueFamilyProperties], first: u32) -> Optio
     others.first().map(|(index, _)| (*index as u32, 0)).or(same)
 }
 
-/// The queues to make a device with.
+/// Returns the queue create infos of a device.
 pub(super) fn queues(first: u32, second: Option<(u32, u32)>) -> Vec<vk::DeviceQueueCreateInfo<'static>> {
     let of = |family, priorities| {
         vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(priorities)
@@ -49,25 +52,25 @@ pub(super) fn queues(first: u32, second: Option<(u32, u32)>) -> Vec<vk::DeviceQu
     }
 }
 
-impl Second {
-    /// Takes the queue that the device was made with.
-    pub(super) fn new(device: &ash::Device, (family, index): (u32, u32)) -> Second {
+impl SecondQueue {
+    /// Takes the queue that was created with the device.
+    pub(super) fn new(device: &ash::Device, (family, index): (u32, u32)) -> SecondQueue {
         // SAFETY: the queue was created with the device.
-        Second { family, queue: Mutex::new(unsafe { device.get_device_queue(family, index) }) }
+        SecondQueue { family, queue: Mutex::new(unsafe { device.get_device_queue(family, index) }) }
     }
 }
 
 impl Shared {
-    /// The families that buffers are shared between.
+    /// Returns the queue families that share buffers.
     pub fn families(&self) -> Vec<u32> {
         let second = self.second.iter().map(|second| second.family).filter(|&family| family != self.queue_family);
         std::iter::once(self.queue_family).chain(second).collect()
     }
 
-    /// The timeline of second lanes, made when it is first asked for.
+    /// Returns the timeline of second lanes; creates it on first use.
     pub fn second_timeline(&self) -> Result<vk::Semaphore> {
-        let mut made = self.second_timeline.made.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(timeline) = *made {
+        let mut handle = self.second_timeline.handle.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(timeline) = *handle {
             return Ok(timeline);
         }
         let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
@@ -77,21 +80,22 @@ impl Shared {
             self.raw.create_semaphore(&info, None)
         })?;
         self.name(timeline, "second timeline");
-        *made = Some(timeline);
+        *handle = Some(timeline);
         Ok(timeline)
     }
 
-    /// Gives it back; all work is done.
+    /// Destroys the second timeline; all work is done.
     pub(super) fn destroy_second_timeline(&self) {
-        let made = self.second_timeline.made.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(timeline) = made {
+        let handle = self.second_timeline.handle.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(timeline) = handle {
             // SAFETY: nothing uses it any more.
             unsafe { self.raw.destroy_semaphore(timeline, None) };
-            self.gate.gone(ObjectKind::Semaphore);
+            self.gate.count_destroyed(ObjectKind::Semaphore);
         }
     }
 
-    /// Submits to the second queue, or to the first in its place; returns the value of the second timeline at its end.
+    /// Submits to the second queue, or to the first if there is no second. Returns the value of the second timeline
+    /// at its end.
     pub fn submit_second(
         &self,
         commands: vk::CommandBuffer,
@@ -117,7 +121,7 @@ impl Shared {
         Ok(value)
     }
 
-    /// Submits to a queue that the caller has locked; `lock` is its host's, if it is a host's.
+    /// Submits to a queue that the caller has locked; `lock` is the host's lock of a shared queue.
     pub(super) fn submit_to(
         &self,
         queue: vk::Queue,
@@ -136,19 +140,19 @@ impl Shared {
             .command_buffer_infos(&buffers)
             .signal_semaphore_infos(signals)];
         let _locked = lock.map(Locked::new);
-        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first); the queue is
-        // locked, a host's by the host's own lock too. What our own timelines are waited for was submitted before, and they
-        // only grow; other semaphores are in order by the word of whoever gave them.
+        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first). The queue is
+        // locked, a host's queue by the host's own lock too. Awaited values of our timelines were submitted before,
+        // and timelines only grow; the caller orders all other semaphores.
         self.gate.call("vkQueueSubmit2", what, || unsafe { self.raw.queue_submit2(queue, &submit, vk::Fence::null()) })
     }
 
-    /// A point on the timeline, to be waited for by other submissions.
+    /// Returns a wait for a point on the timeline.
     pub fn point(&self, ticket: Ticket) -> vk::SemaphoreSubmitInfo<'static> {
         semaphore(self.timeline, ticket.0)
     }
 }
 
-/// A value of a timeline semaphore, for everything.
+/// Returns a semaphore value for all stages.
 pub(crate) fn semaphore(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo<'static> {
     vk::SemaphoreSubmitInfo::default()
         .semaphore(semaphore)
@@ -158,7 +162,7 @@ pub(crate) fn semaphore(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSu
 
 #[cfg(test)]
 mod tests {
-    use super::place;
+    use super::find_second_queue;
     use ash::vk;
 
     fn family(queue_flags: vk::QueueFlags, queue_count: u32, timestamp_valid_bits: u32) -> vk::QueueFamilyProperties {
@@ -166,12 +170,16 @@ mod tests {
     }
 
     #[test]
-    fn a_family_of_its_own_is_best() {
+    fn separate_compute_family_is_preferred() {
         let (all, compute) = (vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE, vk::QueueFlags::COMPUTE);
         let transfer = family(vk::QueueFlags::TRANSFER, 2, 64);
-        assert_eq!(place(&[family(all, 16, 64), transfer, family(compute, 8, 64)], 0), Some((2, 0)));
-        assert_eq!(place(&[family(all, 16, 64), transfer, family(compute, 8, 0)], 0), Some((0, 1)), "it has no clock");
-        assert_eq!(place(&[family(all, 1, 64)], 0), None);
-        assert_eq!(place(&[family(all, 1, 64), family(all, 1, 64)], 1), Some((0, 0)));
+        assert_eq!(find_second_queue(&[family(all, 16, 64), transfer, family(compute, 8, 64)], 0), Some((2, 0)));
+        assert_eq!(
+            find_second_queue(&[family(all, 16, 64), transfer, family(compute, 8, 0)], 0),
+            Some((0, 1)),
+            "no timestamps"
+        );
+        assert_eq!(find_second_queue(&[family(all, 1, 64)], 0), None);
+        assert_eq!(find_second_queue(&[family(all, 1, 64), family(all, 1, 64)], 1), Some((0, 0)));
     }
 }

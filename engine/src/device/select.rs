@@ -1,4 +1,4 @@
-//! Which devices there are, what each lacks, and which one is taken.
+//! Enumeration and selection of physical devices.
 
 use super::fault::Gate;
 use super::instance::Instance;
@@ -7,78 +7,78 @@ use crate::format::ImageFormat;
 use ash::vk;
 use serde::Serialize;
 
-/// What is known of a physical device.
+/// Properties of a physical device.
 #[derive(Clone, Debug, Serialize)]
 pub struct DeviceInfo {
-    /// Position in the loader's list, as `--device INDEX` takes it.
+    /// Index in the loader's list, as accepted by `--device INDEX`.
     pub index: usize,
-    /// The driver's name for it.
+    /// Name reported by the driver.
     pub name: String,
     /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
     pub kind: &'static str,
     /// Driver name and version.
     pub driver: String,
-    /// Highest Vulkan version, as text.
+    /// Highest supported Vulkan version, as text.
     pub api: String,
     /// Default subgroup size.
     pub subgroup_size: u32,
-    /// Smallest and largest subgroup size that kernels run at; they request one where the two differ.
+    /// Smallest and largest subgroup size of kernels. Kernels request a size where the two differ.
     pub subgroup_sizes: (u32, u32),
-    /// Largest range of one storage binding.
+    /// Largest storage binding in bytes.
     pub max_storage_range: u64,
     /// Bytes of the largest buffer (`maxBufferSize`).
     pub max_buffer: u64,
     /// Bytes of the largest allocation (`maxMemoryAllocationSize`).
     pub max_allocation: u64,
-    /// Shared memory of a workgroup.
+    /// Shared memory of a workgroup in bytes.
     pub max_shared_bytes: u32,
-    /// Storage buffers a kernel may bind.
+    /// Maximum storage buffers of a kernel.
     pub max_storage_buffers: u32,
-    /// Invocations of a workgroup.
+    /// Maximum invocations of a workgroup.
     pub max_workgroup: u32,
-    /// Storage buffer offset alignment.
+    /// Alignment of storage buffer offsets in bytes.
     pub storage_alignment: u64,
-    /// Uniform buffer offset alignment.
+    /// Alignment of uniform buffer offsets in bytes.
     pub uniform_alignment: u64,
-    /// Texels that an image may have along a side.
+    /// Maximum width and height of an image in texels.
     pub max_image_size: u32,
-    /// Formats of images that kernels can read and write.
+    /// Image formats that kernels can read and write.
     pub storage_formats: Vec<ImageFormat>,
-    /// Nanoseconds of a timestamp tick; 0 where there are none.
+    /// Nanoseconds of a timestamp tick; 0 without timestamps.
     pub timestamp_period: f32,
     /// Device-local memory in bytes.
     pub memory_bytes: u64,
-    /// Shapes of cooperative matrices with 16-bit operands and 32-bit sums; none where there are no such matrices.
+    /// Shapes of cooperative matrices with 16-bit operands and 32-bit sums; empty without support.
     pub matrices: Vec<MatrixShape>,
     /// Required features that are absent, by name.
     pub missing: Vec<String>,
-    /// Optional features that are absent, by name, with what is done instead.
+    /// Optional features that are absent, by name, with the fallback.
     pub fallbacks: Vec<String>,
-    /// Optional features that are used.
+    /// Optional features in use.
     #[serde(skip)]
-    pub optional: Optional,
+    pub optional: OptionalFeatures,
 }
 
-/// Features that are used where they exist.
+/// Optional features that are used if present.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Optional {
+pub struct OptionalFeatures {
     /// Float32 atomic add on storage buffers.
     pub float_atomics: bool,
-    /// Choosing a subgroup size.
+    /// Subgroup size selection.
     pub subgroup_size_control: bool,
-    /// Every subgroup of a workgroup has all its lanes.
+    /// Guarantee that every subgroup of a workgroup is full.
     pub full_subgroups: bool,
     /// `VK_EXT_memory_budget`.
     pub memory_budget: bool,
-    /// `VK_KHR_external_memory_fd`: memory can be shared with other devices and processes.
+    /// `VK_KHR_external_memory_fd`: shares memory with other devices and processes.
     pub external_memory_fd: bool,
-    /// `VK_KHR_external_semaphore_fd`: likewise semaphores.
+    /// `VK_KHR_external_semaphore_fd`: shares semaphores with other devices and processes.
     pub external_semaphore_fd: bool,
     /// `VK_KHR_cooperative_matrix` with 16-bit operands and 32-bit sums ([`DeviceInfo::matrices`]).
     pub cooperative_matrix: bool,
 }
 
-/// A shape of cooperative matrices whose operands have 16 bits and whose sums 32, all of them floats, for a subgroup.
+/// Shape of a subgroup-scope cooperative matrix with 16-bit float operands and 32-bit float sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct MatrixShape {
     /// Rows of the first operand and of the sums.
@@ -112,8 +112,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let mut driver = vk::PhysicalDeviceDriverProperties::default();
     let mut allocation = vk::PhysicalDeviceMaintenance3Properties::default();
     let mut buffer = vk::PhysicalDeviceMaintenance4Properties::default();
-    // SAFETY: the physical device comes from this instance; a first query of the version decides which structs may be
-    // chained, since older devices do not know the newer ones.
+    // SAFETY: the physical device comes from this instance. The version is queried first, because older devices do
+    // not know the newer structs.
     let basic = unsafe { api.get_physical_device_properties(physical) };
     let modern = basic.api_version >= vk::API_VERSION_1_3;
     // SAFETY: as above.
@@ -192,7 +192,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         && v12.vulkan_memory_model_device_scope != 0
         && cooperative_stages.cooperative_matrix_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
     let matrices = if usable { matrix_shapes(instance, gate, physical)? } else { Vec::new() };
-    let optional = Optional {
+    let optional = OptionalFeatures {
         float_atomics: has_atomics && atomics.shader_buffer_float32_atomic_add != 0,
         subgroup_size_control,
         full_subgroups: v13.compute_full_subgroups != 0,
@@ -270,27 +270,28 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
 }
 
-/// What a device lacks that has several subgroup sizes and takes no requests: a kernel could run at another size than the one it
-/// is specialized for.
+/// Returns the missing feature of a device with several subgroup sizes and no size control.
+///
+/// Without control, a kernel may run at another size than it is specialized for.
 pub(super) fn missing_size_control(control: bool, (low, high): (u32, u32)) -> Option<String> {
     (!control && low != high).then(|| {
         format!("subgroupSizeControl (its subgroups have {low} to {high} lanes, and each kernel needs one size)")
     })
 }
 
-/// Shapes of 16-bit operands and 32-bit sums.
+/// Queries the shapes with 16-bit operands and 32-bit sums.
 fn matrix_shapes(instance: &Instance, gate: &Gate, physical: vk::PhysicalDevice) -> Result<Vec<MatrixShape>> {
-    // What a host puts in the loader's place need not know every extension.
+    // A host's replacement of the loader need not know every extension.
     let Some(api) = instance.cooperative_matrices() else { return Ok(Vec::new()) };
     // SAFETY: the physical device comes from this instance and has the extension.
     let all = gate.call("vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR", "device", || unsafe {
         api.get_physical_device_cooperative_matrix_properties(physical)
     })?;
-    Ok(fitting(&all))
+    Ok(supported_shapes(&all))
 }
 
-/// Those of 16-bit operands and 32-bit sums, each once.
-fn fitting(all: &[vk::CooperativeMatrixPropertiesKHR<'_>]) -> Vec<MatrixShape> {
+/// Filters shapes with 16-bit operands and 32-bit sums; drops duplicates.
+fn supported_shapes(all: &[vk::CooperativeMatrixPropertiesKHR<'_>]) -> Vec<MatrixShape> {
     let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
     let mut shapes = Vec::new();
     for p in all {
@@ -303,24 +304,24 @@ fn fitting(all: &[vk::CooperativeMatrixPropertiesKHR<'_>]) -> Vec<MatrixShape> {
     shapes
 }
 
-/// Formats of which the device has storage images.
+/// Returns the formats that the device supports as storage images.
 fn storage_formats(instance: &Instance, physical: vk::PhysicalDevice) -> Vec<ImageFormat> {
     let has = |format: &ImageFormat| {
         // SAFETY: the physical device comes from this instance.
         let properties = unsafe { instance.raw.get_physical_device_format_properties(physical, format.raw()) };
         properties.optimal_tiling_features.contains(vk::FormatFeatureFlags::STORAGE_IMAGE)
     };
-    ImageFormat::EACH.into_iter().filter(has).collect()
+    ImageFormat::ALL.into_iter().filter(has).collect()
 }
 
-/// Takes the wanted device (an index or a part of a name), else the best: discrete first, then integrated, virtual, cpu.
-pub(crate) fn choose(mut all: Vec<Candidate>, wanted: Option<&str>) -> Result<Candidate> {
+/// Selects a device by index or part of its name, else the best: discrete, integrated, virtual, cpu.
+pub(crate) fn choose(mut all: Vec<Candidate>, requested: Option<&str>) -> Result<Candidate> {
     let found = if all.is_empty() {
         "none".to_owned()
     } else {
         all.iter().map(|c| c.info.name.clone()).collect::<Vec<_>>().join(", ")
     };
-    let none = |wanted: &str| Error::NoDevice { wanted: wanted.to_owned(), found: found.clone() };
+    let none = |requested: &str| Error::NoDevice { requested: requested.to_owned(), found: found.clone() };
     let rank = |c: &Candidate| match c.info.kind {
         "discrete" => 0,
         "integrated" => 1,
@@ -328,17 +329,17 @@ pub(crate) fn choose(mut all: Vec<Candidate>, wanted: Option<&str>) -> Result<Ca
         "cpu" => 3,
         _ => 4,
     };
-    if let Some(wanted) = wanted {
-        let matches = |c: &Candidate| match wanted.parse::<usize>() {
+    if let Some(requested) = requested {
+        let matches = |c: &Candidate| match requested.parse::<usize>() {
             Ok(index) => c.info.index == index,
-            Err(_) => c.info.name.to_lowercase().contains(&wanted.to_lowercase()),
+            Err(_) => c.info.name.to_lowercase().contains(&requested.to_lowercase()),
         };
         all.retain(matches);
         if all.is_empty() {
-            return Err(none(wanted));
+            return Err(none(requested));
         }
     }
-    // A stable sort keeps the loader's order among equals; complete devices go before incomplete ones.
+    // The stable sort keeps the loader's order among equals; complete devices precede incomplete ones.
     all.sort_by_key(|c| (!c.info.missing.is_empty(), rank(c)));
     let best = all.into_iter().next().ok_or_else(|| none("any device"))?;
     if !best.info.missing.is_empty() {
@@ -375,12 +376,12 @@ mod tests {
             matrices: Vec::new(),
             missing: missing.iter().map(|m| (*m).to_owned()).collect(),
             fallbacks: Vec::new(),
-            optional: Optional::default(),
+            optional: OptionalFeatures::default(),
         };
         Candidate { physical: vk::PhysicalDevice::null(), queue_family: Some(0), info }
     }
 
-    fn some() -> Vec<Candidate> {
+    fn sample_candidates() -> Vec<Candidate> {
         vec![
             candidate(0, "llvmpipe", "cpu", &[]),
             candidate(1, "Small GPU", "integrated", &[]),
@@ -389,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn shapes_are_those_of_halves_summed_in_single_precision() {
+    fn matrix_shapes_have_fp16_operands_and_fp32_sums() {
         let (half, single) = (vk::ComponentTypeKHR::FLOAT16, vk::ComponentTypeKHR::FLOAT32);
         let shape = |m, n, k| {
             vk::CooperativeMatrixPropertiesKHR::default()
@@ -406,19 +407,19 @@ mod tests {
         let halves = shape(16, 8, 16).c_type(half).result_type(half);
         let wide = shape(64, 64, 16).scope(vk::ScopeKHR::WORKGROUP);
         let all = [integers, shape(16, 16, 16), halves, shape(16, 8, 16), wide, shape(16, 16, 16)];
-        let found: Vec<_> = fitting(&all).iter().map(|s| [s.rows, s.columns, s.depth]).collect();
+        let found: Vec<_> = supported_shapes(&all).iter().map(|s| [s.rows, s.columns, s.depth]).collect();
         assert_eq!(found, [[16, 16, 16], [16, 8, 16]]);
     }
 
     #[test]
-    fn the_best_complete_device_is_taken() {
-        assert_eq!(choose(some(), None).map(|c| c.info.index).ok(), Some(1));
-        assert_eq!(choose(some(), Some("0")).map(|c| c.info.index).ok(), Some(0));
-        assert_eq!(choose(some(), Some("PIPE")).map(|c| c.info.index).ok(), Some(0));
+    fn best_complete_device_is_selected() {
+        assert_eq!(choose(sample_candidates(), None).map(|c| c.info.index).ok(), Some(1));
+        assert_eq!(choose(sample_candidates(), Some("0")).map(|c| c.info.index).ok(), Some(0));
+        assert_eq!(choose(sample_candidates(), Some("PIPE")).map(|c| c.info.index).ok(), Some(0));
     }
 
     #[test]
-    fn devices_of_several_subgroup_sizes_need_requests() {
+    fn variable_subgroup_size_requires_size_control() {
         assert_eq!(missing_size_control(true, (8, 32)), None);
         assert_eq!(missing_size_control(false, (32, 32)), None);
         let missing = missing_size_control(false, (32, 64)).unwrap_or_default();
@@ -430,12 +431,18 @@ mod tests {
     }
 
     #[test]
-    fn refusals_name_what_is_missing() {
-        let fail = |all, wanted| choose(all, wanted).err().map(|e| e.to_string()).unwrap_or_default();
-        assert_eq!(fail(some(), Some("old")), "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2.");
+    fn selection_errors_name_missing_features() {
+        let fail = |all, requested| choose(all, requested).err().map(|e| e.to_string()).unwrap_or_default();
+        assert_eq!(
+            fail(sample_candidates(), Some("old")),
+            "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2."
+        );
         let found = "found: llvmpipe, Small GPU, Old GPU.";
-        assert_eq!(fail(some(), Some("3")), format!("No Vulkan device matches \"3\"; {found}"));
+        assert_eq!(fail(sample_candidates(), Some("3")), format!("No Vulkan device matches \"3\"; {found}"));
         assert_eq!(fail(Vec::new(), None), "No Vulkan device matches \"any device\"; found: none.");
-        assert_eq!(fail(some().split_off(2), None), "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2.");
+        assert_eq!(
+            fail(sample_candidates().split_off(2), None),
+            "Device \"Old GPU\" lacks scalarBlockLayout, synchronization2."
+        );
     }
 }

@@ -1,7 +1,7 @@
-//! A window of the system, as something that Vulkan shows pictures in, and the device that can.
+//! Window surfaces, and devices that can present to them.
 //!
-//! Promises: the window outlives its surface, and the surface everything made from it; a device is chosen only if a queue
-//! of it computes and shows here. Leaves the window itself, its events and its size to whoever made it.
+//! Promises: the window outlives its surface, and the surface everything created from it. Selects a device only if
+//! one of its queues both computes and presents. The caller owns the window, its events and its size.
 
 use super::fault::Gate;
 use super::instance::Instance;
@@ -13,12 +13,12 @@ use raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 use std::ffi::CStr;
 use std::sync::Arc;
 
-/// A window. Whoever implements the two traits promises that the handles are good as long as the value is borrowed.
+/// Window. Implementations promise that the handles stay valid while the value is borrowed.
 pub trait Window: HasDisplayHandle + HasWindowHandle + Send + Sync + 'static {}
 
 impl<W: HasDisplayHandle + HasWindowHandle + Send + Sync + 'static> Window for W {}
 
-/// A window's surface, which holds the window.
+/// Vulkan surface of a window; keeps the window alive.
 pub struct Surface {
     pub(super) raw: vk::SurfaceKHR,
     pub(super) api: khr::surface::Instance,
@@ -27,27 +27,27 @@ pub struct Surface {
     _window: Arc<dyn Window>,
 }
 
-fn unusable(error: impl std::fmt::Display) -> Error {
+fn window_error(error: impl std::fmt::Display) -> Error {
     Error::Window(error.to_string())
 }
 
-/// What an instance needs to show in windows of this kind.
+/// Returns the instance extensions for windows of this kind.
 fn extensions(window: &dyn Window) -> Result<Vec<&'static CStr>> {
-    let display = window.display_handle().map_err(unusable)?;
-    let names = ash_window::enumerate_required_extensions(display.as_raw()).map_err(unusable)?;
-    // SAFETY: these are names of extensions from ash, which are static and end in a zero.
+    let display = window.display_handle().map_err(window_error)?;
+    let names = ash_window::enumerate_required_extensions(display.as_raw()).map_err(window_error)?;
+    // SAFETY: ash provides these extension names; they are static and zero-terminated.
     Ok(names.iter().map(|name| unsafe { CStr::from_ptr(*name) }).collect())
 }
 
 impl Surface {
     fn new(instance: &Arc<Instance>, gate: &Gate, window: Arc<dyn Window>) -> Result<Surface> {
-        let display = window.display_handle().map_err(unusable)?.as_raw();
-        let handle = window.window_handle().map_err(unusable)?.as_raw();
+        let display = window.display_handle().map_err(window_error)?.as_raw();
+        let handle = window.window_handle().map_err(window_error)?.as_raw();
         let Some(entry) = &instance.entry else {
             return Err(Error::Window("its instance belongs to a host".into()));
         };
-        // SAFETY: the instance was made with the extensions of this display; window and display are alive, and the surface
-        // keeps the window that they belong to.
+        // SAFETY: the instance has the extensions of this display; window and display are alive, and the surface
+        // keeps the window alive.
         let raw = gate.make(ObjectKind::Surface, "vkCreateSurfaceKHR", "window", || unsafe {
             ash_window::create_surface(entry, &instance.raw, display, handle, None)
         })?;
@@ -55,8 +55,8 @@ impl Surface {
         Ok(Surface { raw, api, instance: instance.clone(), objects: gate.objects.clone(), _window: window })
     }
 
-    /// Has a candidate use a queue that shows here, or says what it lacks.
-    fn narrow(&self, candidate: &mut select::Candidate, gate: &Gate) -> Result<()> {
+    /// Selects a queue family of the candidate that can present, or records the missing feature.
+    fn select_queue_family(&self, candidate: &mut select::Candidate, gate: &Gate) -> Result<()> {
         let api = &self.instance.raw;
         // SAFETY: the physical device comes from this instance.
         let families = unsafe { api.get_physical_device_queue_family_properties(candidate.physical) };
@@ -70,10 +70,10 @@ impl Surface {
         }
         for (index, family) in (0..).zip(&families) {
             // SAFETY: the surface belongs to this instance, and the family exists.
-            let shows = gate.call("vkGetPhysicalDeviceSurfaceSupportKHR", &candidate.info.name, || unsafe {
+            let can_present = gate.call("vkGetPhysicalDeviceSurfaceSupportKHR", &candidate.info.name, || unsafe {
                 self.api.get_physical_device_surface_support(candidate.physical, index, self.raw)
             })?;
-            if shows && family.queue_flags.contains(vk::QueueFlags::COMPUTE) {
+            if can_present && family.queue_flags.contains(vk::QueueFlags::COMPUTE) {
                 if family.timestamp_valid_bits == 0 {
                     candidate.info.timestamp_period = 0.0;
                 }
@@ -81,33 +81,33 @@ impl Surface {
                 return Ok(());
             }
         }
-        candidate.info.missing.push("a compute queue that shows in this window".to_owned());
+        candidate.info.missing.push("a compute queue that can present to this window".to_owned());
         Ok(())
     }
 }
 
 impl Device {
-    /// Opens a device that can show pictures in a window.
+    /// Opens a device that can present to a window.
     ///
     /// # Errors
-    /// As [`Device::open`]; if no driver knows windows of this kind.
+    /// As [`Device::open`]; if no driver supports windows of this kind.
     pub fn open_for(options: &DeviceOptions, window: Arc<dyn Window>) -> Result<(Device, Arc<Surface>)> {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
         let instance = Instance::new(options.validation, &extensions(&*window)?, &gate)?;
         let surface = Surface::new(&instance, &gate, window)?;
         let mut candidates = select::candidates(&instance, &gate)?;
         for candidate in &mut candidates {
-            surface.narrow(candidate, &gate)?;
+            surface.select_queue_family(candidate, &gate)?;
         }
-        let chosen = select::choose(candidates, options.select.as_deref())?;
-        let device = Device::make(instance, chosen, &[khr::swapchain::NAME], gate, options)?;
+        let selected = select::choose(candidates, options.select.as_deref())?;
+        let device = Device::make(instance, selected, &[khr::swapchain::NAME], gate, options)?;
         Ok((device, Arc::new(surface)))
     }
 }
 
 impl Drop for Surface {
     fn drop(&mut self) {
-        // SAFETY: swapchains hold an `Arc` of this, so that none is left; the instance is alive.
+        // SAFETY: swapchains hold an `Arc` of this, so none is left; the instance is alive.
         unsafe { self.api.destroy_surface(self.raw, None) };
         self.objects.remove(ObjectKind::Surface);
     }

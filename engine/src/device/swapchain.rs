@@ -1,9 +1,9 @@
-//! Pictures into a window, one after the other.
+//! Presentation of images in a window.
 //!
-//! Promises: an image is copied into the window behind all work that was submitted before, and nothing of the host waits
-//! for the device unless as many pictures as there are slots are on their way; a window of another size is told apart and
-//! never an error; nothing is made from picture to picture. Leaves drawing to plans, which draw into an image of ours: the
-//! window's own images come and go with its size, and a plan would have to be recorded for each.
+//! Promises: copies an image into the window after all earlier submissions. The host waits for the device only if all
+//! frame slots are in flight. A resized window is reported as a status, never as an error. Presenting allocates
+//! nothing. Plans render into an engine-owned image: swapchain images change with the window size and would each need
+//! a recorded plan.
 
 use super::surface::Surface;
 use super::{Device, ObjectKind, Ticket, semaphore};
@@ -14,179 +14,187 @@ use crate::memory::image::WHOLE;
 use ash::{khr, vk};
 use std::sync::Arc;
 
-/// Pictures that may be on their way together.
-const SLOTS: usize = 2;
+/// Frames in flight.
+const FRAMES_IN_FLIGHT: usize = 2;
 
-/// Formats that we fill, the best first.
+/// Supported surface formats, best first.
 const FORMATS: [ImageFormat; 4] =
     [ImageFormat::Bgra8Unorm, ImageFormat::Rgba8Unorm, ImageFormat::Bgra8Srgb, ImageFormat::Rgba8Srgb];
 
-/// What became of a picture.
+/// Outcome of [`Swapchain::present`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shown {
-    /// It is on its way to the window.
-    Yes,
-    /// The window has changed: [`Swapchain::renew`], then show it again.
+pub enum PresentStatus {
+    /// The image is queued for presentation.
+    Presented,
+    /// The window has changed: call [`Swapchain::recreate`], then present the image again.
     Outdated,
 }
 
-/// The images of a window.
+/// Swapchain of a window.
 pub struct Swapchain {
     device: Device,
     surface: Arc<Surface>,
     api: khr::swapchain::Device,
     format: vk::SurfaceFormatKHR,
-    texels: ImageFormat,
+    texel_format: ImageFormat,
     size: [u32; 2],
     /// Null while the window has no size.
     raw: vk::SwapchainKHR,
-    /// The window's images, and what says that one is filled.
+    /// Swapchain images, each with the semaphore of its finished copy.
     images: Vec<(vk::Image, vk::Semaphore)>,
     slots: Vec<Slot>,
     next: usize,
-    /// An image was taken and not given back.
-    torn: bool,
+    /// Whether an acquired image was not presented.
+    needs_recreate: bool,
 }
 
-/// What one picture on its way uses.
+/// Resources of one frame in flight.
 struct Slot {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
-    taken: vk::Semaphore,
+    acquired: vk::Semaphore,
     ticket: Option<Ticket>,
-    /// The picture, until it is copied.
+    /// Source image, until it is copied.
     source: Option<DeviceImage>,
 }
 
 impl Swapchain {
-    /// For a window of about this size; what it is exactly says [`Swapchain::size`].
+    /// Creates a swapchain of about this size; [`Swapchain::size`] returns the exact size.
     ///
     /// # Errors
-    /// [`Error::Window`] if the window takes none of our formats, or no copies; if memory runs out.
+    /// [`Error::Window`] if the surface supports none of our formats, or no copies; if memory runs out.
     pub fn new(device: &Device, surface: &Arc<Surface>, size: [u32; 2]) -> Result<Swapchain> {
         let shared = &device.0;
         // SAFETY: the surface belongs to the instance of the device.
-        let known = shared.gate.call("vkGetPhysicalDeviceSurfaceFormatsKHR", "window", || unsafe {
+        let formats = shared.gate.call("vkGetPhysicalDeviceSurfaceFormatsKHR", "window", || unsafe {
             surface.api.get_physical_device_surface_formats(shared.physical, surface.raw)
         })?;
         let srgb = |f: &&vk::SurfaceFormatKHR| f.color_space == vk::ColorSpaceKHR::SRGB_NONLINEAR;
-        let fits =
-            |texels: ImageFormat| known.iter().filter(srgb).find(|f| f.format == texels.raw()).map(|f| (texels, *f));
-        let Some((texels, format)) = FORMATS.into_iter().find_map(fits) else {
-            return Err(Error::Window("it takes no pictures of 8 bits a color in sRGB".into()));
+        let fits = |texel_format: ImageFormat| {
+            formats.iter().filter(srgb).find(|f| f.format == texel_format.raw()).map(|f| (texel_format, *f))
         };
-        let mut made = Swapchain {
+        let Some((texel_format, format)) = FORMATS.into_iter().find_map(fits) else {
+            return Err(Error::Window("its surface supports no 8-bit sRGB format".into()));
+        };
+        let mut created = Swapchain {
             device: device.clone(),
             surface: surface.clone(),
             api: khr::swapchain::Device::new(&shared.instance.raw, &shared.raw),
             format,
-            texels,
+            texel_format,
             size: [0, 0],
             raw: vk::SwapchainKHR::null(),
             images: Vec::new(),
             slots: Vec::new(),
             next: 0,
-            torn: false,
+            needs_recreate: false,
         };
-        made.renew(size)?;
-        Ok(made)
+        created.recreate(size)?;
+        Ok(created)
     }
 
-    /// Columns and rows; zeros while the window has none.
+    /// Returns width and height; zeros while the window has no size.
     pub fn size(&self) -> [u32; 2] {
         self.size
     }
 
-    /// What images to be shown hold. 8-bit values are sRGB-encoded in every format.
+    /// Returns the format of images to show. 8-bit values are sRGB-encoded in every format.
     pub fn format(&self) -> ImageFormat {
-        self.texels
+        self.texel_format
     }
 
-    /// Whether there is anything to show in: a minimized window has no size.
+    /// Returns whether the window can be presented to; a minimized window cannot.
     pub fn is_open(&self) -> bool {
         self.raw != vk::SwapchainKHR::null()
     }
 
-    /// Takes the window as it is now. Waits for the pictures on their way.
+    /// Recreates the swapchain at the window's current size. Waits for frames in flight.
     ///
     /// # Errors
     /// If the window is gone, memory runs out or the device fails.
-    pub fn renew(&mut self, size: [u32; 2]) -> Result<()> {
+    pub fn recreate(&mut self, size: [u32; 2]) -> Result<()> {
         let shared = self.device.0.clone();
         // SAFETY: the surface belongs to the instance of the device.
-        let now = shared.gate.call("vkGetPhysicalDeviceSurfaceCapabilitiesKHR", "window", || unsafe {
+        let capabilities = shared.gate.call("vkGetPhysicalDeviceSurfaceCapabilitiesKHR", "window", || unsafe {
             self.surface.api.get_physical_device_surface_capabilities(shared.physical, self.surface.raw)
         })?;
-        if !now.supported_usage_flags.contains(vk::ImageUsageFlags::TRANSFER_DST) {
-            return Err(Error::Window("nothing can be copied into its images".into()));
+        if !capabilities.supported_usage_flags.contains(vk::ImageUsageFlags::TRANSFER_DST) {
+            return Err(Error::Window("its swapchain images cannot be copied to".into()));
         }
-        let extent = if now.current_extent.width == u32::MAX {
-            let (least, most) = (now.min_image_extent, now.max_image_extent);
+        let extent = if capabilities.current_extent.width == u32::MAX {
+            let (least, most) = (capabilities.min_image_extent, capabilities.max_image_extent);
             [size[0].clamp(least.width, most.width), size[1].clamp(least.height, most.height)]
         } else {
-            [now.current_extent.width, now.current_extent.height]
+            [capabilities.current_extent.width, capabilities.current_extent.height]
         };
-        self.settle()?;
+        self.wait_idle()?;
         let old = std::mem::replace(&mut self.raw, vk::SwapchainKHR::null());
         self.size = [0, 0];
-        let made =
-            if extent.contains(&0) || size.contains(&0) { Ok(None) } else { self.chain(&now, extent, old).map(Some) };
-        self.forget(old);
-        if let Some(raw) = made? {
+        let created = if extent.contains(&0) || size.contains(&0) {
+            Ok(None)
+        } else {
+            self.create_chain(&capabilities, extent, old).map(Some)
+        };
+        self.destroy_chain(old);
+        if let Some(raw) = created? {
             self.raw = raw;
-            self.fill()?;
+            self.create_frames()?;
             self.size = extent;
         }
         Ok(())
     }
 
-    fn chain(
+    fn create_chain(
         &self,
-        now: &vk::SurfaceCapabilitiesKHR,
+        capabilities: &vk::SurfaceCapabilitiesKHR,
         [width, height]: [u32; 2],
         old: vk::SwapchainKHR,
     ) -> Result<vk::SwapchainKHR> {
-        let most = if now.max_image_count == 0 { u32::MAX } else { now.max_image_count };
+        let most = if capabilities.max_image_count == 0 { u32::MAX } else { capabilities.max_image_count };
         let opaque = vk::CompositeAlphaFlagsKHR::OPAQUE;
-        let alpha =
-            if now.supported_composite_alpha.contains(opaque) { opaque } else { vk::CompositeAlphaFlagsKHR::INHERIT };
+        let alpha = if capabilities.supported_composite_alpha.contains(opaque) {
+            opaque
+        } else {
+            vk::CompositeAlphaFlagsKHR::INHERIT
+        };
         let info = vk::SwapchainCreateInfoKHR::default()
             .surface(self.surface.raw)
-            .min_image_count((now.min_image_count + 1).clamp(SLOTS as u32, most))
+            .min_image_count((capabilities.min_image_count + 1).clamp(FRAMES_IN_FLIGHT as u32, most))
             .image_format(self.format.format)
             .image_color_space(self.format.color_space)
             .image_extent(vk::Extent2D { width, height })
             .image_array_layers(1)
             .image_usage(vk::ImageUsageFlags::TRANSFER_DST)
             .image_sharing_mode(vk::SharingMode::EXCLUSIVE)
-            .pre_transform(now.current_transform)
+            .pre_transform(capabilities.current_transform)
             .composite_alpha(alpha)
-            // Every device has it.
+            // Every device supports FIFO.
             .present_mode(vk::PresentModeKHR::FIFO)
             .clipped(true)
             .old_swapchain(old);
-        // SAFETY: the surface is alive and takes what was just read from it; the old chain is ours and is destroyed after.
+        // SAFETY: the surface is alive and supports the capabilities just queried; the old swapchain is ours and is
+        // destroyed later.
         self.device.0.gate.make(ObjectKind::Swapchain, "vkCreateSwapchainKHR", "window", || unsafe {
             self.api.create_swapchain(&info, None)
         })
     }
 
-    /// Makes what a new chain needs beside it.
-    fn fill(&mut self) -> Result<()> {
+    /// Creates the per-image semaphores and the frame slots of a new swapchain.
+    fn create_frames(&mut self) -> Result<()> {
         let shared = self.device.0.clone();
-        // SAFETY: the chain was just made.
+        // SAFETY: the swapchain was just created.
         let images = shared
             .gate
             .call("vkGetSwapchainImagesKHR", "window", || unsafe { self.api.get_swapchain_images(self.raw) })?;
         for image in images {
-            let filled = self.semaphore()?;
-            self.images.push((image, filled));
+            let copied = self.semaphore()?;
+            self.images.push((image, copied));
         }
-        for _ in 0..SLOTS {
-            let taken = self.semaphore()?;
-            // The slot is put away before anything more can fail, so that what it has is given back.
+        for _ in 0..FRAMES_IN_FLIGHT {
+            let acquired = self.semaphore()?;
+            // Stored before any further call can fail, so that its resources are released.
             let null = (vk::CommandPool::null(), vk::CommandBuffer::null());
-            self.slots.push(Slot { pool: null.0, commands: null.1, taken, ticket: None, source: None });
+            self.slots.push(Slot { pool: null.0, commands: null.1, acquired, ticket: None, source: None });
             let info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
             // SAFETY: the device is alive.
             let pool = shared.gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", "window", || unsafe {
@@ -198,7 +206,7 @@ impl Swapchain {
                 .command_pool(pool)
                 .level(vk::CommandBufferLevel::PRIMARY)
                 .command_buffer_count(1);
-            // SAFETY: the pool was just made.
+            // SAFETY: the pool was just created.
             let commands = shared
                 .gate
                 .call("vkAllocateCommandBuffers", "window", || unsafe { shared.raw.allocate_command_buffers(&info) })?;
@@ -216,19 +224,23 @@ impl Swapchain {
         })
     }
 
-    /// Copies an image in the general layout into the window, behind everything submitted so far.
+    /// Copies an image in the general layout into the window, after all earlier submissions.
     ///
     /// # Errors
-    /// [`Error::WrongImage`] if it is not of the window's size and format; [`Error::Timeout`] if the window gives no image
-    /// back; if the device fails.
-    pub fn show(&mut self, image: &DeviceImage) -> Result<Shown> {
-        if self.torn || !self.is_open() {
-            return Ok(Shown::Outdated);
+    /// [`Error::WrongImage`] if size or format differ from the window's; [`Error::Timeout`] if no swapchain image
+    /// becomes available; if the device fails.
+    pub fn present(&mut self, image: &DeviceImage) -> Result<PresentStatus> {
+        if self.needs_recreate || !self.is_open() {
+            return Ok(PresentStatus::Outdated);
         }
-        if image.size() != self.size || image.format() != self.texels {
+        if image.size() != self.size || image.format() != self.texel_format {
             let shape = |[width, height]: [u32; 2], format: ImageFormat| format!("{width}x{height} {format}");
-            let given = shape(image.size(), image.format());
-            return Err(Error::WrongImage { image: "window".into(), given, declared: shape(self.size, self.texels) });
+            let bound = shape(image.size(), image.format());
+            return Err(Error::WrongImage {
+                image: "window".into(),
+                bound,
+                declared: shape(self.size, self.texel_format),
+            });
         }
         let shared = self.device.0.clone();
         let slot = &mut self.slots[self.next];
@@ -236,41 +248,41 @@ impl Swapchain {
             self.device.wait(ticket, "window")?;
             (slot.ticket, slot.source) = (None, None);
         }
-        let (commands, pool, taken) = (slot.commands, slot.pool, slot.taken);
+        let (commands, pool, acquired) = (slot.commands, slot.pool, slot.acquired);
         let limit = u64::try_from(self.device.timeout().as_nanos()).unwrap_or(u64::MAX);
-        // SAFETY: the slot's last picture is done, so that nothing waits for its semaphore or will signal it.
+        // SAFETY: the slot's last frame is done, so nothing waits for or signals its semaphore.
         let index = match shared.gate.call("vkAcquireNextImageKHR", "window", || unsafe {
-            self.api.acquire_next_image(self.raw, limit, taken, vk::Fence::null())
+            self.api.acquire_next_image(self.raw, limit, acquired, vk::Fence::null())
         }) {
             Ok((index, _)) => index,
-            Err(Error::Vulkan { result: vk::Result::ERROR_OUT_OF_DATE_KHR, .. }) => return Ok(Shown::Outdated),
+            Err(Error::Vulkan { result: vk::Result::ERROR_OUT_OF_DATE_KHR, .. }) => return Ok(PresentStatus::Outdated),
             Err(Error::Vulkan { result: vk::Result::TIMEOUT | vk::Result::NOT_READY, .. }) => {
                 return Err(Error::Timeout { what: "window".into(), limit: self.device.timeout(), pass: None });
             }
             Err(error) => return Err(error),
         };
-        // From here on, leaving without presenting leaves an image and a semaphore that only a new chain gets rid of.
-        self.torn = true;
-        let (target, filled) = self.images[index as usize];
+        // Returning without presenting leaves an acquired image and a semaphore that only a new swapchain releases.
+        self.needs_recreate = true;
+        let (target, copied) = self.images[index as usize];
         self.record(pool, commands, image, target)?;
-        let ticket = shared.submit_between(commands, &[semaphore(taken, 0)], &[semaphore(filled, 0)], "window")?;
+        let ticket = shared.submit_between(commands, &[semaphore(acquired, 0)], &[semaphore(copied, 0)], "window")?;
         (self.slots[self.next].ticket, self.slots[self.next].source) = (Some(ticket), Some(image.clone()));
         self.next = (self.next + 1) % self.slots.len();
-        let (chains, indices, waits) = ([self.raw], [index], [filled]);
+        let (chains, indices, waits) = ([self.raw], [index], [copied]);
         let info = vk::PresentInfoKHR::default().swapchains(&chains).image_indices(&indices).wait_semaphores(&waits);
         let queue = shared.queue();
-        // SAFETY: the image was taken from this chain, and what waits for the semaphore has its signal on the way. The
-        // queue is locked.
-        let shown =
+        // SAFETY: the image was acquired from this swapchain, and the semaphore's signal is submitted. The queue is
+        // locked.
+        let presented =
             shared.gate.call("vkQueuePresentKHR", "window", || unsafe { self.api.queue_present(queue.raw, &info) });
         drop(queue);
-        match shown {
-            // A chain that only fits badly still shows; a window that changes says so by itself.
+        match presented {
+            // A suboptimal swapchain still presents; the window reports a change itself.
             Ok(_) => {
-                self.torn = false;
-                Ok(Shown::Yes)
+                self.needs_recreate = false;
+                Ok(PresentStatus::Presented)
             }
-            Err(Error::Vulkan { result: vk::Result::ERROR_OUT_OF_DATE_KHR, .. }) => Ok(Shown::Outdated),
+            Err(Error::Vulkan { result: vk::Result::ERROR_OUT_OF_DATE_KHR, .. }) => Ok(PresentStatus::Outdated),
             Err(error) => Err(error),
         }
     }
@@ -286,7 +298,7 @@ impl Swapchain {
         let raw = &shared.raw;
         let all = vk::PipelineStageFlags2::ALL_COMMANDS;
         let copy = vk::PipelineStageFlags2::ALL_TRANSFER;
-        let drawn = [vk::MemoryBarrier2::default()
+        let source_ready = [vk::MemoryBarrier2::default()
             .src_stage_mask(all)
             .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
             .dst_stage_mask(copy)
@@ -296,14 +308,14 @@ impl Swapchain {
             .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .image(target)
             .subresource_range(WHOLE);
-        // The submission as a whole waits until the image is ours.
-        let take = [change
+        // The submission as a whole waits until the image is acquired.
+        let acquire = [change
             .src_stage_mask(all)
             .dst_stage_mask(copy)
             .dst_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
             .old_layout(vk::ImageLayout::UNDEFINED)
             .new_layout(vk::ImageLayout::TRANSFER_DST_OPTIMAL)];
-        let give = [change
+        let release = [change
             .src_stage_mask(copy)
             .src_access_mask(vk::AccessFlags2::TRANSFER_WRITE)
             .dst_stage_mask(all)
@@ -319,10 +331,10 @@ impl Swapchain {
         let extent = vk::Extent3D { width, height, depth: 1 };
         let region = [vk::ImageCopy { src_subresource: layers, dst_subresource: layers, extent, ..Default::default() }];
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        let first = vk::DependencyInfo::default().memory_barriers(&drawn).image_memory_barriers(&take);
-        let last = vk::DependencyInfo::default().image_memory_barriers(&give);
-        // SAFETY: the slot's commands are not pending; both images have the size of the copy, formats of one class, the
-        // usages and, by the barriers and the caller's word, the layouts that it needs.
+        let first = vk::DependencyInfo::default().memory_barriers(&source_ready).image_memory_barriers(&acquire);
+        let last = vk::DependencyInfo::default().image_memory_barriers(&release);
+        // SAFETY: the slot's commands are not pending. Both images have the size of the copy, formats of one class,
+        // and the required usages. The barriers and the caller's promise provide the layouts.
         unsafe {
             shared.gate.call("vkResetCommandPool", "window", || {
                 raw.reset_command_pool(pool, vk::CommandPoolResetFlags::empty())
@@ -336,8 +348,8 @@ impl Swapchain {
         }
     }
 
-    /// Waits until nothing of the chain is in use any more.
-    fn settle(&mut self) -> Result<()> {
+    /// Waits until nothing uses the swapchain.
+    fn wait_idle(&mut self) -> Result<()> {
         let mut failed = None;
         for slot in &mut self.slots {
             let Some(ticket) = slot.ticket else { continue };
@@ -355,48 +367,48 @@ impl Swapchain {
         if self.is_open() {
             let shared = &self.device.0;
             let queue = shared.queue();
-            // Our work is done; what may be left is the window's system, which takes the last picture over. Nothing but the
-            // queue tells when it has.
+            // Our work is done, but the presentation engine may still read the last image. Only an idle queue tells
+            // when it has.
             // SAFETY: the queue is locked.
             shared.gate.call("vkQueueWaitIdle", "window", || unsafe { shared.raw.queue_wait_idle(queue.raw) })?;
         }
         Ok(())
     }
 
-    /// Destroys a chain and what was made for it; nothing of it is in use.
-    fn forget(&mut self, chain: vk::SwapchainKHR) {
+    /// Destroys a swapchain and its resources; nothing uses them.
+    fn destroy_chain(&mut self, chain: vk::SwapchainKHR) {
         let shared = &self.device.0;
-        let gone = |kind| shared.gate.gone(kind);
-        let taken = self.slots.iter().map(|s| s.taken);
-        for semaphore in taken.chain(self.images.iter().map(|i| i.1)) {
-            // SAFETY: no work is left that signals it or waits for it.
+        let count_destroyed = |kind| shared.gate.count_destroyed(kind);
+        let acquired = self.slots.iter().map(|s| s.acquired);
+        for semaphore in acquired.chain(self.images.iter().map(|i| i.1)) {
+            // SAFETY: no work is left that signals or waits for it.
             unsafe { shared.raw.destroy_semaphore(semaphore, None) };
-            gone(ObjectKind::Semaphore);
+            count_destroyed(ObjectKind::Semaphore);
         }
         for slot in self.slots.iter().filter(|s| s.pool != vk::CommandPool::null()) {
             // SAFETY: its commands are done.
             unsafe { shared.raw.destroy_command_pool(slot.pool, None) };
-            gone(ObjectKind::CommandPool);
+            count_destroyed(ObjectKind::CommandPool);
         }
         if chain != vk::SwapchainKHR::null() {
             // SAFETY: its images are not in use.
             unsafe { self.api.destroy_swapchain(chain, None) };
-            gone(ObjectKind::Swapchain);
+            count_destroyed(ObjectKind::Swapchain);
         }
         self.slots.clear();
         self.images.clear();
-        self.torn = false;
+        self.needs_recreate = false;
     }
 }
 
 impl Drop for Swapchain {
     fn drop(&mut self) {
-        if let Err(error) = self.settle() {
-            // Destroying what may be in use is worse than leaving it, and the device with it.
-            tracing::error!(%error, "a window's pictures are not done; what they use is left");
+        if let Err(error) = self.wait_idle() {
+            // Leaking the swapchain and its device is safer than destroying what may be in use.
+            tracing::error!(%error, "frames of a window are not done; their resources are leaked");
             std::mem::forget((self.device.clone(), self.surface.clone()));
             return;
         }
-        self.forget(self.raw);
+        self.destroy_chain(self.raw);
     }
 }

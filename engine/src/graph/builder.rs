@@ -1,8 +1,8 @@
-//! Declaring a graph: its buffers, and its passes in the order in which the data flows.
+//! Declaration of a graph: its buffers, and its passes in data-flow order.
 //!
-//! Promises that whatever it accepts is meaningful: every slice lies in its buffer, every binding is bound, nothing
-//! read-only is written, nothing transient is read before it is written. Whether the declaration is fast is the
-//! compiler's business ([`super::plan`]).
+//! Promises that every accepted declaration is valid: slices lie in their buffers, every binding is bound, no
+//! read-only buffer is written, and no transient is read before it is written. The compiler ([`super::plan`])
+//! optimizes.
 
 use std::sync::Arc;
 
@@ -14,33 +14,32 @@ use super::ranges::RangeMap;
 use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Pair, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
-/// A declaration under way.
+/// Frame graph under construction.
 #[derive(Clone, Debug)]
 pub struct Graph {
     pub(super) name: String,
-    /// What names of transients and passes begin with.
+    /// Prefix of the names of transients and passes.
     prefix: String,
     pub(super) buffers: Vec<BufferInfo>,
     pub(super) passes: Vec<Pass>,
-    /// By buffer: which bytes of a transient, or of an image that arrives undefined, some pass writes. Absent for
-    /// others.
+    /// By buffer: bytes that passes write, for a transient or an image with undefined contents. `None` for others.
     pub(super) written: Vec<Option<RangeMap<bool>>>,
-    /// What was wrong with calls that return no result.
+    /// Errors of calls that return no result.
     pub(super) errors: Vec<GraphError>,
-    /// The pass that was begun and has not been finished.
+    /// Pass that was begun and is not finished.
     pub(super) open: Option<String>,
-    /// By buffer: how many passes have written it.
+    /// By buffer: number of passes that have written it.
     pub(super) versions: Vec<u32>,
-    /// What was written under which conditions.
+    /// Conditional writes, with their conditions.
     pub(super) conditional: Vec<(Condition, Slice)>,
-    /// The kernel that turns a condition into group counts.
+    /// Kernel that turns a condition into group counts.
     pub(super) gate: Option<Arc<Shader>>,
-    /// Nanoseconds of passes, by name.
+    /// Pass durations in nanoseconds, by name.
     pub(super) costs: Vec<(String, u64)>,
 }
 
 impl Graph {
-    /// A graph without buffers and passes.
+    /// Creates an empty graph.
     pub fn new(name: impl Into<String>) -> Self {
         Graph {
             name: name.into(),
@@ -57,28 +56,30 @@ impl Graph {
         }
     }
 
-    /// A buffer bound at replay, whose contents persist. Writes to it are outputs.
+    /// Declares a buffer that is bound at replay and persists. Writes to it are outputs.
     pub fn external(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
         self.declare(name.into(), bytes, BufferKind::External, true)
     }
 
-    /// A buffer bound at replay that no pass may write.
+    /// Declares a buffer that is bound at replay and that no pass may write.
     pub fn input(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
         self.declare(name.into(), bytes, BufferKind::External, false)
     }
 
-    /// A small buffer that the host writes before each replay; no pass may write it.
+    /// Declares a small buffer that the host writes before each replay; no pass may write it.
     pub fn uniform(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
         self.declare(name.into(), bytes, BufferKind::Uniform, false)
     }
 
-    /// A buffer that exists within a replay only. What it holds at first is undefined.
+    /// Declares a buffer that exists only within a replay, with undefined initial contents.
     pub fn transient(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
         self.declare(self.prefixed(name), bytes, BufferKind::Transient, false)
     }
 
-    /// Two buffers that change places: what one replay writes to `current` the next one reads as `previous`, without a
-    /// copy. Both are filled with `value` before the first replay.
+    /// Declares two buffers that swap roles at each replay, without a copy.
+    ///
+    /// The next replay reads the `current` of this one as its `previous`. Both are filled with `value` before the
+    /// first replay.
     pub fn history(&mut self, name: impl Into<String>, bytes: u64, value: u32) -> History {
         let name = name.into();
         let previous = self.declare(format!("{name} (previous)"), bytes, BufferKind::History, false);
@@ -111,7 +112,7 @@ impl Graph {
         buffer
     }
 
-    /// States who may have used an external buffer before a replay, and who may use it afterwards.
+    /// Declares which users access an external buffer before and after a replay.
     pub fn shared(&mut self, buffer: Buffer, entry: BufferState, exit: BufferState) {
         match self.buffers.get_mut(buffer.index()) {
             Some(info) if info.kind == BufferKind::External && info.image.is_none() => {
@@ -122,18 +123,18 @@ impl Graph {
                 self.errors.push(error);
             }
             None => {
-                let error = self.unknown("shared", buffer);
+                let error = self.unknown_buffer("shared", buffer);
                 self.errors.push(error);
             }
         }
     }
 
-    /// States how many nanoseconds passes take, by name, as measured or expected: what plans for two queues go by.
+    /// Sets pass durations in nanoseconds, by name, measured or estimated. Two-queue plans are scheduled by them.
     pub fn set_costs(&mut self, costs: impl IntoIterator<Item = (String, u64)>) {
         self.costs = costs.into_iter().collect();
     }
 
-    /// Wants the contents of a transient after the replay, until the next replay of a plan in the same arena begins.
+    /// Preserves a transient until the next replay of a plan in the same arena.
     pub fn keep(&mut self, buffer: Buffer) {
         match self.buffers.get_mut(buffer.index()) {
             Some(info) if info.writable() => info.keep = true,
@@ -142,14 +143,14 @@ impl Graph {
                 self.errors.push(error);
             }
             None => {
-                let error = self.unknown("keep", buffer);
+                let error = self.unknown_buffer("keep", buffer);
                 self.errors.push(error);
             }
         }
     }
 
-    /// Puts `prefix` before the names of the transients and passes that are declared from now on, so that a stage that
-    /// appears several times can be told apart. Empty for none.
+    /// Sets the name prefix of transients and passes declared from now on. Distinguishes repeated stages. Empty for
+    /// none.
     pub fn set_prefix(&mut self, prefix: impl Into<String>) {
         self.prefix = prefix.into();
     }
@@ -158,14 +159,14 @@ impl Graph {
         if self.prefix.is_empty() { name.into() } else { format!("{}{}", self.prefix, name.into()) }
     }
 
-    /// Begins a pass that runs a kernel. It is declared when [`PassBuilder::dispatch`] has returned without an error.
+    /// Begins a pass that runs a kernel. [`PassBuilder::dispatch`] declares it if it returns no error.
     pub fn pass(&mut self, name: impl Into<String>, shader: &Arc<Shader>) -> PassBuilder<'_> {
         let name = self.prefixed(name);
         self.begin(&name);
         PassBuilder::new(self, name, Arc::clone(shader))
     }
 
-    /// Declares a pass that writes `value` over a range.
+    /// Declares a pass that fills a range with a 32-bit `value`.
     pub fn fill(&mut self, name: impl Into<String>, target: impl Into<Slice>, value: u32) -> Result<(), GraphError> {
         let name = self.prefixed(name);
         self.begin(&name);
@@ -184,7 +185,7 @@ impl Graph {
         })
     }
 
-    /// Declares a pass that copies a range to another of the same length.
+    /// Declares a pass that copies a range to another of equal length.
     pub fn copy(
         &mut self,
         name: impl Into<String>,
@@ -220,7 +221,7 @@ impl Graph {
         })
     }
 
-    /// Turns the declaration into a plan.
+    /// Compiles the declaration into a plan.
     pub fn compile(mut self, options: &CompileOptions) -> Result<Plan, GraphError> {
         let graph = self.name.clone();
         if let Some(pass) = self.open.take() {
@@ -239,7 +240,7 @@ impl Graph {
         Ok(plan)
     }
 
-    /// Collects the bound slices that the device cannot bind.
+    /// Collects bound slices with misaligned offsets.
     fn check_alignment(&mut self, alignment: u64) {
         for pass in &self.passes {
             let PassKind::Compute { shader, bindings, .. } = &pass.kind else { continue };
@@ -258,14 +259,14 @@ impl Graph {
         }
     }
 
-    /// Opens a pass; it stays open, and so makes the graph useless, until [`Graph::finish`].
+    /// Opens a pass. The graph does not compile until [`Graph::finish`] closes it.
     pub(super) fn begin(&mut self, name: &str) {
         if let Some(pass) = self.open.replace(name.to_owned()) {
             self.errors.push(GraphError::Unfinished { graph: self.name.clone(), pass });
         }
     }
 
-    /// Takes a pass that has passed all checks.
+    /// Adds a pass that has passed all checks.
     pub(super) fn finish(&mut self, pass: Pass) -> Result<(), GraphError> {
         let condition = pass.condition.map(|word| self.condition(word));
         for (slice, ..) in pass.accesses.iter().filter(|(_, access, _)| writes(*access)) {
@@ -281,10 +282,10 @@ impl Graph {
         Ok(())
     }
 
-    /// Checks a slice and gives it its length.
+    /// Checks a slice and resolves its length.
     pub(super) fn resolve(&self, pass: &str, mut slice: Slice) -> Result<Slice, GraphError> {
         let Some(info) = self.buffers.get(slice.buffer.index()) else {
-            return Err(self.unknown(pass, slice.buffer));
+            return Err(self.unknown_buffer(pass, slice.buffer));
         };
         if info.image.is_some() {
             return Err(GraphError::ImageAsBuffer { pass: pass.to_owned(), image: info.name.clone() });
@@ -325,13 +326,15 @@ impl Graph {
         Err(GraphError::UniformMisused { pass: pass.to_owned(), buffer: info.name.clone(), role })
     }
 
-    /// Refuses to read a transient where nobody wrote any of it. One written byte is enough: a buffer bound as a
-    /// whole may have gaps and slack that nobody ever writes.
-    /// What was written under the very condition under which it is read counts as well.
+    /// Rejects reads of a transient range that no earlier pass has written.
+    ///
+    /// One written byte suffices: a buffer bound as a whole may have gaps and slack. A conditional write counts for
+    /// reads under the same condition.
     pub(super) fn check_written(&self, pass: &str, slice: &Slice, when: Option<Condition>) -> Result<(), GraphError> {
-        let met = |(condition, written): &(Condition, Slice)| Some(*condition) == when && written.overlaps(slice);
+        let same_condition =
+            |(condition, written): &(Condition, Slice)| Some(*condition) == when && written.overlaps(slice);
         match &self.written[slice.buffer.index()] {
-            _ if self.conditional.iter().any(met) => Ok(()),
+            _ if self.conditional.iter().any(same_condition) => Ok(()),
             Some(written) if !written.any(slice.range(), |&written| written) => Err(GraphError::Unwritten {
                 pass: pass.to_owned(),
                 buffer: self.buffers[slice.buffer.index()].name.clone(),
@@ -342,24 +345,24 @@ impl Graph {
         }
     }
 
-    pub(super) fn unknown(&self, pass: &str, buffer: Buffer) -> GraphError {
+    pub(super) fn unknown_buffer(&self, pass: &str, buffer: Buffer) -> GraphError {
         GraphError::UnknownBuffer { pass: pass.to_owned(), index: buffer.0, count: self.buffers.len() }
     }
 }
 
-/// A word as it was when a pass looked at it: which one, and how many passes had written its buffer.
+/// Condition word with the number of writes to its buffer when the pass was declared.
 pub(super) type Condition = (Slice, u32);
 
-/// What a buffer that no pass may write is called in messages.
+/// Describes a read-only buffer in messages.
 fn read_only(info: &BufferInfo) -> &'static str {
     match info.kind {
         BufferKind::Uniform => "a uniform",
-        BufferKind::History => "what the replay before left",
+        BufferKind::History => "the previous half of a history",
         BufferKind::External | BufferKind::Transient => "a read-only input",
     }
 }
 
-/// How a kernel reads or writes what it binds.
+/// Returns how a kernel uses a binding of this kind.
 pub(super) fn use_of(kind: BindingKind) -> Use {
     match kind {
         BindingKind::Storage | BindingKind::Image(_) => Use::Compute,

@@ -1,9 +1,9 @@
 //! Passes that run only if a word on the device is not zero.
 //!
-//! The device decides: a kernel of one invocation, the *gate*, turns the word and the group counts into the group counts
-//! of an indirect dispatch, zero if the pass is not to run. This works on every device and with group counts that the
-//! device found itself; conditional rendering would be one more optional extension with an access of its own, and
-//! does not cover fills and copies either. The engine has no kernels, so whoever has them hands over a gate.
+//! A kernel of one invocation, the *gate*, turns the word and the group counts into indirect dispatch arguments, zero
+//! if the pass must not run. This works on every device, and with group counts computed on the device. Conditional
+//! rendering would be an optional extension with its own access type and covers neither fills nor copies. The engine
+//! has no kernels: the caller provides the gate.
 
 use std::sync::Arc;
 
@@ -13,25 +13,28 @@ use super::pass::{Dispatch, INDIRECT_BYTES, Pass, PassKind, Use};
 use super::resource::{Buffer, BufferKind, Slice, Switch};
 use crate::shader::{Access, BindingKind, Shader};
 
-/// Bytes that a gate's push constants take.
+/// Size of a gate's push constants in bytes.
 const PUSH_BYTES: u32 = 24;
 
-/// What every device can bind slices at.
+/// Slice offset alignment that every device supports.
 const ALIGNMENT: u64 = 256;
 
-/// How many groups a pass has if it runs.
+/// Group counts of a conditional pass.
 pub(super) enum Counts {
-    /// So many.
+    /// Constant counts.
     Fixed([u32; 3]),
-    /// As many as are written there.
-    Found(Slice),
+    /// Counts in a buffer.
+    Indirect(Slice),
 }
 
 impl Graph {
-    /// Hands over the kernel that conditional passes need. It has three storage bindings and six words of push constants:
-    /// `[x, y, z, found, word, counts]`. One invocation writes three words to `arguments`: zeros if word number `word` of
-    /// the binding `word` is zero; else x, y, z, or, if `found` is not zero, the three words of `counts` from number
-    /// `counts` on.
+    /// Sets the gate kernel, which conditional passes require.
+    ///
+    /// The gate has three storage bindings and six words of push constants: `[x, y, z, found, word, counts]`. One
+    /// invocation writes three words to `arguments`:
+    /// * zeros if word `word` of the binding `word` is zero;
+    /// * else x, y, z if `found` is zero;
+    /// * else the three words of the binding `counts` from word `counts` on.
     pub fn set_gate(&mut self, gate: &Arc<Shader>) {
         let binding =
             |name, access| gate.binding(name).is_some_and(|b| b.kind == BindingKind::Storage && b.access == access);
@@ -43,7 +46,7 @@ impl Graph {
         }
     }
 
-    /// Something that the host turns on and off from replay to replay; on until it is turned off. For
+    /// Declares a switch that the host sets between replays; initially on. Used by
     /// [`PassBuilder::when`](super::PassBuilder::when).
     pub fn switch(&mut self, name: impl Into<String>) -> Switch {
         let buffer = self.declare(name.into(), 4, BufferKind::Uniform, false);
@@ -51,12 +54,12 @@ impl Graph {
         Switch(buffer)
     }
 
-    /// A condition as it is now.
+    /// Returns the condition of a word at this point of the declaration.
     pub(super) fn condition(&self, word: Slice) -> Condition {
         (word, self.versions[word.buffer.index()])
     }
 
-    /// Checks that a slice is a word.
+    /// Checks that a slice is one aligned 32-bit word.
     pub(super) fn resolve_word(&self, pass: &str, word: Slice) -> Result<Slice, GraphError> {
         let word = self.resolve(pass, word)?;
         if word.bytes != 4 || !word.offset.is_multiple_of(4) {
@@ -67,19 +70,19 @@ impl Graph {
         Ok(word)
     }
 
-    /// Declares the gate of a pass; returns where its group counts will be.
-    pub(super) fn gated(&mut self, pass: &str, word: Slice, counts: Counts) -> Result<Buffer, GraphError> {
+    /// Declares the gate of a pass; returns the buffer of its group counts.
+    pub(super) fn add_gate(&mut self, pass: &str, word: Slice, counts: Counts) -> Result<Buffer, GraphError> {
         let gate = self.gate.clone().ok_or_else(|| GraphError::NoGate { pass: pass.to_owned() })?;
         let (groups, found, counts) = match counts {
             Counts::Fixed(groups) => (groups, 0, word),
-            Counts::Found(slice) => {
+            Counts::Indirect(slice) => {
                 self.check_not_uniform(pass, slice.buffer, "its group counts")?;
                 self.check_written(pass, &slice, None)?;
                 ([0; 3], 1, slice)
             }
         };
         let arguments = self.transient(format!("{pass}.groups"), INDIRECT_BYTES.next_multiple_of(16));
-        // Slices begin where every device can bind them; the kernel is told how far in the words are.
+        // Slices begin at an alignment that every device supports; the kernel receives the word offset.
         let bound = |slice: Slice| {
             let first = slice.offset / ALIGNMENT * ALIGNMENT;
             (slice.buffer.slice(first, slice.offset + slice.bytes - first), ((slice.offset - first) / 4) as u32)

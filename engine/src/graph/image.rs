@@ -1,8 +1,8 @@
-//! Declaring images and the passes that only move texels.
+//! Declaration of images and of passes that only move texels.
 //!
-//! An image is touched as a whole: a pass that writes some of its texels is taken to leave the others as they were, as
-//! with buffers. Between passes an image needs no more than a buffer does; its layout changes at the beginning and at the
-//! end of a replay only.
+//! An image is accessed as a whole. As with buffers, a pass that writes some texels is assumed to preserve the
+//! others. Between passes an image has the same hazards as a buffer; its layout changes only at the beginning and end
+//! of a replay.
 
 use super::builder::Graph;
 use super::error::GraphError;
@@ -12,12 +12,14 @@ use super::resource::{Buffer, BufferKind, BufferState, Image, ImageInfo, ImageSt
 use crate::format::ImageFormat;
 use crate::shader::Access;
 
-/// Texels along a side that a declaration may ask for; devices may have fewer.
+/// Maximum side of a declared image in texels; devices may support less.
 const SIDE_LIMIT: u32 = 65_536;
 
 impl Graph {
-    /// An image bound at replay, whose contents persist. Writes to it are outputs. A replay finds it in the state
-    /// `entry` and leaves it in the state `exit`; others on the queue may use it before and after.
+    /// Declares an image that is bound at replay and persists. Writes to it are outputs.
+    ///
+    /// A replay expects the state `entry` and leaves the state `exit`. Other commands on the queue may use the image
+    /// before and after.
     pub fn external_image(
         &mut self,
         name: impl Into<String>,
@@ -29,7 +31,7 @@ impl Graph {
         self.declare_image(name.into(), BufferKind::External, true, ImageInfo { size, format, entry, exit })
     }
 
-    /// An image bound at replay that no pass may write, found and left in the state `state`.
+    /// Declares an image that is bound at replay in state `state` and that no pass may write.
     pub fn input_image(
         &mut self,
         name: impl Into<String>,
@@ -41,13 +43,13 @@ impl Graph {
         self.declare_image(name.into(), BufferKind::External, false, info)
     }
 
-    /// An image that exists within a replay only. What it holds at first is undefined.
+    /// Declares an image that exists only within a replay, with undefined initial contents.
     pub fn transient_image(&mut self, name: impl Into<String>, size: [u32; 2], format: ImageFormat) -> Image {
         let info = ImageInfo { size, format, entry: ImageState::Undefined, exit: ImageState::Undefined };
         self.declare_image(self.prefixed(name), BufferKind::Transient, false, info)
     }
 
-    /// Wants the texels of a transient image after the replay, until the next one begins.
+    /// Preserves the texels of a transient image until the next replay.
     pub fn keep_image(&mut self, image: Image) {
         self.keep(image.0);
     }
@@ -74,7 +76,7 @@ impl Graph {
         Image(buffer)
     }
 
-    /// Declares a pass that copies tightly packed texels over an image: rows from the top, nothing between them.
+    /// Declares a pass that copies tightly packed texels to an image, rows from the top.
     pub fn copy_to_image(
         &mut self,
         name: impl Into<String>,
@@ -83,7 +85,7 @@ impl Graph {
     ) -> Result<(), GraphError> {
         let name = self.prefixed(name);
         self.begin(&name);
-        let (source, texels) = self.packed(&name, source.into(), target)?;
+        let (source, texels) = self.packed_range(&name, source.into(), target)?;
         self.check_not_uniform(&name, source.buffer, "the source of a copy")?;
         self.check_write(&name, target.0, "copy")?;
         self.check_written(&name, &source, None)?;
@@ -96,7 +98,7 @@ impl Graph {
         })
     }
 
-    /// Declares a pass that copies the texels of an image, tightly packed.
+    /// Declares a pass that copies the texels of an image to a buffer, tightly packed.
     pub fn copy_from_image(
         &mut self,
         name: impl Into<String>,
@@ -105,7 +107,7 @@ impl Graph {
     ) -> Result<(), GraphError> {
         let name = self.prefixed(name);
         self.begin(&name);
-        let (target, texels) = self.packed(&name, target.into(), source)?;
+        let (target, texels) = self.packed_range(&name, target.into(), source)?;
         self.check_write(&name, target.buffer, "copy")?;
         self.check_written(&name, &texels, None)?;
         self.finish(Pass {
@@ -117,8 +119,9 @@ impl Graph {
         })
     }
 
-    /// Declares a pass that gives every texel one value: red, green, blue, alpha, as far as the format has them.
-    /// Integers are rounded toward zero.
+    /// Declares a pass that sets every texel to one value: red, green, blue, alpha, as far as the format has them.
+    ///
+    /// Values of integer formats are rounded toward zero.
     pub fn clear_image(&mut self, name: impl Into<String>, target: Image, value: [f32; 4]) -> Result<(), GraphError> {
         let name = self.prefixed(name);
         self.begin(&name);
@@ -135,10 +138,10 @@ impl Graph {
         })
     }
 
-    /// The range that stands for all of an image.
+    /// Returns the range of a whole image.
     pub(super) fn resolve_image(&self, pass: &str, image: Image) -> Result<Slice, GraphError> {
         match self.buffers.get(image.index()) {
-            None => Err(self.unknown(pass, image.0)),
+            None => Err(self.unknown_buffer(pass, image.0)),
             Some(info) if info.image.is_none() => {
                 Err(GraphError::BufferAsImage { pass: pass.to_owned(), buffer: info.name.clone() })
             }
@@ -146,8 +149,8 @@ impl Graph {
         }
     }
 
-    /// Checks that a slice holds exactly the packed texels of an image; returns it and the range of the image.
-    fn packed(&self, pass: &str, slice: Slice, image: Image) -> Result<(Slice, Slice), GraphError> {
+    /// Checks that a slice holds exactly the packed texels of an image. Returns the slice and the range of the image.
+    fn packed_range(&self, pass: &str, slice: Slice, image: Image) -> Result<(Slice, Slice), GraphError> {
         let slice = self.resolve(pass, slice)?;
         let texels = self.resolve_image(pass, image)?;
         let buffer = || self.buffers[slice.buffer.index()].name.clone();
@@ -171,7 +174,7 @@ impl Graph {
 }
 
 impl From<Image> for Buffer {
-    /// The number that a plan knows the image by.
+    /// Returns the buffer handle of the image in its plan.
     fn from(image: Image) -> Self {
         image.0
     }

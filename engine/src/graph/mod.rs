@@ -1,47 +1,46 @@
-//! The frame graph: declare once, compile once, replay often.
+//! The frame graph: declared once, compiled once, replayed many times.
 //!
-//! A [`Graph`] is a list of passes over named buffers. The order in which passes are declared says how the data flows:
-//! a pass sees what the passes before it wrote. A pass names a kernel, what is bound to each of the kernel's bindings,
-//! and how many groups run, a number or a place in a buffer where the device will find it. What the kernel does to each
-//! binding is read off its code ([`crate::shader`]), never typed by hand.
+//! A [`Graph`] is a list of passes over named buffers. Declaration order defines data flow: a pass sees the writes of
+//! all earlier passes. A pass names a kernel, the resources of the kernel's bindings, and the number of groups: a
+//! constant, or a location in a buffer for indirect dispatch. The kernel's access to each binding is reflected from
+//! its code ([`crate::shader`]), never declared by hand.
 //!
-//! [`Graph::compile`] turns this into a [`Plan`]. Passes that no output needs are dropped. The rest is put into
-//! *groups*: within a group nothing conflicts, so its passes may run at once. Between groups stands at most one
-//! *barrier*, a global one, that covers all the conflicts that meet there and nothing else. *Transient* buffers get
-//! offsets in one *arena* and share its memory when their lifetimes, counted in groups, do not meet. The plan is data:
-//! no device is needed to make, print, compare or prove it, and [`plan::verify`] does prove it.
+//! [`Graph::compile`] turns a graph into a [`Plan`]. It drops passes that no output needs and sorts the others into
+//! *groups*. Passes of a group have no conflicts and may run concurrently. At most one global *barrier* separates two
+//! groups; it covers exactly the conflicts between them. *Transient* buffers are placed in one *arena* and share
+//! memory if their lifetimes, counted in groups, do not overlap. A plan is pure data: creating, printing, comparing
+//! and verifying it needs no device. [`plan::verify`] verifies it.
 //!
 //! Terms:
 //!
-//! * An **external** buffer belongs to the caller, is bound at replay, and keeps its contents; writing it is what a
-//!   graph is for. An **input** is one that no pass may write. A **uniform** is a small input with a slot for each
-//!   frame in flight.
-//! * A **history** is two buffers that change places from replay to replay: what one replay writes to the current one,
-//!   the next finds in the previous one.
-//! * An access is **read**, **write**, **read and write**, or **accumulate**: atomic additions whose results the kernel
-//!   does not look at. Accumulations into one buffer commute, so passes that only accumulate may share a group.
-//! * A pass may run on a **condition**, a word that earlier passes or the host write; it then promises nothing about what
-//!   it overwrites.
-//! * A write is taken to leave some bytes as they were, so what was there before stays needed, unless the pass
-//!   **discards**: promises that it overwrites whatever anyone will read. Fills and copies always do.
-//! * An **image** is touched as a whole. It has one layout within a replay; an external one states the layouts in which
-//!   it is found and left, and others on the queue may use it before and after.
-//! * A **hazard** is two accesses to one byte, at least one a write, that do not commute. A transient that takes over
-//!   another's memory makes hazards like anything else.
+//! * An **external** buffer belongs to the caller, is bound at replay, and persists; writes to it are the outputs of
+//!   a graph. An **input** is an external buffer that no pass may write. A **uniform** is a small input with one slot
+//!   per frame in flight.
+//! * A **history** is two buffers that swap roles at each replay: the next replay reads the `current` buffer of this
+//!   one as its `previous`.
+//! * An access is **read**, **write**, **read and write**, or **accumulate**: atomic additions whose results the
+//!   kernel does not use. Accumulations into one buffer commute, so passes that only accumulate may share a group.
+//! * A pass may run on a **condition**, a word written by earlier passes or the host. A conditional pass cannot
+//!   discard.
+//! * A write is assumed to preserve some bytes, so earlier contents stay needed unless the pass **discards**:
+//!   promises to overwrite everything that is read later. Fills and copies always discard.
+//! * An **image** is accessed as a whole. It has one layout within a replay. An external image declares its entry and
+//!   exit layouts; other commands on the queue may use it before and after.
+//! * A **hazard** is a pair of accesses to one byte, at least one a write, that do not commute. A transient that
+//!   reuses another's memory creates hazards like any other access.
+//! * A **lane** is one of two command sequences. Two-queue plans move passes that the main lane does not need
+//!   immediately to a second lane, in *segments* that wait for segments of the other lane ([`Queues`]).
 //!
-//! * A **lane** is one of two sequences of commands. Plans for two queues send passes that the main lane can do without
-//!   for a while to a second one, in *segments* that wait for segments of the other ([`Queues`]).
+//! Guarantees and limits:
 //!
-//! Promises, and their limits:
-//!
-//! * Replays of one plan may follow each other on one queue without waiting, several in flight, with one arena and the
-//!   same externals. The first barrier of a replay covers what the replay before left open.
-//! * After a replay the host and copies on the same queue may read the outputs, and the next replay waits for those
-//!   copies. The host has to wait for the device itself before it reads, and before it lets an output be overwritten.
-//! * An external buffer that is shared with the queue ([`Graph::shared`]) is ordered against whatever else the queue
-//!   does, before and after.
-//! * Anything else at the seam (another plan, an upload) needs [`Barrier::FULL`] between the two.
-//! * Different externals must not share memory: the graph takes buffers for what they are declared as.
+//! * Replays of one plan may follow each other on one queue without waiting, several in flight, with one arena and
+//!   the same externals. The first barrier of a replay covers the hazards with the previous replay.
+//! * After a replay the host and copies on the same queue may read the outputs; the next replay waits for those
+//!   copies. The host must wait for the device before it reads an output or allows it to be overwritten.
+//! * An external buffer shared with the queue ([`Graph::shared`]) is ordered against all other commands on the queue,
+//!   before and after.
+//! * Any other use between replays (another plan, an upload) needs [`Barrier::FULL`] before and after it.
+//! * Different externals must not share memory: the graph assumes that they are distinct.
 //! * Equal declarations give equal plans, byte for byte.
 
 pub mod builder;

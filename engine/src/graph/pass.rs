@@ -1,126 +1,126 @@
-//! A declared pass: what runs, and every byte range it touches, how, and from where in the pipeline.
+//! Declared pass: its operation and every byte range that it accesses, with access type and pipeline use.
 //!
-//! Built only by [`super::builder`], which promises that the accesses say all that the kind implies.
+//! Built only by [`super::builder`], which promises that the accesses cover everything the kind implies.
 
 use std::sync::Arc;
 
 use super::resource::{Buffer, Image, Slice};
 use crate::shader::{Access, Shader};
 
-/// Through which part of the device a pass touches memory.
+/// Pipeline use of an access.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Use {
-    /// A storage buffer or a storage image of a kernel.
+    /// Storage buffer or storage image of a kernel.
     Compute,
-    /// The group counts of an indirect dispatch.
+    /// Group counts of an indirect dispatch.
     Indirect,
-    /// A fill, a clear or a copy.
+    /// Fill, clear or copy.
     Transfer,
-    /// A uniform buffer of a kernel.
+    /// Uniform buffer of a kernel.
     Uniform,
 }
 
-/// How many work groups run.
+/// Number of workgroups.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum Dispatch {
-    /// As many as stated.
+    /// Constant counts.
     Groups([u32; 3]),
-    /// As many as three 32-bit numbers in a buffer say when the pass starts.
+    /// Three 32-bit counts in a buffer, read when the pass starts.
     Indirect {
-        /// Where the numbers are.
+        /// Buffer of the counts.
         buffer: Buffer,
-        /// At which byte.
+        /// Byte offset of the counts.
         offset: u64,
     },
 }
 
-/// Bytes that an indirect dispatch reads.
+/// Size of indirect dispatch arguments in bytes.
 pub const INDIRECT_BYTES: u64 = 12;
 
-/// What a pass does.
+/// Operation of a pass.
 #[derive(Clone, PartialEq, Debug)]
 pub enum PassKind {
     /// Runs a kernel.
     Compute {
-        /// The kernel.
+        /// Kernel.
         shader: Arc<Shader>,
-        /// Specialization constants that were given: id and raw bits, by ascending id.
+        /// Specialization constants: id and raw bits, by ascending id.
         specs: Vec<(u32, u32)>,
-        /// Push constants, exactly as many bytes as the kernel has.
+        /// Push constants, exactly as long as the kernel declares.
         push: Vec<u8>,
-        /// Every binding of the kernel: number and what is bound, by ascending number.
+        /// All bindings of the kernel: number and slice, by ascending number.
         bindings: Vec<(u32, Slice)>,
-        /// The subgroup size that the kernel must run with, if any.
+        /// Required subgroup size, if any.
         subgroup_size: Option<u32>,
-        /// How much of it runs.
+        /// Workgroup counts.
         dispatch: Dispatch,
     },
-    /// Writes one 32-bit value over a range.
+    /// Fills a range with one 32-bit value.
     Fill {
-        /// What is overwritten.
+        /// Range to fill.
         target: Slice,
-        /// With what.
+        /// Value.
         value: u32,
     },
     /// Copies bytes.
     Copy {
-        /// From where.
+        /// Source range.
         source: Slice,
-        /// To where; as long as the source.
+        /// Target range, as long as the source.
         target: Slice,
     },
-    /// Copies tightly packed texels over an image.
+    /// Copies tightly packed texels to an image.
     CopyToImage {
-        /// From where.
+        /// Source range.
         source: Slice,
-        /// To where.
+        /// Target image.
         target: Image,
     },
-    /// Copies an image's texels, tightly packed.
+    /// Copies an image's texels to a buffer, tightly packed.
     CopyFromImage {
-        /// From where.
+        /// Source image.
         source: Image,
-        /// To where.
+        /// Target range.
         target: Slice,
     },
-    /// Gives every texel of an image one value.
+    /// Sets every texel of an image to one value.
     ClearImage {
-        /// Which image.
+        /// Target image.
         target: Image,
-        /// The components' bits: of floats, or of an integer for integer formats.
+        /// Bits of the components: floats, or integers for integer formats.
         value: [u32; 4],
     },
 }
 
-/// A declared pass.
+/// Declared pass.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Pass {
-    /// Its name in dumps, traces and errors.
+    /// Name in dumps, traces and errors.
     pub name: String,
-    /// What it does.
+    /// Operation.
     pub kind: PassKind,
-    /// Every range it touches.
+    /// All accessed ranges.
     pub accesses: Vec<(Slice, Access, Use)>,
-    /// The word that says whether it runs at all: not if it is zero. Whoever does not run leaves everything as it was.
+    /// Condition word: the pass runs only if it is not zero. A pass that does not run leaves its ranges unchanged.
     pub condition: Option<Slice>,
-    /// Those of its ranges whose earlier contents do not matter to it: it overwrites all of what anyone will read.
+    /// Ranges whose earlier contents are not needed: the pass overwrites everything that is read later.
     pub discards: Vec<Slice>,
 }
 
 impl Pass {
-    /// Whether the pass has promised not to depend on what this range held.
+    /// Returns whether the pass discards the contents of this range.
     pub fn discards(&self, slice: &Slice) -> bool {
         self.discards.contains(slice)
     }
 
-    /// Whether it is a fill, a clear or a copy.
+    /// Returns whether the pass is a fill, a clear or a copy.
     pub fn is_transfer(&self) -> bool {
         !matches!(self.kind, PassKind::Compute { .. })
     }
 }
 
-/// Whether an access changes memory.
+/// Returns whether an access writes memory.
 pub(crate) fn writes(access: Access) -> bool {
     access != Access::Read
 }

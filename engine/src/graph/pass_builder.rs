@@ -1,6 +1,6 @@
-//! Declaring one pass that runs a kernel.
+//! Declaration of one pass that runs a kernel.
 //!
-//! Calls chain and never fail; what was wrong with them is returned, all of it, by the dispatch at the end.
+//! Calls chain and never fail; the final dispatch returns all their errors.
 
 use std::sync::Arc;
 
@@ -11,17 +11,17 @@ use super::pass::{Dispatch, INDIRECT_BYTES, Pass, PassKind, Use, writes};
 use super::resource::{Buffer, Image, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
-/// Groups along one axis that every Vulkan device can dispatch.
+/// Maximum groups along an axis that every Vulkan device supports.
 pub const GROUP_LIMIT: u32 = 65_535;
 
-/// A pass under way; see [`Graph::pass`].
+/// Pass under construction; see [`Graph::pass`].
 #[derive(Debug)]
 #[must_use = "a pass is declared by its dispatch"]
 pub struct PassBuilder<'g> {
     graph: &'g mut Graph,
     name: String,
     pub(super) shader: Arc<Shader>,
-    /// By position in the kernel's bindings: what is bound, and whether its contents are discarded.
+    /// By position in the kernel's bindings: bound slice, and whether its contents are discarded.
     bound: Vec<Option<(Slice, bool)>>,
     specs: Vec<(u32, u32)>,
     push: Vec<u8>,
@@ -49,28 +49,28 @@ impl<'g> PassBuilder<'g> {
         }
     }
 
-    /// Binds a buffer, or a slice of one, to the kernel's binding of that name.
+    /// Binds a buffer, or a slice of one, to a named binding of the kernel.
     pub fn bind(self, name: &str, slice: impl Into<Slice>) -> Self {
         self.bind_as(name, slice.into(), false)
     }
 
-    /// Binds, and promises that the pass overwrites all of the slice that anyone will read: what it held before need
+    /// Binds a slice and promises that the pass overwrites all of it that is read later. Its earlier contents need
     /// not be computed.
     pub fn bind_discard(self, name: &str, slice: impl Into<Slice>) -> Self {
         self.bind_as(name, slice.into(), true)
     }
 
-    /// Binds several.
+    /// Binds several slices.
     pub fn bind_all(self, bindings: impl IntoIterator<Item = (&'static str, Slice)>) -> Self {
         bindings.into_iter().fold(self, |pass, (name, slice)| pass.bind(name, slice))
     }
 
-    /// Binds an image to the kernel's binding of that name.
+    /// Binds an image to a named binding of the kernel.
     pub fn bind_image(self, name: &str, image: Image) -> Self {
         self.bind_image_as(name, image, false)
     }
 
-    /// Binds an image, and promises that the pass overwrites all of it that anyone will read.
+    /// Binds an image and promises that the pass overwrites all of it that is read later.
     pub fn bind_image_discard(self, name: &str, image: Image) -> Self {
         self.bind_image_as(name, image, true)
     }
@@ -87,7 +87,7 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Refuses buffers where the kernel wants an image, images where it wants a buffer, and images of other formats.
+    /// Rejects buffers bound as images, images bound as buffers, and images of another format.
     fn check_kind(&self, name: &str, kind: BindingKind, slice: &Slice) -> Result<(), GraphError> {
         let info = &self.graph.buffers[slice.buffer.index()];
         let declared = match (kind, &info.image) {
@@ -137,7 +137,7 @@ impl<'g> PassBuilder<'g> {
         Ok(())
     }
 
-    /// Gives a specialization constant its value, as raw bits.
+    /// Sets a specialization constant, as raw bits.
     pub fn spec(mut self, name: &str, bits: u32) -> Self {
         let found = self.shader.specs.iter().find(|s| s.name == name).map(|s| s.id);
         match found {
@@ -160,14 +160,15 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Gives the push constants.
+    /// Sets the push constants.
     pub fn push(mut self, bytes: &[u8]) -> Self {
         self.push = bytes.to_vec();
         self
     }
 
-    /// Requests a subgroup size; without a request, the pass runs at the device's default size. A kernel that uses subgroups and
-    /// has a constant `SUBGROUP` must request the size that this constant has.
+    /// Requests a subgroup size; `None` selects the device's default.
+    ///
+    /// A kernel that uses subgroups and has a constant `SUBGROUP` must request the value of that constant.
     pub fn subgroup_size(mut self, size: Option<u32>) -> Self {
         if let Some(size) = size.filter(|size| !size.is_power_of_two() || *size > 128) {
             self.errors.push(GraphError::SubgroupSize { pass: self.name.clone(), size });
@@ -182,9 +183,10 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Lets the pass run only if a 32-bit word is not zero when its turn comes: a word that earlier passes wrote, or a
-    /// switch of the host. A pass that may not run promises nothing, so discards are taken as plain bindings. Needs
-    /// [`Graph::set_gate`]; a pass has one condition, the last given.
+    /// Makes the pass conditional: it runs only if a 32-bit word is not zero when its turn comes.
+    ///
+    /// The word is written by earlier passes, or is a switch of the host. A conditional pass cannot discard: its
+    /// discards become plain bindings. Requires [`Graph::set_gate`]. A pass has one condition, the last one set.
     pub fn when(mut self, word: impl Into<Slice>) -> Self {
         match self.graph.resolve_word(&self.name, word.into()) {
             Ok(word) => self.condition = Some(word),
@@ -193,9 +195,9 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Declares the pass that writes the group counts of this one, and says where they are.
-    fn gated(&mut self, word: Slice, counts: Counts) -> Option<(Buffer, u64)> {
-        match self.graph.gated(&self.name, word, counts) {
+    /// Declares the gate of this pass; returns the location of its group counts.
+    fn add_gate(&mut self, word: Slice, counts: Counts) -> Option<(Buffer, u64)> {
+        match self.graph.add_gate(&self.name, word, counts) {
             Ok(arguments) => Some((arguments, 0)),
             Err(error) => {
                 self.errors.push(error);
@@ -204,7 +206,7 @@ impl<'g> PassBuilder<'g> {
         }
     }
 
-    /// Declares the pass with a fixed number of groups.
+    /// Declares the pass with constant group counts.
     pub fn dispatch(mut self, groups: [u32; 3]) -> Result<(), GraphError> {
         for (axis, count) in ['x', 'y', 'z'].into_iter().zip(groups) {
             if count > GROUP_LIMIT {
@@ -212,17 +214,17 @@ impl<'g> PassBuilder<'g> {
             }
         }
         if let Some(word) = self.condition {
-            let arguments = self.gated(word, Counts::Fixed(groups));
+            let arguments = self.add_gate(word, Counts::Fixed(groups));
             return self.indirect(arguments);
         }
         self.declare(Dispatch::Groups(groups), None)
     }
 
-    /// Declares the pass with the number of groups that three 32-bit numbers in a buffer will say.
+    /// Declares the pass with group counts from three 32-bit numbers in a buffer.
     pub fn dispatch_indirect(mut self, buffer: Buffer, offset: u64) -> Result<(), GraphError> {
         let Some(word) = self.condition else { return self.indirect(Some((buffer, offset))) };
         let arguments = match self.check_indirect(buffer, offset) {
-            Ok(counts) => self.gated(word, Counts::Found(counts)),
+            Ok(counts) => self.add_gate(word, Counts::Indirect(counts)),
             Err(error) => {
                 self.errors.push(error);
                 None
@@ -231,7 +233,7 @@ impl<'g> PassBuilder<'g> {
         self.indirect(arguments)
     }
 
-    /// Declares the pass with group counts in a buffer, if they could be found.
+    /// Declares the pass with group counts in a buffer, if they were resolved.
     fn indirect(mut self, counts: Option<(Buffer, u64)>) -> Result<(), GraphError> {
         let Some((buffer, offset)) = counts else { return self.declare(Dispatch::Groups([0; 3]), None) };
         let arguments = match self.check_indirect(buffer, offset) {
@@ -254,11 +256,11 @@ impl<'g> PassBuilder<'g> {
         Ok(slice)
     }
 
-    /// Checks that the size the kernel is specialized for is the one it runs at.
+    /// Checks that the requested subgroup size equals the specialized one.
     fn check_subgroup_constant(&mut self) {
         let Some(spec) = self.shader.specs.iter().find(|s| s.name == "SUBGROUP") else { return };
-        let given = self.specs.binary_search_by_key(&spec.id, |&(id, _)| id).ok();
-        let constant = given.map_or(spec.default, |at| self.specs[at].1);
+        let specified = self.specs.binary_search_by_key(&spec.id, |&(id, _)| id).ok();
+        let constant = specified.map_or(spec.default, |at| self.specs[at].1);
         if self.subgroup_size != Some(constant) && self.uses_subgroups {
             self.errors.push(GraphError::SubgroupConstant {
                 pass: self.name.clone(),
@@ -275,18 +277,18 @@ impl<'g> PassBuilder<'g> {
             self.errors.push(GraphError::PushSize {
                 pass: self.name.clone(),
                 shader: shader.name.to_string(),
-                given: self.push.len(),
+                provided: self.push.len(),
                 expected: shader.push_bytes,
             });
         }
         self.check_subgroup_constant();
-        // What is touched, under which name, and whether the contents are discarded.
-        let mut touched: Vec<(&str, Slice, Access, Use, bool)> = Vec::new();
+        // Name, slice, access, use, and whether the contents are discarded.
+        let mut all_accesses: Vec<(&str, Slice, Access, Use, bool)> = Vec::new();
         let mut bindings = Vec::with_capacity(shader.bindings.len());
         for (binding, bound) in shader.bindings.iter().zip(&self.bound) {
             if let Some((slice, discard)) = *bound {
                 let discard = discard && self.condition.is_none();
-                touched.push((&binding.name, slice, binding.access, use_of(binding.kind), discard));
+                all_accesses.push((&binding.name, slice, binding.access, use_of(binding.kind), discard));
                 bindings.push((binding.number, slice));
             } else if !self.errors.iter().any(|e| failed_to_bind(e, &binding.name)) {
                 self.errors.push(GraphError::Unbound {
@@ -297,10 +299,10 @@ impl<'g> PassBuilder<'g> {
             }
         }
         if let Some(slice) = arguments {
-            touched.push(("group counts", slice, Access::Read, Use::Indirect, false));
+            all_accesses.push(("group counts", slice, Access::Read, Use::Indirect, false));
         }
-        for (i, (second, slice, access, ..)) in touched.iter().enumerate() {
-            for (first, other, before, ..) in &touched[..i] {
+        for (i, (second, slice, access, ..)) in all_accesses.iter().enumerate() {
+            for (first, other, before, ..) in &all_accesses[..i] {
                 if slice.overlaps(other) && (writes(*access) || writes(*before)) {
                     self.errors.push(GraphError::Overlap {
                         pass: self.name.clone(),
@@ -312,7 +314,7 @@ impl<'g> PassBuilder<'g> {
             }
         }
         let when = self.condition.map(|word| self.graph.condition(word));
-        for (_, slice, access, _, discard) in &touched {
+        for (_, slice, access, _, discard) in &all_accesses {
             if *access != Access::Write && !discard {
                 self.errors.extend(self.graph.check_written(&self.name, slice, when).err());
             }
@@ -321,8 +323,8 @@ impl<'g> PassBuilder<'g> {
         self.graph.finish(Pass {
             name: self.name,
             condition: self.condition,
-            accesses: touched.iter().map(|&(_, slice, access, used, _)| (slice, access, used)).collect(),
-            discards: touched.iter().filter(|t| t.4).map(|t| t.1).collect(),
+            accesses: all_accesses.iter().map(|&(_, slice, access, used, _)| (slice, access, used)).collect(),
+            discards: all_accesses.iter().filter(|t| t.4).map(|t| t.1).collect(),
             kind: PassKind::Compute {
                 shader: self.shader,
                 specs: self.specs,
@@ -335,14 +337,14 @@ impl<'g> PassBuilder<'g> {
     }
 }
 
-/// Whether an error already says why a binding is not bound; a second complaint would only distract.
+/// Returns whether an error already explains an unbound binding, which would make a second error redundant.
 fn failed_to_bind(error: &GraphError, name: &str) -> bool {
     match error {
         GraphError::DiscardOfRead { binding, .. }
         | GraphError::BindingKind { binding, .. }
         | GraphError::ImageFormat { binding, .. } => binding == name,
         GraphError::WriteToReadOnly { through, .. } => through == name,
-        // These do not say which binding they were about.
+        // These do not name their binding.
         GraphError::UnknownBuffer { .. } | GraphError::EmptySlice { .. } | GraphError::SliceRange { .. } => true,
         GraphError::ImageAsBuffer { .. } | GraphError::BufferAsImage { .. } => true,
         _ => false,

@@ -1,101 +1,100 @@
-//! What a graph calls its memory: buffers and images, their kinds, and byte ranges of them.
+//! Graph resources: buffers and images, their kinds, and byte ranges.
 //!
-//! A [`Buffer`] or an [`Image`] is a number that only its own graph understands. It owns nothing: external buffers are bound when a
-//! plan is replayed, transient ones are offsets into an arena that the plan lays out.
+//! A [`Buffer`] or [`Image`] is a handle valid only in its own graph. It owns nothing: external buffers are bound at
+//! replay, and transients are offsets into an arena that the plan lays out.
 
 use std::ops::Range;
 
 use crate::format::ImageFormat;
 
-/// A buffer of one graph (and of the plan compiled from it).
+/// Buffer handle of one graph and its plan.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, serde::Serialize)]
 pub struct Buffer(pub(crate) u32);
 
 impl Buffer {
-    /// Position in [`Plan::buffers`](super::Plan::buffers).
+    /// Returns the index in [`Plan::buffers`](super::Plan::buffers).
     pub fn index(self) -> usize {
         self.0 as usize
     }
 
-    /// A byte range of the buffer.
+    /// Returns a byte range of the buffer.
     pub fn slice(self, offset: u64, bytes: u64) -> Slice {
         Slice { buffer: self, offset, bytes }
     }
 }
 
-/// An image of one graph. Wherever ranges of bytes are spoken of, it is the range of its packed texels, as a whole.
+/// Image handle of one graph. Its byte range is always the whole range of its packed texels.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, serde::Serialize)]
 pub struct Image(pub(crate) Buffer);
 
 impl Image {
-    /// Position in [`Plan::buffers`](super::Plan::buffers).
+    /// Returns the index in [`Plan::buffers`](super::Plan::buffers).
     pub fn index(self) -> usize {
         self.0.index()
     }
 }
 
-/// What others leave an image in, or want to find it in: its layout, and that its texels count.
+/// Layout of an image at the beginning or end of a replay.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageState {
-    /// Nobody wants what it holds. On entry alone.
+    /// Contents are discarded. Valid only on entry.
     Undefined,
-    /// The layout for everything.
+    /// General layout, for any use.
     General,
-    /// To be copied from.
+    /// Source of copies.
     TransferSource,
-    /// To be copied to.
+    /// Target of copies.
     TransferTarget,
-    /// To be sampled by shaders.
+    /// Sampled by shaders.
     ShaderRead,
-    /// To be drawn into.
+    /// Color attachment of a render pass.
     ColorAttachment,
-    /// To be shown in a window.
+    /// Presented in a window.
     Present,
 }
 
-/// What an image is made of, and what state it is handed over in.
+/// Size, format, entry and exit state of an image.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct ImageInfo {
     /// Width and height.
     pub size: [u32; 2],
-    /// What a texel is.
+    /// Texel format.
     pub format: ImageFormat,
-    /// The state in which a replay finds it; [`ImageState::Undefined`] for transients.
+    /// State on entry; [`ImageState::Undefined`] for transients.
     pub entry: ImageState,
-    /// The state in which a replay leaves it; of no meaning for transients.
+    /// State on exit; unused for transients.
     pub exit: ImageState,
 }
 
-/// Who else uses an external buffer, between replays, without waiting for the device.
+/// Other users of an external buffer between replays, which do not wait for the device.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BufferState {
-    /// Replays of this plan, and copies from it afterwards.
+    /// Replays of this plan, and copies from the buffer after them.
     #[default]
     Ready,
-    /// The host as well: it writes before the replay is submitted, which makes its writes visible by itself, or reads
-    /// after it has waited.
+    /// Also the host: it writes before the submission, which makes its writes visible, or reads after it has waited.
     Host,
-    /// Any command on the same queue that no plan knows of.
+    /// Also any other command on the same queue.
     Queue,
 }
 
-/// Whose memory a buffer is.
+/// Owner of a buffer's memory.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BufferKind {
-    /// Bound at replay; its contents persist from replay to replay.
+    /// Bound at replay; contents persist between replays.
     External,
-    /// Lives in the plan's arena from its first use in a replay to its last.
+    /// In the plan's arena, from first to last use within a replay.
     Transient,
-    /// Bound at replay, small, written by the host: a ring slot per frame in flight. Kernels only read it.
+    /// Small, bound at replay, written by the host, with one slot per frame in flight. Only kernels read it.
     Uniform,
-    /// One of two that change places from replay to replay; see [`History`].
+    /// Half of a pair that swaps at each replay; see [`History`].
     History,
 }
 
-/// Something that the host turns on and off from replay to replay, without recording anything again.
+/// Switch that the host sets between replays without re-recording.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Switch(pub(crate) Buffer);
 
@@ -105,49 +104,49 @@ impl From<Switch> for Slice {
     }
 }
 
-/// Two buffers that change places: what a replay writes to `current`, the next one finds in `previous`.
+/// Pair of buffers that swap at each replay: the next replay reads `current` as its `previous`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct History {
-    /// What the replay before wrote; no pass may write it.
+    /// Output of the previous replay; no pass may write it.
     pub previous: Buffer,
-    /// What this replay writes. It holds what the replay before the last wrote until it is written.
+    /// Output of this replay. Until written, it holds the output of the replay before the previous one.
     pub current: Buffer,
 }
 
-/// What a buffer of a history knows of it.
+/// Pairing of one half of a history.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Pair {
-    /// The other one.
+    /// Other half.
     pub partner: Buffer,
-    /// The word that both are filled with before the first replay.
+    /// Word that fills both halves before the first replay.
     pub value: u32,
 }
 
-/// The declaration of a buffer.
+/// Declaration of a buffer.
 #[derive(Clone, PartialEq, Eq, Hash, Debug)]
 pub struct BufferInfo {
-    /// What dumps and errors call it; need not be unique.
+    /// Name in dumps and errors; need not be unique.
     pub name: String,
-    /// Its size.
+    /// Size in bytes.
     pub bytes: u64,
-    /// Whose memory it is.
+    /// Owner of the memory.
     pub kind: BufferKind,
-    /// Whether its contents are wanted after a replay: writes to it are outputs.
+    /// Whether the contents are needed after a replay: writes to it are outputs.
     pub keep: bool,
-    /// Who may have used it before a replay.
+    /// Users before a replay.
     pub entry: BufferState,
-    /// Who may use it after a replay.
+    /// Users after a replay.
     pub exit: BufferState,
-    /// What it is made of, if it is an image.
+    /// Image declaration, if it is an image.
     pub image: Option<ImageInfo>,
-    /// Whom it changes places with, if it belongs to a history.
+    /// Other half, if it belongs to a history.
     pub pair: Option<Pair>,
-    /// Whether it is a switch: one word that the executor keeps.
+    /// Whether it is a switch: one word that the executor writes.
     pub switch: bool,
 }
 
 impl BufferInfo {
-    /// Whether a pass may write it.
+    /// Returns whether a pass may write it.
     pub fn writable(&self) -> bool {
         match self.kind {
             BufferKind::External | BufferKind::History => self.keep,
@@ -157,7 +156,7 @@ impl BufferInfo {
     }
 }
 
-/// A byte range of a buffer.
+/// Byte range of a buffer.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Slice {
     /// The buffer.
@@ -169,15 +168,15 @@ pub struct Slice {
 }
 
 impl Slice {
-    /// As a length: up to the end of the buffer. Never occurs in a plan.
+    /// Length that means "to the end of the buffer". Never occurs in a plan.
     pub const WHOLE: u64 = u64::MAX;
 
-    /// The bytes of the buffer that it covers.
+    /// Returns the byte range.
     pub fn range(&self) -> Range<u64> {
         self.offset..self.offset + self.bytes
     }
 
-    /// Whether the two have a byte in common.
+    /// Returns whether the two ranges overlap.
     pub fn overlaps(&self, other: &Slice) -> bool {
         self.buffer == other.buffer
             && self.offset < other.offset + other.bytes

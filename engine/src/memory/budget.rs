@@ -1,8 +1,8 @@
-//! How much device memory there is to use.
+//! Device memory budget.
 //!
-//! Promises: a budget that was given is never exceeded, and one that the driver tells (`VK_EXT_memory_budget`) is not
-//! exceeded knowingly; the refusal carries the figures. Without either the size of the heap is reported, and it is left
-//! to the driver to refuse. Counted are the bytes of buffers and images; blocks that small ones share may hold some more.
+//! Promises: a configured budget is never exceeded. A budget from the driver (`VK_EXT_memory_budget`) is not exceeded
+//! knowingly. The error contains the numbers. Without either, the heap size is reported and the driver rejects
+//! allocations. Counts the bytes of buffers and images; shared blocks may hold slightly more.
 
 use super::Memory;
 use crate::device::{Device, DeviceInfo, Instance};
@@ -10,45 +10,46 @@ use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What there is, what may be used, and what is.
+/// Memory budget of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Budget {
-    /// Bytes of device memory that the device has.
+    /// Size of device memory in bytes.
     pub heap: u64,
-    /// Bytes that this device's buffers and images may take, all in.
+    /// Budget of this device's buffers and images in bytes.
     pub budget: u64,
-    /// Bytes that they take now.
+    /// Bytes in use.
     pub used: u64,
-    /// Who says so.
+    /// Source of the budget.
     pub source: BudgetSource,
 }
 
 impl Budget {
-    /// Bytes that are left.
+    /// Returns the unused budget in bytes.
     pub fn left(&self) -> u64 {
         self.budget.saturating_sub(self.used)
     }
 }
 
-/// Where a budget comes from.
+/// Source of a budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BudgetSource {
-    /// It was set.
-    Given,
-    /// `VK_EXT_memory_budget`: what other processes leave.
+    /// Set by the user.
+    #[serde(rename = "given")]
+    Configured,
+    /// `VK_EXT_memory_budget`: memory not used by other processes.
     Driver,
-    /// The size of the heap.
+    /// Size of the heap.
     Heap,
 }
 
-/// The limits of one device.
+/// Budget inputs of one device.
 pub(super) struct Limits {
-    /// The budget that was set; `u64::MAX` if none.
-    given: AtomicU64,
+    /// Configured budget in bytes; `u64::MAX` if none.
+    configured: AtomicU64,
     heap: u64,
-    /// For asking the driver, where it can tell: its largest device-local heap.
-    ask: Option<(ash::Instance, vk::PhysicalDevice, usize)>,
+    /// Instance, device and largest device-local heap for budget queries, if supported.
+    driver_query: Option<(ash::Instance, vk::PhysicalDevice, usize)>,
 }
 
 impl Limits {
@@ -58,45 +59,47 @@ impl Limits {
         let heaps = &memory.memory_heaps[..memory.memory_heap_count as usize];
         let local = heaps.iter().enumerate().filter(|(_, h)| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
         let largest = local.max_by_key(|(_, h)| h.size).map_or(0, |(i, _)| i);
-        let ask = info.optional.memory_budget.then(|| (instance.raw.clone(), physical, largest));
-        Limits { given: AtomicU64::new(u64::MAX), heap: info.memory_bytes, ask }
+        let driver_query = info.optional.memory_budget.then(|| (instance.raw.clone(), physical, largest));
+        Limits { configured: AtomicU64::new(u64::MAX), heap: info.memory_bytes, driver_query }
     }
 
-    fn given(&self) -> Option<u64> {
-        Some(self.given.load(Ordering::Relaxed)).filter(|&g| g != u64::MAX)
+    fn configured(&self) -> Option<u64> {
+        Some(self.configured.load(Ordering::Relaxed)).filter(|&g| g != u64::MAX)
     }
 
-    /// Bytes that the driver would still give, where it tells.
+    /// Returns the bytes that the driver still offers, if it reports them.
     fn driver_left(&self) -> Option<u64> {
-        let (instance, physical, heap) = self.ask.as_ref()?;
-        let mut told = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
-        let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut told);
+        let (instance, physical, heap) = self.driver_query.as_ref()?;
+        let mut driver_budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
+        let mut properties = vk::PhysicalDeviceMemoryProperties2::default().push_next(&mut driver_budget);
         // SAFETY: the physical device belongs to the instance and has the extension.
         unsafe { instance.get_physical_device_memory_properties2(*physical, &mut properties) };
-        Some(told.heap_budget[*heap].saturating_sub(told.heap_usage[*heap]))
+        Some(driver_budget.heap_budget[*heap].saturating_sub(driver_budget.heap_usage[*heap]))
     }
 }
 
 impl Memory {
-    /// The budget as it is.
+    /// Returns the current budget.
     pub fn budget(&self) -> Budget {
         let used = self.usage().0;
         let heap = self.limits.heap;
         let driver = self.limits.driver_left().map(|left| (used + left).min(heap));
         let (most, source) = driver.map_or((heap, BudgetSource::Heap), |b| (b, BudgetSource::Driver));
-        match self.limits.given() {
-            Some(given) if given <= most => Budget { heap, budget: given, used, source: BudgetSource::Given },
+        match self.limits.configured() {
+            Some(configured) if configured <= most => {
+                Budget { heap, budget: configured, used, source: BudgetSource::Configured }
+            }
             _ => Budget { heap, budget: most, used, source },
         }
     }
 
-    /// Refuses what would go beyond the budget. `local`: whether it is to be device memory.
+    /// Checks an allocation against the budget. `local`: whether it needs device memory.
     pub(super) fn check_budget(&self, what: &str, bytes: u64, local: bool) -> Result<()> {
-        if self.limits.given().is_none() && self.limits.ask.is_none() {
+        if self.limits.configured().is_none() && self.limits.driver_query.is_none() {
             return Ok(());
         }
         let b = self.budget();
-        // Host memory is counted against a budget that was given, and no business of the driver's heap.
+        // Host memory counts against a configured budget, but not against the driver's heap.
         if bytes <= b.left() || (b.source == BudgetSource::Driver && !local) {
             return Ok(());
         }
@@ -104,18 +107,19 @@ impl Memory {
     }
 
     pub fn set_budget(&self, bytes: Option<u64>) {
-        self.limits.given.store(bytes.unwrap_or(u64::MAX), Ordering::Relaxed);
+        self.limits.configured.store(bytes.unwrap_or(u64::MAX), Ordering::Relaxed);
     }
 }
 
 impl Device {
-    /// How much memory there is, may be used, and is used.
+    /// Returns memory size, budget and usage of the device.
     pub fn budget(&self) -> Budget {
         self.0.memory.budget()
     }
 
-    /// Sets how many bytes buffers and images may take, all in; what the device or its driver leaves, if absent. What
-    /// exists already stays.
+    /// Sets the memory budget in bytes; `None` restores the budget of the device or driver.
+    ///
+    /// Existing allocations are unaffected.
     pub fn set_memory_budget(&self, bytes: Option<u64>) {
         self.0.memory.set_budget(bytes);
     }

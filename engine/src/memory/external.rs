@@ -1,7 +1,7 @@
-//! A host's buffers and images under our types.
+//! Wrappers of a host's buffers and images.
 //!
-//! Promises that nothing of the host's is destroyed or changed by wrapping it; only the view that is made of an image is
-//! destroyed with the wrapper. Leaves lifetimes, and who uses what when, to the host: that is what the contracts say.
+//! Promises: wrapping neither destroys nor changes the host's objects. Only the view created for an image is
+//! destroyed with the wrapper. The host manages lifetimes and synchronization, as the safety contracts state.
 
 use super::image::ImageInner;
 use super::{Backing, DeviceBuffer, DeviceImage, Inner, Location};
@@ -12,18 +12,19 @@ use ash::vk;
 use std::sync::Arc;
 
 impl Device {
-    /// Wraps a host's buffer: graphs can bind it as an external buffer of at most `bytes`.
+    /// Wraps a host's buffer, for binding as an external buffer of at most `bytes`.
     ///
     /// # Errors
-    /// [`Error::Host`] for a null handle or no bytes.
+    /// [`Error::Host`] for a null handle or a size of zero.
     ///
     /// # Safety
     /// The host promises:
-    /// * the buffer was made from this device, is bound to memory and at least `bytes` long; it may be used by our queue
-    ///   family (it is concurrent, or exclusive and owned by that family), with the usages that our commands need:
-    ///   storage buffer for kernels, indirect buffer for dispatches, transfer source and destination for copies and fills;
-    /// * buffer and memory live until every handle is gone and all work that uses them is done;
-    /// * whatever else uses these bytes is ordered against our commands by the host, with barriers or semaphores.
+    /// * The buffer was created from this device, is bound to memory and is at least `bytes` long. Our queue family
+    ///   may use it (concurrent sharing, or exclusive and owned by that family). It has the usages of our commands:
+    ///   storage buffer for kernels, indirect buffer for dispatches, transfer source and destination for copies and
+    ///   fills.
+    /// * Buffer and memory live until every handle is dropped and all work that uses them is done.
+    /// * The host orders all other uses of these bytes against our commands, by barriers or semaphores.
     pub unsafe fn wrap_buffer(&self, name: &str, raw: vk::Buffer, bytes: u64) -> Result<DeviceBuffer> {
         if raw == vk::Buffer::null() || bytes == 0 {
             return Err(Error::Host(format!("buffer \"{name}\" is null or empty")));
@@ -41,21 +42,20 @@ impl Device {
         })))
     }
 
-    /// Wraps a host's image of `size` texels: graphs can copy to it, and kernels write it if `storage`.
+    /// Wraps a host's image of `size` texels, for copies, and for kernels if `storage`.
     ///
     /// # Errors
-    /// [`Error::Host`] for a null handle or a size of zero; [`Error::NotStorageImage`] if `storage` is wanted of a format
-    /// that the device cannot have so; if the view cannot be made.
+    /// [`Error::Host`] for a null handle or a size of zero; [`Error::NotStorageImage`] if `storage` is set but the
+    /// device does not support it for the format; if the view cannot be created.
     ///
     /// # Safety
     /// The host promises:
-    /// * the image was made from this device with this format, two-dimensional, of exactly this size, one sample, its
-    ///   first mip level and layer being the ones meant; it is bound to memory, and may be used by our queue family;
-    ///   its usage has transfer destination for copies to it, transfer source for copies from it, and storage if
-    ///   `storage`;
-    /// * image and memory live until every handle is gone and all work that uses them is done;
-    /// * whenever our commands run, the image is in the layout that the plan states as its entry, and whatever else uses
-    ///   it is ordered against our commands by the host, with barriers or semaphores.
+    /// * The image was created from this device with this format: two-dimensional, of exactly this size, one sample.
+    ///   Its first mip level and layer are used. It is bound to memory, and our queue family may use it. Its usage
+    ///   has transfer destination for copies to it, transfer source for copies from it, and storage if `storage`.
+    /// * Image and memory live until every handle is dropped and all work that uses them is done.
+    /// * Whenever our commands run, the image is in the plan's entry layout. The host orders all other uses of the
+    ///   image against our commands, by barriers or semaphores.
     pub unsafe fn wrap_image(
         &self,
         name: &str,
@@ -89,14 +89,14 @@ impl Device {
 }
 
 impl DeviceBuffer {
-    /// The raw buffer, for hosts that use it in commands of their own.
+    /// Returns the raw buffer, for the host's own commands.
     pub fn raw(&self) -> vk::Buffer {
         self.0.raw
     }
 }
 
 impl DeviceImage {
-    /// The raw image, for hosts that use it in commands of their own.
+    /// Returns the raw image, for the host's own commands.
     pub fn raw(&self) -> vk::Image {
         self.0.raw
     }

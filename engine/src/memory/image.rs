@@ -1,11 +1,11 @@
-//! Two-dimensional images: one mip level, one layer, reached by kernels as storage images and by copies.
+//! Two-dimensional images: one mip level, one layer, used by copies and as storage images.
 //!
-//! Promises: an image that the engine makes is in the general layout from the start, holds nothing defined, and lives as
-//! long as its last handle; one that wraps somebody else's is never destroyed here. The engine does not track layouts at
-//! run time: a graph states the layout that it finds and the one that it leaves.
+//! Promises: an image created here starts in the general layout with undefined contents, and lives until its last
+//! handle is dropped. A wrapped image is never destroyed here. The engine does not track layouts at run time: a graph
+//! declares entry and exit layouts.
 
 use super::{Backing, DeviceBuffer, Location};
-use crate::device::{Busy, Device, ObjectKind, Parked};
+use crate::device::{Busy, DeferredObject, Device, ObjectKind};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
 use ash::vk;
@@ -13,21 +13,21 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::Arc;
 
-/// An image; clones share it.
+/// Image handle; clones share the image.
 #[derive(Clone)]
 pub struct DeviceImage(pub(crate) Arc<ImageInner>);
 
-/// The Vulkan side of an image. A wrapper around a host's image fills in what it knows and leaves `allocation` empty.
+/// Vulkan objects of an image. A wrapper of a host's image has no `allocation`.
 pub(crate) struct ImageInner {
     pub raw: vk::Image,
-    /// For binding as a storage image; absent where the format or the image's usage forbids that.
+    /// Storage image view; absent if the format or usage does not support it.
     pub view: Option<vk::ImageView>,
     /// Width and height.
     pub size: [u32; 2],
     pub format: ImageFormat,
     pub name: String,
     pub allocation: Option<Allocation>,
-    /// Whose image and memory are; a host's image is not destroyed with the last handle, its view is.
+    /// Owner of image and memory. A host's image is not destroyed with the last handle, but its view is.
     pub backing: Backing,
     pub busy: Busy,
     pub device: Device,
@@ -40,7 +40,7 @@ impl std::fmt::Debug for DeviceImage {
     }
 }
 
-/// All of a color image.
+/// Subresource range of a whole color image.
 pub(crate) const WHOLE: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
     aspect_mask: vk::ImageAspectFlags::COLOR,
     base_mip_level: 0,
@@ -49,7 +49,7 @@ pub(crate) const WHOLE: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
     layer_count: 1,
 };
 
-/// A copy between all of an image and tightly packed bytes.
+/// Returns a copy between a whole image and tightly packed bytes.
 pub(crate) fn packed_copy(offset: u64, [width, height]: [u32; 2]) -> vk::BufferImageCopy {
     vk::BufferImageCopy {
         buffer_offset: offset,
@@ -65,16 +65,17 @@ pub(crate) fn packed_copy(offset: u64, [width, height]: [u32; 2]) -> vk::BufferI
 }
 
 impl Device {
-    /// Whether kernels can read and write images of this format.
+    /// Returns whether kernels can read and write images of this format.
     pub fn supports_storage_image(&self, format: ImageFormat) -> bool {
         self.info().storage_formats.contains(&format)
     }
 
-    /// Makes an image of `[width, height]` texels in the general layout. It can be copied from and to, and bound as a
-    /// storage image where the device has that for the format ([`DeviceImage::storage`]).
+    /// Creates an image of `[width, height]` texels in the general layout.
+    ///
+    /// It supports copies, and storage access if the device supports that for the format ([`DeviceImage::storage`]).
     ///
     /// # Errors
-    /// [`Error::ImageSize`] for a size that the device does not have, [`Error::OutOfMemory`] with name and size.
+    /// [`Error::ImageSize`] for an unsupported size; [`Error::OutOfMemory`] with name and size.
     pub fn image(&self, name: &str, size: [u32; 2], format: ImageFormat) -> Result<DeviceImage> {
         let shared = &self.0;
         let storage = self.supports_storage_image(format);
@@ -83,7 +84,7 @@ impl Device {
         let raw = shared
             .gate
             .make(ObjectKind::Image, "vkCreateImage", name, || unsafe { shared.raw.create_image(&info, None) })?;
-        // From here on `made` gives everything back if a later step fails.
+        // From here on, dropping `made` releases everything if a later step fails.
         let mut made = ImageInner {
             raw,
             view: None,
@@ -106,7 +107,7 @@ impl Device {
         Ok(image)
     }
 
-    /// How our images are made.
+    /// Returns the create info of engine images.
     pub(super) fn image_info(
         &self,
         name: &str,
@@ -134,12 +135,12 @@ impl Device {
             .initial_layout(vk::ImageLayout::UNDEFINED))
     }
 
-    /// Brings a new image into the general layout and waits.
+    /// Transitions a new image to the general layout and waits.
     pub(super) fn to_general(&self, image: &DeviceImage) -> Result<()> {
         let raw = image.0.raw;
         let barrier = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            // What was in this memory before may have been written.
+            // The memory may have been written before.
             .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
             .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
             .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
@@ -156,14 +157,15 @@ impl Device {
         })
     }
 
-    /// Writes tightly packed texels over a whole image in the general layout and waits.
+    /// Uploads tightly packed texels to a whole image in the general layout and waits.
     ///
     /// # Errors
-    /// [`Error::ImageBytes`] unless `texels` is exactly as long as the image; if memory runs out or the device fails.
+    /// [`Error::ImageBytes`] if the length of `texels` differs from the image's size; if memory runs out or the
+    /// device fails.
     pub fn upload_image(&self, image: &DeviceImage, texels: &[u8]) -> Result<()> {
         if texels.len() as u64 != image.packed_bytes() {
             let (image, expected) = (image.name().to_owned(), image.packed_bytes());
-            return Err(Error::ImageBytes { image, given: texels.len() as u64, expected });
+            return Err(Error::ImageBytes { image, provided: texels.len() as u64, expected });
         }
         self.0.memory.lock().activity.uploads += 1;
         let staging = self.buffer("staging (image upload)", image.packed_bytes(), Location::Upload)?;
@@ -171,7 +173,7 @@ impl Device {
         self.image_copy(image, &staging, true)
     }
 
-    /// Reads the tightly packed texels of a whole image in the general layout and waits.
+    /// Downloads the tightly packed texels of a whole image in the general layout and waits.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -190,7 +192,7 @@ impl Device {
         self.run_now("image copy", &busy, |device, commands| {
             let layout = vk::ImageLayout::GENERAL;
             // SAFETY: the command buffer is being recorded; the buffer holds the whole packed image, which is in the
-            // general layout by the caller's word.
+            // general layout by the caller's promise.
             unsafe {
                 if upload {
                     device.cmd_copy_buffer_to_image(commands, buffer, image.raw, layout, &region);
@@ -203,37 +205,37 @@ impl Device {
 }
 
 impl DeviceImage {
-    /// Width and height.
+    /// Returns width and height.
     pub fn size(&self) -> [u32; 2] {
         self.0.size
     }
 
-    /// What its texels are.
+    /// Returns the texel format.
     pub fn format(&self) -> ImageFormat {
         self.0.format
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// Whether kernels can read and write it; otherwise only copies can.
+    /// Returns whether kernels can read and write the image.
     pub fn storage(&self) -> bool {
         self.0.view.is_some()
     }
 
-    /// Bytes of all its texels, tightly packed.
+    /// Returns the size of all texels, tightly packed, in bytes.
     pub fn packed_bytes(&self) -> u64 {
         self.0.format.packed_bytes(self.0.size)
     }
 }
 
 impl ImageInner {
-    /// Puts memory of its own behind the image.
+    /// Allocates and binds memory for the image.
     fn allocate(&mut self) -> Result<()> {
         let shared = &self.device.0;
-        // SAFETY: the image was just made from this device.
+        // SAFETY: the image was just created from this device.
         let requirements = unsafe { shared.raw.get_image_memory_requirements(self.raw) };
         let desc = AllocationCreateDesc {
             name: &self.name,
@@ -247,7 +249,7 @@ impl ImageInner {
             },
         };
         let allocation = shared.allocate(&desc)?;
-        // SAFETY: the allocation was made for this image's requirements and is used by nothing else.
+        // SAFETY: the allocation matches this image's requirements and is used by nothing else.
         let bound = shared.gate.call("vkBindImageMemory", &self.name, || unsafe {
             shared.raw.bind_image_memory(self.raw, allocation.memory(), allocation.offset())
         });
@@ -260,7 +262,7 @@ impl ImageInner {
         Ok(())
     }
 
-    /// Makes the view through which kernels see the image.
+    /// Creates the storage image view.
     pub fn make_view(&mut self) -> Result<()> {
         let info = vk::ImageViewCreateInfo::default()
             .image(self.raw)
@@ -278,11 +280,11 @@ impl ImageInner {
 
 impl Drop for ImageInner {
     fn drop(&mut self) {
-        // An image that belongs to somebody else is left alone; the view was made here in any case.
+        // A host's image is not destroyed; the view was created here in any case.
         let raw = (self.backing != Backing::Host).then_some(self.raw);
         let (view, allocation) = (self.view.take(), self.allocation.take());
-        let thing = Parked::Image { raw, view, allocation, backing: self.backing };
+        let object = DeferredObject::Image { raw, view, allocation, backing: self.backing };
         // As for buffers: busy only if a wait failed.
-        self.device.0.dispose(self.busy.ticket(), thing);
+        self.device.0.dispose(self.busy.ticket(), object);
     }
 }

@@ -1,7 +1,7 @@
-//! Buffers, images, and the memory behind them.
+//! Buffers, images and their memory.
 //!
-//! Promises: a buffer lives as long as its last handle and names itself in errors; usage is counted. Leaves lifetimes of
-//! transients to the plan, which places them all in one arena buffer.
+//! Promises: a buffer lives until its last handle is dropped and names itself in errors; usage is counted. The plan
+//! manages the lifetimes of transients, which it places in one arena buffer.
 
 mod budget;
 mod external;
@@ -14,21 +14,21 @@ pub use image::DeviceImage;
 pub use shared::{Semaphore, SharedHandle};
 pub use transfer::STAGING_BYTES;
 
-use crate::device::{Busy, Device, DeviceInfo, ObjectKind, Parked, Shared};
+use crate::device::{Busy, DeferredObject, Device, DeviceInfo, ObjectKind, Shared};
 use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme, Allocator, AllocatorCreateDesc};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// Where a buffer lives.
+/// Memory type of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Location {
-    /// Device memory, reached by kernels and transfers alone.
+    /// Device memory, accessed only by kernels and transfers.
     Device,
-    /// Host memory that the host writes and the device reads.
+    /// Host memory, written by the host and read by the device.
     Upload,
-    /// Host memory that the device writes and the host reads.
+    /// Host memory, written by the device and read by the host.
     Readback,
 }
 
@@ -41,8 +41,8 @@ struct State {
     allocator: Option<Allocator>,
     used: u64,
     peak: u64,
-    /// The most since somebody asked for it.
-    since: u64,
+    /// Peak usage in bytes since the last reset.
+    window_peak: u64,
     activity: Activity,
 }
 
@@ -50,22 +50,22 @@ impl State {
     fn add(&mut self, bytes: u64) {
         self.used += bytes;
         self.peak = self.peak.max(self.used);
-        self.since = self.since.max(self.used);
+        self.window_peak = self.window_peak.max(self.used);
     }
 }
 
-/// What has been done with a device's memory since it was opened. A steady state changes none of it.
+/// Counters of memory operations since the device was opened. A steady state changes none of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Activity {
-    /// Buffers that exist.
+    /// Live buffers.
     pub buffers: u64,
-    /// Images that exist.
+    /// Live images.
     pub images: u64,
-    /// Buffers and images ever made.
+    /// Buffers and images created in total.
     pub made: u64,
-    /// Calls of [`Device::upload`].
+    /// Number of calls of [`Device::upload`].
     pub uploads: u64,
-    /// Calls of [`Device::download`].
+    /// Number of calls of [`Device::download`].
     pub downloads: u64,
 }
 
@@ -82,7 +82,7 @@ impl Memory {
             physical_device: physical,
             debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
             buffer_device_address: false,
-            // Small blocks that grow: a small scene must not cost a quarter of a gigabyte.
+            // Small blocks that grow, so that a small scene does not allocate 256 MiB.
             allocation_sizes: gpu_allocator::AllocationSizes::new(8 << 20, 8 << 20),
         };
         let allocator = Allocator::new(&desc).map_err(|e| Error::OutOfMemory {
@@ -95,7 +95,7 @@ impl Memory {
                 allocator: Some(allocator),
                 used: 0,
                 peak: 0,
-                since: 0,
+                window_peak: 0,
                 activity: Activity::default(),
             }),
             limits: budget::Limits::new(instance, physical, info),
@@ -110,34 +110,34 @@ impl Memory {
     pub fn during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
         let before = {
             let mut state = self.lock();
-            state.since = state.used;
+            state.window_peak = state.used;
             state.used
         };
         let done = work();
-        (done, self.lock().since.saturating_sub(before))
+        (done, self.lock().window_peak.saturating_sub(before))
     }
 
     pub fn activity(&self) -> Activity {
         self.lock().activity
     }
 
-    /// Gives everything back; the device is about to go.
+    /// Frees the allocator before the device is destroyed.
     pub fn shut_down(&self) {
         self.lock().allocator = None;
     }
 
-    /// Gives nothing back: work may go on that uses it.
-    pub fn leave(&self) {
+    /// Leaks the allocator, because running work may use its memory.
+    pub fn leak(&self) {
         std::mem::forget(self.lock().allocator.take());
     }
 
-    pub(crate) fn buffer_gone(&self, bytes: u64) {
+    pub(crate) fn count_destroyed_buffer(&self, bytes: u64) {
         let mut state = self.lock();
         state.used -= bytes;
         state.activity.buffers -= 1;
     }
 
-    pub(crate) fn image_gone(&self, bytes: u64) {
+    pub(crate) fn count_destroyed_image(&self, bytes: u64) {
         let mut state = self.lock();
         state.used -= bytes;
         state.activity.images -= 1;
@@ -154,7 +154,7 @@ impl Memory {
     }
 }
 
-/// A buffer; clones share it.
+/// Buffer handle; clones share the buffer.
 #[derive(Clone)]
 pub struct DeviceBuffer(pub(crate) Arc<Inner>);
 
@@ -165,25 +165,25 @@ pub(crate) struct Inner {
     pub location: Location,
     allocation: Option<Allocation>,
     mapped: Option<std::ptr::NonNull<u8>>,
-    /// Whose the buffer and its memory are, where the allocator does not know them.
+    /// Owner of buffer and memory, if not the allocator.
     backing: Backing,
     pub busy: Busy,
     pub device: Device,
 }
 
-/// Whose the memory behind a buffer or an image is.
+/// Owner of the memory of a buffer or image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Backing {
-    /// The allocator's.
+    /// Allocator of the device.
     Allocator,
-    /// A host's; nothing is destroyed here.
+    /// Host; nothing is destroyed here.
     Host,
-    /// Ours, beside the allocator, because it is shared with others; as many bytes.
+    /// Dedicated memory of the engine, shared with others; size in bytes.
     Shared(vk::DeviceMemory, u64),
 }
 
-// SAFETY: the mapped pointer is plain memory that lives as long as the allocation; every access goes through `read` and
-// `write`, which copy bytes. Whether the device is done with them is the caller's contract with the timeline.
+// SAFETY: the mapped pointer is plain memory that lives as long as the allocation; every access copies bytes in
+// `read` and `write`. The caller uses the timeline to ensure that the device is done with them.
 unsafe impl Send for Inner {}
 // SAFETY: as above; concurrent host writes to the same bytes are excluded by `write` taking the allocator-wide lock.
 unsafe impl Sync for Inner {}
@@ -195,7 +195,7 @@ impl std::fmt::Debug for DeviceBuffer {
 }
 
 impl Device {
-    /// Makes a buffer of at least `bytes` (never of size zero).
+    /// Creates a buffer of at least `bytes` (never of size zero).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], [`Error::OverBudget`], or [`Error::BufferTooLarge`], with the name and size.
@@ -210,39 +210,39 @@ impl Device {
         let raw = shared
             .gate
             .make(ObjectKind::Buffer, "vkCreateBuffer", name, || unsafe { shared.raw.create_buffer(&info, None) })?;
-        // SAFETY: the buffer was just made from this device.
+        // SAFETY: the buffer was just created from this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(raw) };
         let memory_location = match location {
             Location::Device => MemoryLocation::GpuOnly,
             Location::Upload => MemoryLocation::CpuToGpu,
             Location::Readback => MemoryLocation::GpuToCpu,
         };
-        // Buffers from a mebibyte on get memory of their own: nothing is wasted in blocks, and growing gives it back.
-        let own = bytes >= 1 << 20;
+        // Buffers of at least 1 MiB get dedicated memory: no waste in blocks, and freeing returns it to the driver.
+        let dedicated = bytes >= 1 << 20;
         let desc = AllocationCreateDesc {
             name,
             requirements,
             location: memory_location,
             linear: true,
-            allocation_scheme: if own {
+            allocation_scheme: if dedicated {
                 AllocationScheme::DedicatedBuffer(raw)
             } else {
                 AllocationScheme::GpuAllocatorManaged
             },
         };
-        let give_back = || {
+        let destroy = || {
             // SAFETY: nothing uses the buffer yet.
             unsafe { shared.raw.destroy_buffer(raw, None) };
-            shared.gate.gone(ObjectKind::Buffer);
+            shared.gate.count_destroyed(ObjectKind::Buffer);
         };
-        let allocation = shared.allocate(&desc).inspect_err(|_| give_back())?;
-        // SAFETY: the allocation was made for this buffer's requirements and is used by nothing else.
+        let allocation = shared.allocate(&desc).inspect_err(|_| destroy())?;
+        // SAFETY: the allocation matches this buffer's requirements and is used by nothing else.
         let bound = shared.gate.call("vkBindBufferMemory", name, || unsafe {
             shared.raw.bind_buffer_memory(raw, allocation.memory(), allocation.offset())
         });
         if let Err(error) = bound {
             shared.free(allocation);
-            give_back();
+            destroy();
             return Err(error);
         }
         let mut state = shared.memory.lock();
@@ -266,10 +266,10 @@ impl Device {
     }
 }
 
-/// How our buffers are made, shared between families where there is more than one.
+/// Returns the create info of engine buffers; concurrent sharing with several queue families.
 fn buffer_info(bytes: u64, families: &[u32]) -> vk::BufferCreateInfo<'_> {
-    // Buffers know no compression that sharing could cost, and a transfer of ownership would be one more barrier on
-    // either side of every wait between queues.
+    // Concurrent sharing costs buffers nothing. Ownership transfers would add a barrier on either side of every wait
+    // between queues.
     let sharing = if families.len() > 1 { vk::SharingMode::CONCURRENT } else { vk::SharingMode::EXCLUSIVE };
     let families = if families.len() > 1 { families } else { &[] };
     vk::BufferCreateInfo::default().size(bytes).sharing_mode(sharing).queue_family_indices(families).usage(
@@ -282,7 +282,7 @@ fn buffer_info(bytes: u64, families: &[u32]) -> vk::BufferCreateInfo<'_> {
 }
 
 impl Shared {
-    /// Memory from the allocator, counted. All of it goes through here, so that it can be refused on purpose.
+    /// Allocates counted memory. All allocations pass here, so that faults can be injected.
     pub(crate) fn allocate(&self, desc: &AllocationCreateDesc<'_>) -> Result<Allocation> {
         let (what, bytes) = (desc.name, desc.requirements.size);
         let refused = |reason: String| Error::OutOfMemory { what: what.to_owned(), bytes, reason };
@@ -306,34 +306,34 @@ impl Shared {
         Ok(allocation)
     }
 
-    /// Gives memory back. Nothing may use it any more.
+    /// Frees memory that nothing uses any more.
     pub(crate) fn free(&self, allocation: Allocation) {
         let mut state = self.memory.lock();
         if let Some(allocator) = state.allocator.as_mut()
             && let Err(error) = allocator.free(allocation)
         {
-            tracing::error!(%error, "memory could not be given back");
+            tracing::error!(%error, "memory could not be freed");
             return;
         }
-        self.gate.gone(ObjectKind::Memory);
+        self.gate.count_destroyed(ObjectKind::Memory);
     }
 }
 
 impl DeviceBuffer {
-    /// Its size.
+    /// Returns the size in bytes.
     pub fn bytes(&self) -> u64 {
         self.0.bytes
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// Copies host-visible contents out. The device must be done with them.
+    /// Reads from a host-visible buffer. The device must be done with the range.
     ///
     /// # Errors
-    /// If the range is outside, or the buffer is device memory.
+    /// If the range exceeds the buffer, or the buffer is in device memory.
     pub fn read(&self, offset: u64, into: &mut [u8]) -> Result<()> {
         let pointer = self.range(offset, into.len() as u64)?;
         // SAFETY: the range lies inside the mapping; `into` is a distinct host slice of that length.
@@ -341,10 +341,10 @@ impl DeviceBuffer {
         Ok(())
     }
 
-    /// Copies `data` into a host-visible buffer. The device must not be using the range.
+    /// Writes to a host-visible buffer. The device must not be using the range.
     ///
     /// # Errors
-    /// If the range is outside, or the buffer is device memory.
+    /// If the range exceeds the buffer, or the buffer is in device memory.
     pub fn write(&self, offset: u64, data: &[u8]) -> Result<()> {
         let pointer = self.range(offset, data.len() as u64)?;
         let _one_writer = self.0.device.0.memory.lock();
@@ -377,9 +377,9 @@ impl Drop for Inner {
             return;
         }
         let allocation = self.allocation.take();
-        let thing = Parked::Buffer { raw: self.raw, allocation, bytes: self.bytes, backing: self.backing };
-        // Executors keep the buffers of pending work alive and wait before they let go, so that the device is done, unless
-        // a wait failed, which says until when the buffer is busy.
-        self.device.0.dispose(self.busy.ticket(), thing);
+        let object = DeferredObject::Buffer { raw: self.raw, allocation, bytes: self.bytes, backing: self.backing };
+        // Executors keep the buffers of pending work alive and wait before they drop them, so that the device is
+        // done. After a failed wait, `busy` holds the last possible use.
+        self.device.0.dispose(self.busy.ticket(), object);
     }
 }

@@ -1,8 +1,8 @@
-//! Memory and semaphores that go from one device or process to another as file descriptors.
+//! Memory and semaphores shared between devices or processes as file descriptors.
 //!
-//! Promises a typed refusal that names the extension where a device does not have it. The descriptors are opaque: they
-//! mean something only to the same driver on the same physical device (`deviceUUID` and `driverUUID` agree). Leaves
-//! carrying the descriptor over, and the order of use on both sides, to the caller.
+//! Promises: a device without support returns an error that names the extension. The descriptors are opaque: they are
+//! valid only for the same driver on the same physical device (equal `deviceUUID` and `driverUUID`). The caller
+//! transfers the descriptor and synchronizes both sides.
 
 use super::image::ImageInner;
 use super::{Backing, DeviceBuffer, DeviceImage, Inner, Location};
@@ -16,16 +16,16 @@ use std::sync::Arc;
 const MEMORY: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
 const SEMAPHORE: vk::ExternalSemaphoreHandleTypeFlags = vk::ExternalSemaphoreHandleTypeFlags::OPAQUE_FD;
 
-/// Memory on its way to somebody else.
+/// Exported memory.
 #[derive(Debug)]
 pub struct SharedHandle {
-    /// The descriptor; a reference of its own to the memory.
+    /// File descriptor; holds its own reference to the memory.
     pub fd: OwnedFd,
-    /// Bytes of the memory (at least those of the buffer or image), which the importer has to know.
+    /// Size of the memory in bytes (at least that of the buffer or image), which the importer needs.
     pub bytes: u64,
 }
 
-/// A semaphore beside the device's own timeline.
+/// Semaphore in addition to the device's own timeline.
 pub struct Semaphore {
     raw: vk::Semaphore,
     name: String,
@@ -33,27 +33,28 @@ pub struct Semaphore {
 }
 
 impl Device {
-    /// Makes a buffer whose memory others can import ([`DeviceBuffer::export`]).
+    /// Creates a buffer with exportable memory ([`DeviceBuffer::export`]).
     ///
     /// # Errors
     /// [`Error::MissingExtension`] without `VK_KHR_external_memory_fd`; if memory runs out.
     pub fn shared_buffer(&self, name: &str, bytes: u64) -> Result<DeviceBuffer> {
-        self.outside_buffer(name, bytes, None)
+        self.external_buffer(name, bytes, None)
     }
 
-    /// A buffer over memory that somebody else exported.
+    /// Creates a buffer over imported memory.
     ///
     /// # Errors
-    /// As [`Device::shared_buffer`]; if the driver refuses the descriptor.
+    /// As [`Device::shared_buffer`]; if the driver rejects the descriptor.
     ///
     /// # Safety
-    /// The handle was exported from a buffer of at least `bytes`, made by [`Device::shared_buffer`] or like it (same
-    /// size, the usages of our buffers), by the same driver on the same physical device. Both sides order their use.
+    /// The handle was exported from a buffer of at least `bytes`, created by [`Device::shared_buffer`] or
+    /// equivalently (same size, same usages), by the same driver on the same physical device. Both sides synchronize
+    /// their use.
     pub unsafe fn import_buffer(&self, name: &str, bytes: u64, handle: SharedHandle) -> Result<DeviceBuffer> {
-        self.outside_buffer(name, bytes, Some(handle))
+        self.external_buffer(name, bytes, Some(handle))
     }
 
-    fn outside_buffer(&self, name: &str, bytes: u64, handle: Option<SharedHandle>) -> Result<DeviceBuffer> {
+    fn external_buffer(&self, name: &str, bytes: u64, handle: Option<SharedHandle>) -> Result<DeviceBuffer> {
         let shared = &self.0;
         self.memory_fd(name)?;
         let bytes = bytes.max(4).next_multiple_of(4);
@@ -64,11 +65,11 @@ impl Device {
         let raw = shared
             .gate
             .make(ObjectKind::Buffer, "vkCreateBuffer", name, || unsafe { shared.raw.create_buffer(&info, None) })?;
-        // SAFETY: the buffer was just made from this device.
+        // SAFETY: the buffer was just created from this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(raw) };
         let dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(raw);
-        let backing = shared.outside(name, requirements, dedicated, handle).and_then(|memory| {
-            // SAFETY: the memory was made for this buffer.
+        let backing = shared.allocate_external(name, requirements, dedicated, handle).and_then(|memory| {
+            // SAFETY: the memory was allocated for this buffer.
             let bound = shared
                 .gate
                 .call("vkBindBufferMemory", name, || unsafe { shared.raw.bind_buffer_memory(raw, memory, 0) });
@@ -78,7 +79,7 @@ impl Device {
         let backing = backing.inspect_err(|_| {
             // SAFETY: nothing uses the buffer yet.
             unsafe { shared.raw.destroy_buffer(raw, None) };
-            shared.gate.gone(ObjectKind::Buffer);
+            shared.gate.count_destroyed(ObjectKind::Buffer);
         })?;
         let mut state = shared.memory.lock();
         state.add(bytes);
@@ -99,25 +100,25 @@ impl Device {
         })))
     }
 
-    /// Makes an image whose memory others can import ([`DeviceImage::export`]), in the general layout.
+    /// Creates an image with exportable memory ([`DeviceImage::export`]), in the general layout.
     ///
     /// # Errors
     /// As [`Device::shared_buffer`].
     pub fn shared_image(&self, name: &str, size: [u32; 2], format: ImageFormat) -> Result<DeviceImage> {
-        let image = self.outside_image(name, size, format, None)?;
+        let image = self.external_image(name, size, format, None)?;
         self.to_general(&image)?;
         Ok(image)
     }
 
-    /// An image over memory that somebody else exported, in the layout in which the other side left it.
+    /// Creates an image over imported memory, in the layout in which the exporter left it.
     ///
     /// # Errors
     /// As [`Device::import_buffer`].
     ///
     /// # Safety
-    /// The handle was exported from an image of this size and format, made by [`Device::shared_image`] or like it
-    /// (two-dimensional, one level, layer and sample, optimal tiling, the usages of our images), by the same driver on
-    /// the same physical device. Both sides order their use, and agree on the layout.
+    /// The handle was exported from an image of this size and format, created by [`Device::shared_image`] or
+    /// equivalently (two-dimensional, one level, layer and sample, optimal tiling, same usages), by the same driver
+    /// on the same physical device. Both sides synchronize their use and agree on the layout.
     pub unsafe fn import_image(
         &self,
         name: &str,
@@ -125,10 +126,10 @@ impl Device {
         format: ImageFormat,
         handle: SharedHandle,
     ) -> Result<DeviceImage> {
-        self.outside_image(name, size, format, Some(handle))
+        self.external_image(name, size, format, Some(handle))
     }
 
-    fn outside_image(
+    fn external_image(
         &self,
         name: &str,
         size: [u32; 2],
@@ -150,19 +151,19 @@ impl Device {
             format,
             name: name.to_owned(),
             allocation: None,
-            // Nothing is freed until there is something to free.
+            // Nothing is freed until memory is allocated.
             backing: Backing::Shared(vk::DeviceMemory::null(), 0),
             busy: Busy::default(),
             device: self.clone(),
         };
         shared.memory.count_image();
-        // SAFETY: the image was just made from this device.
+        // SAFETY: the image was just created from this device.
         let requirements = unsafe { shared.raw.get_image_memory_requirements(raw) };
         let dedicated = vk::MemoryDedicatedAllocateInfo::default().image(raw);
-        let memory = shared.outside(name, requirements, dedicated, handle)?;
+        let memory = shared.allocate_external(name, requirements, dedicated, handle)?;
         shared.memory.lock().add(requirements.size);
         made.backing = Backing::Shared(memory, requirements.size);
-        // SAFETY: the memory was made for this image.
+        // SAFETY: the memory was allocated for this image.
         shared.gate.call("vkBindImageMemory", name, || unsafe { shared.raw.bind_image_memory(raw, memory, 0) })?;
         if self.supports_storage_image(format) {
             made.make_view()?;
@@ -171,7 +172,7 @@ impl Device {
         Ok(DeviceImage(Arc::new(made)))
     }
 
-    /// Makes a semaphore that others can import: a timeline from 0, or a binary one.
+    /// Creates an exportable semaphore: a timeline from 0, or a binary one.
     ///
     /// # Errors
     /// [`Error::MissingExtension`] without `VK_KHR_external_semaphore_fd`; if the device fails.
@@ -180,10 +181,10 @@ impl Device {
         self.semaphore(name, timeline, true)
     }
 
-    /// A semaphore that somebody else exported.
+    /// Imports a semaphore.
     ///
     /// # Errors
-    /// As [`Device::shared_semaphore`]; if the driver refuses the descriptor.
+    /// As [`Device::shared_semaphore`]; if the driver rejects the descriptor.
     ///
     /// # Safety
     /// The descriptor was exported from a semaphore of the same kind by the same driver on the same physical device.
@@ -195,7 +196,7 @@ impl Device {
         // SAFETY: the semaphore is new and of the kind that was exported, as the caller promises.
         let imported = self.0.gate.call("vkImportSemaphoreFdKHR", name, || unsafe { api.import_semaphore_fd(&info) });
         imported.inspect_err(|_| {
-            // SAFETY: the descriptor stays ours if the import fails.
+            // SAFETY: a failed import leaves the descriptor to the caller.
             drop(unsafe { OwnedFd::from_raw_fd(raw) });
         })?;
         Ok(semaphore)
@@ -218,19 +219,19 @@ impl Device {
 
     fn memory_fd(&self, what: &str) -> Result<khr::external_memory_fd::Device> {
         if !self.info().optional.external_memory_fd {
-            return Err(self.lacks(what, "VK_KHR_external_memory_fd"));
+            return Err(self.missing_extension(what, "VK_KHR_external_memory_fd"));
         }
         Ok(khr::external_memory_fd::Device::new(&self.0.instance.raw, &self.0.raw))
     }
 
     fn semaphore_fd(&self, what: &str) -> Result<khr::external_semaphore_fd::Device> {
         if !self.info().optional.external_semaphore_fd {
-            return Err(self.lacks(what, "VK_KHR_external_semaphore_fd"));
+            return Err(self.missing_extension(what, "VK_KHR_external_semaphore_fd"));
         }
         Ok(khr::external_semaphore_fd::Device::new(&self.0.instance.raw, &self.0.raw))
     }
 
-    fn lacks(&self, what: &str, extension: &'static str) -> Error {
+    fn missing_extension(&self, what: &str, extension: &'static str) -> Error {
         Error::MissingExtension { what: format!("Sharing \"{what}\""), extension, device: self.info().name.clone() }
     }
 
@@ -240,16 +241,16 @@ impl Device {
             return Err(Error::NotShared(name.to_owned()));
         };
         let info = vk::MemoryGetFdInfoKHR::default().memory(memory).handle_type(MEMORY);
-        // SAFETY: the memory is alive and was made for exporting, or imported with the same handle type.
+        // SAFETY: the memory is alive and was created for export, or imported with the same handle type.
         let fd = self.0.gate.call("vkGetMemoryFdKHR", name, || unsafe { api.get_memory_fd(&info) })?;
-        // SAFETY: the call hands over a new descriptor.
+        // SAFETY: the call returns a new, owned descriptor.
         Ok(SharedHandle { fd: unsafe { OwnedFd::from_raw_fd(fd) }, bytes })
     }
 }
 
 impl Shared {
-    /// Memory beside the allocator, to be exported, or imported.
-    fn outside(
+    /// Allocates exportable memory, or imports memory, outside the allocator.
+    fn allocate_external(
         &self,
         name: &str,
         requirements: vk::MemoryRequirements,
@@ -267,7 +268,7 @@ impl Shared {
         let kind = kind.ok_or_else(|| Error::OutOfMemory {
             what: name.to_owned(),
             bytes: requirements.size,
-            reason: "no type of memory can be shared".into(),
+            reason: "no memory type can be shared".into(),
         })?;
         let size = handle.as_ref().map_or(requirements.size, |h| h.bytes.max(requirements.size));
         let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(MEMORY);
@@ -276,57 +277,57 @@ impl Shared {
         let mut info = vk::MemoryAllocateInfo::default().allocation_size(size).memory_type_index(kind);
         info = info.push_next(&mut dedicated);
         info = if fd.is_some() { info.push_next(&mut import) } else { info.push_next(&mut export) };
-        // SAFETY: the chain is what the extension asks for; an import is what the caller promised.
+        // SAFETY: the chain satisfies the extension; the caller promises a valid import.
         let made = self
             .gate
             .make(ObjectKind::Memory, "vkAllocateMemory", name, || unsafe { self.raw.allocate_memory(&info, None) });
         made.inspect_err(|_| {
             if let Some(fd) = fd {
-                // SAFETY: the descriptor stays ours if the import fails.
+                // SAFETY: a failed import leaves the descriptor to the caller.
                 drop(unsafe { OwnedFd::from_raw_fd(fd) });
             }
         })
     }
 
-    /// Frees memory beside the allocator. Nothing may use it any more.
+    /// Frees memory outside the allocator. Nothing may use it any more.
     pub(crate) fn free_backing(&self, backing: Backing) {
         if let Backing::Shared(memory, _) = backing
             && memory != vk::DeviceMemory::null()
         {
             // SAFETY: the caller has destroyed what was bound to it.
             unsafe { self.raw.free_memory(memory, None) };
-            self.gate.gone(ObjectKind::Memory);
+            self.gate.count_destroyed(ObjectKind::Memory);
         }
     }
 }
 
 impl DeviceBuffer {
-    /// The memory, for others to import.
+    /// Exports the memory.
     ///
     /// # Errors
-    /// [`Error::NotShared`] unless [`Device::shared_buffer`] made it; [`Error::MissingExtension`].
+    /// [`Error::NotShared`] unless [`Device::shared_buffer`] created it; [`Error::MissingExtension`].
     pub fn export(&self) -> Result<SharedHandle> {
         self.0.device.export(&self.0.name, self.0.backing)
     }
 }
 
 impl DeviceImage {
-    /// The memory, for others to import.
+    /// Exports the memory.
     ///
     /// # Errors
-    /// [`Error::NotShared`] unless [`Device::shared_image`] made it; [`Error::MissingExtension`].
+    /// [`Error::NotShared`] unless [`Device::shared_image`] created it; [`Error::MissingExtension`].
     pub fn export(&self) -> Result<SharedHandle> {
         self.0.device.export(&self.0.name, self.0.backing)
     }
 }
 
 impl Semaphore {
-    /// The raw semaphore, to wait for and to signal.
+    /// Returns the raw semaphore, to wait for and to signal.
     pub fn raw(&self) -> vk::Semaphore {
         self.raw
     }
 
-    /// The semaphore, for others to import.
+    /// Exports the semaphore.
     ///
     /// # Errors
     /// If the device fails, or the semaphore was itself imported.
@@ -336,15 +337,15 @@ impl Semaphore {
         // SAFETY: the semaphore is alive.
         let fd =
             self.device.0.gate.call("vkGetSemaphoreFdKHR", &self.name, || unsafe { api.get_semaphore_fd(&info) })?;
-        // SAFETY: the call hands over a new descriptor.
+        // SAFETY: the call returns a new, owned descriptor.
         Ok(unsafe { OwnedFd::from_raw_fd(fd) })
     }
 }
 
 impl Drop for Semaphore {
     fn drop(&mut self) {
-        // SAFETY: whoever submits with a semaphore keeps it until the work is done, by the contract of submitting.
+        // SAFETY: a submission's contract keeps its semaphores alive until the work is done.
         unsafe { self.device.0.raw.destroy_semaphore(self.raw, None) };
-        self.device.0.gate.gone(ObjectKind::Semaphore);
+        self.device.0.gate.count_destroyed(ObjectKind::Semaphore);
     }
 }

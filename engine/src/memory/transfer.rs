@@ -1,18 +1,18 @@
-//! Upload and download through staging memory, in chunks: for setting up and looking, never on a step's path.
+//! Chunked upload and download through staging memory, for setup and inspection, not for training steps.
 
 use super::{DeviceBuffer, Location};
-use crate::device::{Busy, Device, ObjectKind, Parked, Ticket};
+use crate::device::{Busy, DeferredObject, Device, ObjectKind, Ticket};
 use crate::error::Result;
 use ash::vk;
 
-/// Bytes of staging memory that an upload or download takes at most, reused piece by piece.
+/// Maximum staging memory of an upload or download in bytes, reused for each chunk.
 pub const STAGING_BYTES: u64 = 4 << 20;
 
 impl Device {
     /// Writes `data` into a device buffer and waits.
     ///
     /// # Errors
-    /// If the range is outside, memory runs out or the device fails.
+    /// If the range exceeds the buffer, memory runs out or the device fails.
     pub fn upload(&self, buffer: &DeviceBuffer, offset: u64, data: &[u8]) -> Result<()> {
         buffer.check_range(offset, data.len() as u64)?;
         self.0.memory.lock().activity.uploads += 1;
@@ -20,22 +20,22 @@ impl Device {
             return Ok(());
         }
         let staging = self.buffer("staging (upload)", STAGING_BYTES.min(data.len() as u64), Location::Upload)?;
-        for (i, piece) in data.chunks(STAGING_BYTES as usize).enumerate() {
-            staging.write(0, piece)?;
+        for (i, chunk) in data.chunks(STAGING_BYTES as usize).enumerate() {
+            staging.write(0, chunk)?;
             let region = vk::BufferCopy {
                 src_offset: 0,
                 dst_offset: offset + i as u64 * STAGING_BYTES,
-                size: piece.len() as u64,
+                size: chunk.len() as u64,
             };
             self.copy_now(&staging, buffer, region)?;
         }
         Ok(())
     }
 
-    /// Reads `bytes` of a device buffer and waits.
+    /// Reads `bytes` from a device buffer and waits.
     ///
     /// # Errors
-    /// If the range is outside, memory runs out or the device fails.
+    /// If the range exceeds the buffer, memory runs out or the device fails.
     pub fn download(&self, buffer: &DeviceBuffer, offset: u64, bytes: u64) -> Result<Vec<u8>> {
         buffer.check_range(offset, bytes)?;
         self.0.memory.lock().activity.downloads += 1;
@@ -44,19 +44,19 @@ impl Device {
             return Ok(data);
         }
         let staging = self.buffer("staging (download)", STAGING_BYTES.min(bytes), Location::Readback)?;
-        for (i, piece) in data.chunks_mut(STAGING_BYTES as usize).enumerate() {
+        for (i, chunk) in data.chunks_mut(STAGING_BYTES as usize).enumerate() {
             let region = vk::BufferCopy {
                 src_offset: offset + i as u64 * STAGING_BYTES,
                 dst_offset: 0,
-                size: piece.len() as u64,
+                size: chunk.len() as u64,
             };
             self.copy_now(buffer, &staging, region)?;
-            staging.read(0, piece)?;
+            staging.read(0, chunk)?;
         }
         Ok(data)
     }
 
-    /// Reads a device buffer as values.
+    /// Reads `count` values from the start of a device buffer and waits.
     ///
     /// # Errors
     /// As [`Device::download`].
@@ -70,7 +70,7 @@ impl Device {
     /// Copies `bytes` from the start of one buffer to the start of another and waits.
     ///
     /// # Errors
-    /// If a range is outside, or the device fails.
+    /// If a range exceeds its buffer, or the device fails.
     pub fn copy(&self, from: &DeviceBuffer, to: &DeviceBuffer, bytes: u64) -> Result<()> {
         from.check_range(0, bytes)?;
         to.check_range(0, bytes)?;
@@ -80,7 +80,7 @@ impl Device {
         self.copy_now(from, to, vk::BufferCopy { src_offset: 0, dst_offset: 0, size: bytes })
     }
 
-    /// Fills a buffer with a repeated word and waits.
+    /// Fills a buffer with a repeated 32-bit word and waits.
     ///
     /// # Errors
     /// If the device fails.
@@ -101,12 +101,13 @@ impl Device {
         })
     }
 
-    /// Records, submits and waits, ordered after all work before it and before all work after it.
-    /// What the commands use is marked as busy if the wait fails.
+    /// Records, submits and waits; ordered after all earlier work and before all later work.
+    ///
+    /// Marks the used resources as busy if the wait fails.
     pub(super) fn run_now(
         &self,
         what: &str,
-        uses: &[&Busy],
+        resources: &[&Busy],
         record: impl FnOnce(&ash::Device, vk::CommandBuffer),
     ) -> Result<()> {
         let shared = &self.0;
@@ -122,7 +123,7 @@ impl Device {
                 .command_pool(pool)
                 .level(vk::CommandBufferLevel::PRIMARY)
                 .command_buffer_count(1);
-            // SAFETY: the pool was just made.
+            // SAFETY: the pool was just created.
             let commands =
                 gate.call("vkAllocateCommandBuffers", what, || unsafe { raw.allocate_command_buffers(&info) })?[0];
             let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
@@ -134,7 +135,7 @@ impl Device {
                 .dst_stage_mask(all)
                 .dst_access_mask(access)];
             let dependency = vk::DependencyInfo::default().memory_barriers(&barrier);
-            // SAFETY: the command buffer is ours and recorded from begin to end here.
+            // SAFETY: the command buffer is created here and recorded completely.
             unsafe {
                 gate.call("vkBeginCommandBuffer", what, || raw.begin_command_buffer(commands, &begin))?;
                 raw.cmd_pipeline_barrier2(commands, &dependency);
@@ -152,8 +153,8 @@ impl Device {
                 (waited, until)
             }
         };
-        uses.iter().for_each(|busy| busy.until(until));
-        shared.dispose(until, Parked::CommandPool(pool));
+        resources.iter().for_each(|busy| busy.until(until));
+        shared.dispose(until, DeferredObject::CommandPool(pool));
         result
     }
 }

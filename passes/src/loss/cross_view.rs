@@ -76,8 +76,8 @@ pub fn cross_view(
             .dispatch(groups(u64::from(count), 1))?;
     }
     let regions = g.transient("cross_view.regions", size_of::<CrossRegion>() as u64 * number);
-    let bindings = kernel::Bindings { given: weights.into(), sums: sums.into(), regions: regions.into() };
-    let specs = kernel::Specs { workgroup, pictures: pictures.len() as u32 };
+    let bindings = kernel::Bindings { loss_weights: weights.into(), sums: sums.into(), regions: regions.into() };
+    let specs = kernel::Specs { workgroup, views: pictures.len() as u32 };
     let push = kernel::Push { count, pitch };
     stage(g, "cross_view", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])?;
@@ -89,7 +89,7 @@ pub fn cross_view(
             albedo_gradient: p.albedo_gradient.into(),
         };
         let specs = backward::Specs { workgroup };
-        let push = backward::Push { picture: k as u32 };
+        let push = backward::Push { view: k as u32 };
         let push = bytemuck::bytes_of(&push);
         stage(g, &format!("cross_view{k}.bwd"), &backward::KERNEL, bindings.entries(), specs.entries(), push)
             .dispatch(groups(p.pixels(), workgroup))?;

@@ -74,7 +74,7 @@ pub fn edge_aware(
     };
     let bindings = kernel::Bindings {
         params: a.step.into(),
-        given: a.weights.into(),
+        loss_weights: a.weights.into(),
         albedo_srgb: a.pictures.albedo.into(),
         roughness_gray: gray.into(),
         targets: a.targets.into(),

@@ -57,7 +57,7 @@ pub fn material_sum(
     let [compose_sums, edge_sums, msg, regions, relight_first, own] = parts.map(|p| p.unwrap_or(any).into());
     let bindings = kernel::Bindings {
         params: step.into(),
-        given: weights.into(),
+        loss_weights: weights.into(),
         compose_sums,
         edge_sums,
         msg,
@@ -72,7 +72,7 @@ pub fn material_sum(
     let specs = kernel::Specs {
         workgroup: tuning.workgroup,
         msg: of.msg.is_some(),
-        pictures: of.cross_view.map_or(0, |c| c.pictures),
+        views: of.cross_view.map_or(0, |c| c.pictures),
         estimates: results.len() as u32,
         gray_estimates: gray.len() as u32,
         own_prior: of.own_prior.is_some(),

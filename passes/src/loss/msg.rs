@@ -167,8 +167,12 @@ fn compared(
     stage(g, &name("slopes"), &msg_slopes::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(tiles, 1))?;
 
-    let bindings =
-        msg_sum::Bindings { params: a.step.into(), given: a.weights.into(), sums: sums.into(), result: result.into() };
+    let bindings = msg_sum::Bindings {
+        params: a.step.into(),
+        loss_weights: a.weights.into(),
+        sums: sums.into(),
+        result: result.into(),
+    };
     let own = against == Against::OwnPrior;
     let specs = msg_sum::Specs { workgroup, tile_x: TILE[0], tile_y: TILE[1], square, own };
     let push = msg_sum::Push { share: if let Against::Estimate(share) = against { share } else { 1.0 } };

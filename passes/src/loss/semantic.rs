@@ -146,7 +146,7 @@ pub fn semantic_targets(
         labels: given.unwrap_or(features).into(),
         targets: targets.into(),
     };
-    let specs = semantic_target::Specs { subgroup: tuning.subgroup_size, classes, given: given.is_some() };
+    let specs = semantic_target::Specs { subgroup: tuning.subgroup_size, classes, has_labels: given.is_some() };
     let push = semantic_target::Push { samples };
     let pass = stage(
         g,
@@ -327,7 +327,7 @@ fn gather(
     let bindings = semantic_gather::Bindings {
         params: a.step.into(),
         grad_features: grad_features.into(),
-        wanted: a.wanted.into(),
+        pixel_mask: a.wanted.into(),
         grad_image: grad_image.into(),
     };
     let subgroup = tuning.subgroup_size;

@@ -28,7 +28,7 @@ pub fn wanted_samples(
         params: screen.step.into(),
         // Specialized kernels never touch what is absent.
         mask: mask.unwrap_or(stand_in).into(),
-        wanted: wanted.into(),
+        pixel_mask: wanted.into(),
     };
     let specs = kernel::Specs { workgroup: tuning.workgroup, region: mask.is_some() };
     stage(g, "wanted_samples", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])

@@ -154,7 +154,7 @@ pub fn work(
     let bindings = kernel::Bindings {
         source: words(name, source.into(), 1)?,
         works: slice,
-        wanted: words(name, wanted, 1)?,
+        required: words(name, wanted, 1)?,
         flags: words(name, flags, 1)?,
     };
     // Unused records are written, too, so that nothing in the buffer is undefined.

@@ -51,7 +51,7 @@ macro_rules! of_tiles {
             splat_ids: $visible.ids.into(),
             raw_features: $gaussians.looked_up_features().into(),
             packed_features: $gaussians.looked_up_features().into(),
-            wanted: $wanted.pixels.into(),
+            pixel_mask: $wanted.pixels.into(),
             $($more)*
         }
     };

@@ -158,7 +158,7 @@ fn pack(
         image: what.blended.image.into(),
         transmittance: what.blended.transmittance.into(),
         flags: what.flags.into(),
-        wanted: what.wanted,
+        required: what.wanted,
         texels: what.texels.into(),
         report: what.report.into(),
     };

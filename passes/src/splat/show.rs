@@ -89,10 +89,10 @@ pub fn show(
         first_letter: letters.first,
         letters: letters.count,
     };
-    let push = kernel::Push { size, picture_size: what.picture_size };
+    let push = kernel::Push { size, image_size: what.picture_size };
     stage_with(g, "show", &kernel::KERNEL, specs.entries(), bytemuck::bytes_of(&push))
         .bind("params", what.step)
-        .bind_image("picture", what.picture)
+        .bind_image("image", what.picture)
         .bind("marks", what.marks)
         .bind("text", what.text)
         .bind("font", what.font)

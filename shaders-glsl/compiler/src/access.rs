@@ -1,4 +1,4 @@
-//! What the code behind each binding really does: a walk over loads, stores and atomics.
+//! Access of a kernel to each binding, from its loads, stores and atomics.
 //!
 //! Decorations (`readonly`, `writeonly`) say what a kernel may do; hazards depend on what it does.
 

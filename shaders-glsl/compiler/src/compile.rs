@@ -70,8 +70,8 @@ pub fn compile_folder(root: &Path) -> Result<Folder, Error> {
 fn required(source: &str) -> Option<&'static str> {
     let words =
         |line: &str| line.split([' ', ':', '\t']).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
-    let asked = |e: &&str| source.lines().any(|line| words(line) == ["#extension", e, "require"]);
-    OPTIONAL_EXTENSIONS.into_iter().find(asked)
+    let is_required = |e: &&str| source.lines().any(|line| words(line) == ["#extension", e, "require"]);
+    OPTIONAL_EXTENSIONS.into_iter().find(is_required)
 }
 
 /// Whether the compiler knows an extension of GLSL.
@@ -105,8 +105,8 @@ fn compile(compiler: &shaderc::Compiler, include: &Path, file: &Path, source: &s
     options.set_target_spirv(shaderc::SpirvVersion::V1_5);
     options.set_auto_bind_uniforms(true);
     options.set_warnings_as_errors();
-    options.set_include_callback(|wanted, _, _, _| {
-        let path = include.join(wanted);
+    options.set_include_callback(|file, _, _, _| {
+        let path = include.join(file);
         let content = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
         Ok(shaderc::ResolvedInclude { resolved_name: path.to_string_lossy().into_owned(), content })
     });
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_compiler_says_what_it_knows() {
+    fn supported_extensions_are_detected() {
         let compiler = shaderc::Compiler::new().unwrap();
         assert!(knows(&compiler, "GL_EXT_scalar_block_layout"));
         assert!(!knows(&compiler, "GL_SGS_imagined"));

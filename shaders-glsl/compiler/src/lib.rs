@@ -2,8 +2,8 @@
 //!
 //! Promises: every `*.comp` below a folder becomes one Rust module with its SPIR-V, its named bindings and what the code
 //! does to each, its push constants and shared structs with checked offsets, and its specialization constants. A kernel
-//! that does not compile stops the build with the compiler's message; one that needs newer GLSL than the compiler knows, and says
-//! so ([`OPTIONAL_EXTENSIONS`]), is named as absent. Leaves Vulkan to others.
+//! that does not compile stops the build with the compiler's message. One that requires an optional extension
+//! ([`OPTIONAL_EXTENSIONS`]) unknown to the compiler is listed as absent. Leaves Vulkan to others.
 
 mod access;
 mod codegen;

@@ -30,13 +30,13 @@ pub struct Binding {
     pub name: String,
     /// Number in set 0.
     pub number: u32,
-    /// What is bound.
+    /// Kind of the bound resource.
     pub kind: BindingKind,
-    /// What the code does to it.
+    /// Access of the code.
     pub access: Access,
 }
 
-/// What a binding takes.
+/// Kind of a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BindingKind {
     /// A storage buffer.

@@ -1,8 +1,8 @@
-//! What is read off the code of small kernels.
+//! Access reflected from the code of small kernels.
 
 use sgs_shader_compiler::{Access, compile_folder};
 
-/// The access to the only binding of a kernel whose body is given.
+/// Returns the access to the only binding of a kernel with this body.
 fn access(name: &str, body: &str) -> Access {
     let root = std::env::temp_dir().join(format!("sgs-access-{}-{name}", std::process::id()));
     let family = root.join("family");

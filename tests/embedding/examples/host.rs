@@ -11,7 +11,7 @@ use ash::vk;
 use sgs_embedding::Host;
 use sgs_engine::ImageFormat;
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::Until;
+use sgs_engine::graph::exec::Completion;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Frame, LitFrame, LitLayer, LitOptions, LitView, Renderer, View, ViewOptions};
 use sgs_passes::scene::{Gaussians, Model};
@@ -78,7 +78,7 @@ pub fn run(frames: u64) -> usize {
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS);
         host.submit(commands, &[], &[done], vk::Fence::null());
         // SAFETY: the submission is done when the semaphore has this value.
-        unsafe { recorded.expect("a slot is free").until(Until::Timeline(timeline, k)) };
+        unsafe { recorded.expect("a slot is free").until(Completion::Timeline(timeline, k)) };
         let (semaphores, values) = ([timeline], [k]);
         let wait = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
         // SAFETY: the semaphore is alive.

@@ -200,7 +200,7 @@ impl Host {
             queue: with_queue.then(|| HostQueue { queue: self.queue, lock: Box::new(Lent(self.lock.clone())) }),
             pipeline_cache: None,
             timeout: Duration::from_secs(120),
-            closing: Duration::from_secs(30),
+            close_timeout: Duration::from_secs(30),
             memory_budget: None,
             faults: Default::default(),
             objects: Default::default(),

@@ -2,7 +2,7 @@
 
 use ash::vk;
 use sgs_embedding::Host;
-use sgs_engine::graph::exec::{ExecOptions, Executor, SemaphorePoint, Until};
+use sgs_engine::graph::exec::{Completion, ExecOptions, Executor, SemaphorePoint};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_passes::kernel::stage;
@@ -94,7 +94,7 @@ fn held_slots_are_not_recorded_from_again() {
         unsafe { (groups.exec.record_into(commands, &[]).unwrap(), groups.exec.record_into(commands, &[]).unwrap()) };
     // SAFETY: nothing is recorded.
     let error = unsafe { groups.exec.record_into(commands, &[]) }.unwrap_err();
-    assert!(matches!(error, Error::SlotsHeld { slots: 2, .. }), "{error}");
+    assert!(matches!(error, Error::SlotsInUse { slots: 2, .. }), "{error}");
     assert_eq!(groups.exec.recordings().unwrap(), 2);
     let timeline = host.semaphore(true);
     let fence = host.fence();
@@ -104,8 +104,8 @@ fn held_slots_are_not_recorded_from_again() {
         .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
     // SAFETY: the semaphore covers the one, the fence the other; both live until the end.
     unsafe {
-        one.until(Until::Timeline(timeline, 5));
-        two.until(Until::Fence(fence));
+        one.until(Completion::Timeline(timeline, 5));
+        two.until(Completion::Fence(fence));
     }
     // Not submitted yet, so not done.
     assert_eq!(groups.exec.recordings().unwrap(), 2);
@@ -151,7 +151,7 @@ fn a_plan_that_is_dropped_waits_for_what_was_recorded() {
         .value(1)
         .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
     // SAFETY: the semaphore covers the submission and outlives the plan.
-    unsafe { groups.exec.record_into(commands, &[]).unwrap().until(Until::Timeline(timeline, 1)) };
+    unsafe { groups.exec.record_into(commands, &[]).unwrap().until(Completion::Timeline(timeline, 1)) };
     host.submit(commands, &[], &signal, vk::Fence::null());
     drop(groups);
     // Validation would speak of pools that are in use.

@@ -4,7 +4,7 @@ use ash::vk;
 use sgs_config::VisibilityKind;
 use sgs_embedding::{Host, Owned};
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::Recorded;
+use sgs_engine::graph::exec::Recording;
 use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{LitFrame, LitLayer, LitOptions, LitView, ViewError};
@@ -51,7 +51,7 @@ impl Stage {
         LitView::new(&self.device, tuning, relighter.scene(), relighter.lighting(), options)
     }
 
-    fn record(&self, view: &mut LitView, r: &Relighter, exposure: f32) -> (vk::CommandBuffer, Recorded) {
+    fn record(&self, view: &mut LitView, r: &Relighter, exposure: f32) -> (vk::CommandBuffer, Recording) {
         let commands = self.host.begin();
         self.host.transition(commands, self.image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
         self.host.clear(commands, self.image.raw, [9.0, 0.0, 9.0, 1.0]);
@@ -66,11 +66,11 @@ impl Stage {
         (commands, recorded.unwrap())
     }
 
-    fn finish(&self, frame: (vk::CommandBuffer, Recorded)) -> Vec<[f32; 4]> {
+    fn finish(&self, frame: (vk::CommandBuffer, Recording)) -> Vec<[f32; 4]> {
         bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&self.raw(frame))
     }
 
-    fn raw(&self, (commands, recorded): (vk::CommandBuffer, Recorded)) -> Vec<u8> {
+    fn raw(&self, (commands, recorded): (vk::CommandBuffer, Recording)) -> Vec<u8> {
         let fence = self.host.fence();
         self.host.submit(commands, &[], &[], fence);
         // SAFETY: alive; the fence covers the submission and is waited for before it is destroyed.

@@ -3,7 +3,7 @@
 use ash::vk;
 use sgs_embedding::{Host, Owned};
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::{Recorded, SemaphorePoint, Until};
+use sgs_engine::graph::exec::{Completion, Recording, SemaphorePoint};
 use sgs_engine::{Device, DeviceImage, Error, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Frame, Renderer, View, ViewError, ViewOptions};
@@ -66,7 +66,7 @@ fn wrap(device: &Device, image: &Owned<vk::Image>) -> DeviceImage {
     unsafe { device.wrap_image("host's image", image.raw, SIZE, ImageFormat::Rgba8Unorm, false) }.unwrap()
 }
 
-fn record(e: &mut Engine, commands: vk::CommandBuffer, image: &DeviceImage, k: u32) -> Result<Recorded, ViewError> {
+fn record(e: &mut Engine, commands: vk::CommandBuffer, image: &DeviceImage, k: u32) -> Result<Recording, ViewError> {
     e.view.frame(&e.gaussians, image, &frame(k), |exec, uniforms| {
         // SAFETY: the commands are being recorded by this thread and run once; the image is in the entry's layout.
         unsafe { exec.record_into(commands, uniforms) }
@@ -107,7 +107,7 @@ fn frames_are_recorded_between_a_hosts_commands() {
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         host.submit(commands, &[], &done, vk::Fence::null());
         // SAFETY: the value covers the submission; the semaphore outlives the view.
-        unsafe { recorded.until(Until::Timeline(timeline, u64::from(k) + 1)) };
+        unsafe { recorded.until(Completion::Timeline(timeline, u64::from(k) + 1)) };
     }
     let (s, v) = ([timeline], [6]);
     let info = vk::SemaphoreWaitInfo::default().semaphores(&s).values(&v);
@@ -185,7 +185,7 @@ fn room_is_made_while_the_host_holds_recordings() {
     let commands = host.begin();
     host.transition(commands, image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
     let held = record(&mut e, commands, &wrapped, 0).err();
-    assert!(matches!(held, Some(ViewError::Engine(Error::SlotsHeld { slots: 1, .. }))), "{held:?}");
+    assert!(matches!(held, Some(ViewError::Engine(Error::SlotsInUse { slots: 1, .. }))), "{held:?}");
     host.run(commands);
     // SAFETY: all has been waited for.
     unsafe {

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// Memory that is always allowed.
 const FREE: usize = 64 << 20;
 
-/// And no more beyond, whatever its size: the largest picture that is read, a few times over.
+/// And no more beyond, whatever its size: the largest image that is read, a few times over.
 const MOST: usize = 512 << 20;
 
 /// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.

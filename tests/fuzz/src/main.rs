@@ -160,7 +160,7 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
 /// Puts inputs into the corpus that take branches which it does not.
 fn distilled(target: &Target, grown: &Path, room: usize) -> Result<(), String> {
     let inputs: Vec<Vec<u8>> = files(&grown.join(target.name)).into_iter().map(|(_, input)| input).collect();
-    let uncounted = "branches are not counted; build with --config tests/fuzz/coverage.toml (docs/TESTING.md)";
+    let uncounted = "branches are not counted; build with --config tests/fuzz/coverage.toml (docs/project/testing.md)";
     let (chosen, more) = distill(target, &inputs, room).ok_or(uncounted)?;
     let (folder, bytes) = (folder(target), chosen.iter().map(Vec::len).sum::<usize>());
     for input in &chosen {

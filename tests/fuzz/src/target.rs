@@ -16,7 +16,7 @@ pub struct Target {
     pub words: &'static [Words],
     /// What readers check first.
     pub(crate) fix: Option<Fix>,
-    /// Bytes of memory that a byte of input may stand for. Compressed pictures stand for many.
+    /// Bytes of memory that a byte of input may stand for. Compressed images stand for many.
     pub per_byte: usize,
 }
 
@@ -28,7 +28,7 @@ const fn fixed(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Wo
     Target { name, run, words, fix: Some(fix), per_byte: 64 }
 }
 
-/// Pictures: deflate stands for a thousand bytes at most, each of which becomes numbers of 32 bits, several times.
+/// Images: deflate stands for a thousand bytes at most, each of which becomes numbers of 32 bits, several times.
 const fn picture(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Words], fix: Option<Fix>) -> Target {
     Target { name, run, words, fix, per_byte: 1 << 15 }
 }

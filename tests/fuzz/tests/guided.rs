@@ -38,7 +38,7 @@ fn maze_of(run: fn(&[u8]) -> String) -> Target {
 }
 
 #[test]
-fn branches_lead_where_chance_does_not() {
+fn coverage_guidance_reaches_what_random_inputs_miss() {
     quietly();
     enlist(&COUNTERS);
     let feed = |run: fn(&[u8]) -> String| -> Tally {

@@ -17,7 +17,7 @@ fn campaign(target: &Target, seed: u64, inputs: u64) -> Tally {
 }
 
 #[test]
-fn every_reader_comes_to_a_value_or_a_sentence() {
+fn every_reader_returns_a_value_or_an_error() {
     // SGS_TEST_FUZZ=SECONDS feeds each target for so long.
     let seconds: Option<u64> = std::env::var("SGS_TEST_FUZZ").ok().and_then(|text| text.parse().ok());
     let mut wrong = Vec::new();
@@ -90,7 +90,7 @@ fn every_target_has_files_that_it_reads() {
 }
 
 #[test]
-fn what_is_planted_is_found() {
+fn planted_faults_are_found() {
     fn panics(bytes: &[u8]) -> String {
         let at = bytes.first().map_or(0, |b| usize::from(*b == b'7'));
         format!("{}", [1][at])
@@ -137,7 +137,7 @@ fn changes_depend_on_the_seed_alone() {
 }
 
 #[test]
-fn a_ledger_goes_on_where_it_ends() {
+fn ledger_resumes_where_it_ends() {
     let folder = tempfile::tempdir().expect("a folder");
     let (ledger, grown) = (folder.path().join("ledger.toml"), folder.path().join("grown"));
     let fuzz = |seconds: &str| {

@@ -1,4 +1,4 @@
-// What the kernels of random graphs share: words in, words out, and a hash that the CPU's twin knows too.
+// Shared definitions of the kernels of random graphs: words in, words out, and the hash of the CPU reference.
 #extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 32) in;

@@ -1,4 +1,4 @@
-// Writes every word of `words` and reads it again: what was there before does not matter.
+// Writes every word of `words` and reads it back: earlier contents do not matter.
 #version 460
 #include "words.glsl"
 

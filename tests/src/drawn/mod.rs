@@ -9,8 +9,8 @@ use std::cell::Cell;
 
 /// So many cases, or as many as `SGS_TEST_CASES` asks for.
 pub fn runner(cases: u32) -> TestRunner {
-    let asked = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
-    let config = Config { cases: asked.unwrap_or(cases), failure_persistence: None, ..Config::default() };
+    let requested = std::env::var("SGS_TEST_CASES").ok().and_then(|n| n.parse().ok());
+    let config = Config { cases: requested.unwrap_or(cases), failure_persistence: None, ..Config::default() };
     TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha))
 }
 

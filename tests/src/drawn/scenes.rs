@@ -37,7 +37,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// Some Gaussians in a picture of some size.
+    /// Some Gaussians in an image of some size.
     pub fn scene()(
         all in prop::collection::vec(gaussian(), 1..12),
         size in [1..40_u32, 1..40_u32],
@@ -50,7 +50,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// As [`scene`], of a few Gaussians in small pictures, with more bands of harmonics.
+    /// As [`scene`], of a few Gaussians in small images, with more bands of harmonics.
     pub fn few()(
         all in prop::collection::vec(gaussian(), 1..4),
         size in [1..20_u32, 1..20_u32],

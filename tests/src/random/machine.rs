@@ -105,8 +105,8 @@ impl<'r> Machine<'r> {
                 }
             }
             "given" => {
-                let given = self.read(&bound[1].1);
-                self.write(&last, |i, _| Some(mixed(at(i), given[i & 3].wrapping_add(seed))));
+                let provided = self.read(&bound[1].1);
+                self.write(&last, |i, _| Some(mixed(at(i), provided[i & 3].wrapping_add(seed))));
             }
             "counts" => self.write(&last, |i, _| match i {
                 0 => Some(mixed(from[0], seed) & 3),
@@ -116,7 +116,7 @@ impl<'r> Machine<'r> {
             "grid" => {
                 self.write(&last, |i, _| (i < GROUP * groups as usize).then(|| mixed(at(i), seed.wrapping_add(groups))))
             }
-            other => panic!("no twin of kernel {other}"),
+            other => panic!("no reference for kernel {other}"),
         }
     }
 }

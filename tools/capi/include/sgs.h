@@ -1,4 +1,4 @@
-/* sgs: Gaussian splats, trained and rendered with Vulkan, for C and C++. See docs/EMBEDDING.md.
+/* sgs: Gaussian splats, trained and rendered with Vulkan, for C and C++. See docs/guide/embed.md.
  *
  * Every function returns SGS_OK or an error code; what went wrong is told by sgs_last_error, and by the error buffer of
  * functions that have no context yet. Structs begin with their size, so that programs keep working with later libraries.
@@ -619,7 +619,7 @@ SgsResult sgs_relight_open(const SgsContext *context,
 // What is known of a relighting.
 SgsResult sgs_relight_get(const SgsContext *context, SgsRelight relight, SgsRelightState *state);
 
-// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/RELIGHT.md), to the run as it is on disk: whatever was
+// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/guide/relight.md), to the run as it is on disk: whatever was
 // changed before is gone. Paths in it are meant beside `folder`, or, if that is null, where the program runs. After an
 // error everything is as it was.
 SgsResult sgs_relight_edit(const SgsContext *context,

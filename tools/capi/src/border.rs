@@ -35,7 +35,7 @@ impl From<sgs_engine::Error> for Failure {
             E::NoQueue(_) | E::MissingExtension { .. } | E::BindingTooLarge { .. } => SgsResult::SGS_ERROR_DEVICE,
             E::DeviceLost(_) => SgsResult::SGS_ERROR_LOST,
             E::OutOfMemory { .. } | E::OverBudget { .. } => SgsResult::SGS_ERROR_MEMORY,
-            E::SlotsHeld { .. } | E::Timeout { .. } => SgsResult::SGS_ERROR_BUSY,
+            E::SlotsInUse { .. } | E::Timeout { .. } => SgsResult::SGS_ERROR_BUSY,
             E::ImageSize { .. } | E::OutOfRange { .. } => SgsResult::SGS_ERROR_ARGUMENT,
             E::Vulkan { result, .. } if out_of_memory(*result) => SgsResult::SGS_ERROR_MEMORY,
             _ => SgsResult::SGS_ERROR_DEVICE,

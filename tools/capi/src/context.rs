@@ -7,7 +7,7 @@ use crate::table::{Object, Table};
 use crate::trainer::TrainerObject;
 use crate::types::*;
 use crate::view::ViewObject;
-use sgs_engine::graph::exec::Recorded;
+use sgs_engine::graph::exec::Recording;
 use sgs_engine::{Device, DeviceOptions};
 use sgs_passes::Tuning;
 use std::ffi::{CStr, c_char};
@@ -34,7 +34,7 @@ pub(crate) enum Thing {
     Scene(Arc<SceneObject>),
     Cameras(Vec<sgs_scene::Camera>),
     View(Box<ViewObject>),
-    Recording(Recorded),
+    Recording(Recording),
     Trainer(Box<TrainerObject>),
     Relight(RelightObject),
 }

@@ -185,7 +185,7 @@ pub unsafe extern "C" fn sgs_context_adopt(
             queue: (queue != vk::Queue::null()).then(|| HostQueue { queue, lock: Box::new(lock) }),
             pipeline_cache: cache.map(Into::into),
             timeout: timeout(info.timeout_seconds, Duration::from_secs(300))?,
-            closing: Duration::from_secs(30),
+            close_timeout: Duration::from_secs(30),
             memory_budget: None,
             faults: Default::default(),
             objects: Default::default(),

@@ -2,7 +2,7 @@
 //!
 //! A thin border around the same crates that the command line uses. Promises: every function returns a result code; no
 //! panic crosses the border; there is no global state; null, stale and foreign handles are answered with an error. What a
-//! caller must promise is written at the functions and in docs/EMBEDDING.md: the pointers it passes, the Vulkan handles,
+//! caller must promise is written at the functions and in docs/guide/embed.md: the pointers it passes, the Vulkan handles,
 //! and when its submissions are done. Reasons are in docs/adr/0013-c-interface.md.
 
 #![allow(clippy::missing_safety_doc)] // The contracts are those of the header: pointers are null or what they are called.

@@ -116,7 +116,7 @@ pub unsafe extern "C" fn sgs_relight_get(
     }
 }
 
-/// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/RELIGHT.md), to the run as it is on disk: whatever was
+/// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/guide/relight.md), to the run as it is on disk: whatever was
 /// changed before is gone. Paths in it are meant beside `folder`, or, if that is null, where the program runs. After an
 /// error everything is as it was.
 #[unsafe(no_mangle)]

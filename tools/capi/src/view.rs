@@ -5,7 +5,7 @@ use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
 use crate::relight::RelightObject;
 use crate::scene::{SceneObject, camera};
 use crate::types::*;
-use sgs_engine::graph::exec::{Executor, SemaphorePoint, Until};
+use sgs_engine::graph::exec::{Completion, Executor, SemaphorePoint};
 use sgs_engine::graph::{Buffer, ImageState};
 use sgs_engine::vk::{self, Handle};
 use sgs_engine::{DeviceImage, ImageFormat};
@@ -239,7 +239,7 @@ pub unsafe extern "C" fn sgs_view_record(
 
 /// # Safety
 /// What the host says of its submission is so.
-unsafe fn end(context: *const SgsContext, recording: SgsRecording, until: Option<Until>) -> SgsResult {
+unsafe fn end(context: *const SgsContext, recording: SgsRecording, until: Option<Completion>) -> SgsResult {
     // SAFETY: as the caller promises.
     unsafe {
         with(context, |inner| {
@@ -268,7 +268,7 @@ pub unsafe extern "C" fn sgs_recording_timeline(
         // SAFETY: as the caller promises.
         return unsafe { with(context, |_| fail(SgsResult::SGS_ERROR_NULL, "The semaphore is null.")) };
     }
-    let until = Until::Timeline(vk::Semaphore::from_raw(semaphore), value);
+    let until = Completion::Timeline(vk::Semaphore::from_raw(semaphore), value);
     // SAFETY: as the caller promises.
     unsafe { end(context, recording, Some(until)) }
 }
@@ -285,7 +285,7 @@ pub unsafe extern "C" fn sgs_recording_fence(
         return unsafe { with(context, |_| fail(SgsResult::SGS_ERROR_NULL, "The fence is null.")) };
     }
     // SAFETY: as the caller promises.
-    unsafe { end(context, recording, Some(Until::Fence(vk::Fence::from_raw(fence)))) }
+    unsafe { end(context, recording, Some(Completion::Fence(vk::Fence::from_raw(fence)))) }
 }
 
 /// The submission with this recording is done, or will never be made. The handle ends.

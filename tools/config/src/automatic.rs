@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What may be left out when the scene does not require it; docs/MODEL.md says by which measure.
+/// What may be left out when the scene does not require it; docs/how/model.md says by which measure.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AutomaticSettings {

@@ -170,7 +170,7 @@ pub struct EnvironmentSettings {
     /// Texels along an edge of the cube: 16 to 512, a power of two.
     pub resolution: u32,
     /// Mean of its texels at first. The published start is 1, which in closed rooms takes long to go away: pictures of the White
-    /// Room are 2 to 3 dB better from 0.1 (docs/ABLATION.md).
+    /// Room are 2 to 3 dB better from 0.1 (docs/project/ablation.md).
     pub start: f32,
     /// Its texels move after one of so many steps, as far, by what all of these asked of them; its mips are filtered then and not in
     /// between.

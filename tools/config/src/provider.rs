@@ -4,7 +4,7 @@ use crate::error::ConfigError;
 use serde::{Deserialize, Serialize};
 use sgs_provider::{Fallback, ProviderOptions};
 
-/// A network that lives in another process (docs/PRIORS.md).
+/// A network that lives in another process (docs/guide/priors.md).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProviderSettings {

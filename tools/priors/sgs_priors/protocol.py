@@ -1,7 +1,7 @@
 """Messages: frames in a stream, safetensors payloads, numbers as plain bytes. Standard library only.
 
 A frame is the letters ``SGSP``, the payload's length as 64-bit little-endian number, and the payload: a safetensors file
-whose metadata holds the message's text, a JSON object, under the key ``sgs``. See docs/PRIORS.md.
+whose metadata holds the message's text, a JSON object, under the key ``sgs``. See docs/guide/priors.md.
 """
 
 import array

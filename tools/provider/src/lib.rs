@@ -1,7 +1,7 @@
 //! Networks that live outside of the engine: child processes that answer questions about images.
 //!
 //! A [`Provider`] is a program that the user names. It is spoken to over its standard input and output by the protocol
-//! of `docs/PRIORS.md`: masks, regions, normals, features, materials, names and their embeddings. Whatever it does
+//! of `docs/guide/priors.md`: masks, regions, normals, features, materials, names and their embeddings. Whatever it does
 //! wrong (it cannot be started, ends, hangs, writes nonsense) is a [`ProviderError`] of one sentence, after which it has
 //! been stopped and reaped. [`Helper`] lets a caller go on without it. [`fill()`] asks one about the images of a scene and
 //! writes `priors/`.

@@ -1,7 +1,7 @@
 //! The file that says what becomes of a scene: lights, surroundings, materials, things put in.
 //!
 //! Everything in it is optional; what it does not know is refused. Lengths are the scene's own, colors linear.
-//! `docs/RELIGHT.md` describes it for people.
+//! `docs/guide/relight.md` describes it for people.
 
 use crate::error::{RelightError, Result};
 use serde::{Deserialize, Serialize};

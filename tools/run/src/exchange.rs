@@ -1,7 +1,7 @@
 //! Gaussians and light from files of this and other programs, and to them: PLY in its dialects, glTF.
 //!
 //! Files hold Gaussians; light is inside of glTF, and beside a PLY as `NAME.lights.json`; surroundings are always beside, as
-//! `NAME.environment.exr`. What each format keeps and loses is in docs/EXCHANGE.md.
+//! `NAME.environment.exr`. What each format keeps and loses is in docs/reference/exchange.md.
 
 use crate::error::{Result, RunError};
 use crate::lights::{LightFile, LightRow, LobeRow, read_lights, write_lights};

@@ -44,7 +44,7 @@ pub fn warn_without_priors(scene: &Scene) -> anyhow::Result<()> {
     }
     tracing::warn!(
         "{} has no priors of normals or materials: photographs alone do not tell albedo from light; sgs priors makes priors \
-         (docs/PRIORS.md)",
+         (docs/guide/priors.md)",
         scene.root.display()
     );
     Ok(())

@@ -194,7 +194,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused_with_the_figures() {
         let needs = Needs { photographs: 3 << 20, arena: 2 << 20, small: 100, ..Needs::default() };
-        let budget = |budget, used| Budget { heap: 1 << 30, budget, used, source: BudgetSource::Given };
+        let budget = |budget, used| Budget { heap: 1 << 30, budget, used, source: BudgetSource::Configured };
         assert!(needs.check(&budget(needs.total(), 0)).is_ok());
         let refused = needs.check(&budget(needs.total(), 1)).unwrap_err().to_string();
         assert!(

@@ -8,7 +8,7 @@ use crate::channel::{Channel, Drawn};
 use crate::error::Result;
 use crate::font::{Page, font, letters};
 use sgs_engine::graph::ImageState;
-use sgs_engine::{Device, ImageFormat, Shown as Presented, Surface, Swapchain};
+use sgs_engine::{Device, ImageFormat, PresentStatus, Surface, Swapchain};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     Display, DisplayRoom, Font, Frame, LitFrame, LitOptions, LitView, Shown, View, ViewOptions, ViewReport,
@@ -129,7 +129,7 @@ impl Canvas {
 
     /// Takes the window as it is now.
     pub fn resize(&mut self, size: [u32; 2]) -> Result<()> {
-        Ok(self.chain.renew(size)?)
+        Ok(self.chain.recreate(size)?)
     }
 
     /// Draws a frame and shows it; false if the window has changed, and the frame has to be drawn anew for its size.
@@ -162,7 +162,7 @@ impl Canvas {
         };
         let drawn = self.submit(&mut made, relighter, picture, write);
         let shown = drawn.and_then(|drawn| match drawn {
-            true => Ok(self.chain.show(made.display.window())? == Presented::Yes),
+            true => Ok(self.chain.present(made.display.window())? == PresentStatus::Presented),
             false => Ok(false),
         });
         *(if self.is_coarse { &mut self.coarse } else { &mut self.made }) = Some(made);

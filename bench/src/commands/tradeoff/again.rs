@@ -1,10 +1,11 @@
-//! `engine-bench front`: table and drawing of a report that is there, as a run would leave them. Figures are the report's; what choices
-//! are asked for by, what they are held to and where each stands is the program's.
+//! `engine-bench front`: table and drawing of an existing report, as a run would write them.
+//!
+//! Figures come from the report; settings, bounds and standing of the choices come from this program.
 
 use super::choices::{Choice, of_geometry, of_intrinsic};
 use super::front::Ratio;
 use super::record::recorded;
-use super::{Shown, geometry, intrinsic};
+use super::{Presentation, geometry, intrinsic};
 use crate::report::{Report, set::ReportSet};
 use crate::stats::Summary;
 use crate::workload::lit_settings;
@@ -44,33 +45,33 @@ fn setting(text: &str) -> Result<(String, String), String> {
 /// If the file cannot be read, not one report of it is meant, a figure is missing, or a file cannot be written.
 pub fn run(a: &Args) -> anyhow::Result<()> {
     let set = ReportSet::read(&a.file)?;
-    let (shown, unknown) = shown(set.only("tradeoff", &a.which)?, a.config.as_deref())?;
+    let (presentation, unknown) = presentation(set.only("tradeoff", &a.which)?, a.config.as_deref())?;
     for name in unknown {
         eprintln!("\"{name}\" is no choice any more, and left out.");
     }
-    shown.write(a.table.as_deref(), a.svg.as_deref())?;
+    presentation.write(a.table.as_deref(), a.svg.as_deref())?;
     if a.table.is_none() && a.svg.is_none() {
-        print!("{}", shown.table);
+        print!("{}", presentation.table);
     }
     Ok(())
 }
 
-/// What is shown of a report, and choices of it that are none any more.
-pub fn shown(report: &Report, config: Option<&Path>) -> anyhow::Result<(Shown, Vec<String>)> {
+/// Builds the presentation of a report. Also returns the names of its choices that no longer exist.
+pub fn presentation(report: &Report, config: Option<&Path>) -> anyhow::Result<(Presentation, Vec<String>)> {
     // Whatever the device had.
     let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
     let matrices = Some(Matrices { shape, units: false });
     let own = Tuning { matrices, ..Tuning::for_subgroups(report.device.subgroup_size) };
-    if report.said("stage").is_some() {
+    if report.setting_text("stage").is_some() {
         let (choices, unknown) = chosen(report, of_intrinsic(&base(report, config)?, &own)?)?;
-        return Ok((intrinsic::shown(report, &intrinsic::again(report, choices)?), unknown));
+        return Ok((intrinsic::presentation(report, &intrinsic::again(report, choices)?), unknown));
     }
     ensure!(config.is_none(), "--config is for reports of the intrinsic stage.");
     let (choices, unknown) = chosen(report, of_geometry(&own, true)?)?;
-    Ok((geometry::shown(report, &geometry::again(report, choices)?), unknown))
+    Ok((geometry::presentation(report, &geometry::again(report, choices)?), unknown))
 }
 
-/// What its choices differ from.
+/// Returns the settings that its choices differ from.
 fn base(report: &Report, config: Option<&Path>) -> anyhow::Result<Settings> {
     let settings = match (recorded(report)?, config) {
         (Some(settings), None) => return Ok(settings),
@@ -79,9 +80,9 @@ fn base(report: &Report, config: Option<&Path>) -> anyhow::Result<Settings> {
         (None, Some(file)) => lit_settings(Some(file))?,
     };
     let i = &settings.intrinsic;
-    for (name, given) in [("lights", i.lights.grid.pow(3)), ("environment", i.environment.resolution)] {
-        let own = report.said(name).unwrap_or_default();
-        ensure!(own == given.to_string(), "The report has {name} {own}, the settings of --config {given}.");
+    for (name, value) in [("lights", i.lights.grid.pow(3)), ("environment", i.environment.resolution)] {
+        let own = report.setting_text(name).unwrap_or_default();
+        ensure!(own == value.to_string(), "The report has {name} {own}, the settings of --config {value}.");
     }
     Ok(settings)
 }
@@ -100,7 +101,7 @@ fn chosen(report: &Report, known: Vec<Choice>) -> anyhow::Result<(Vec<Choice>, V
     Ok((choices, unknown))
 }
 
-/// What a report has of one choice.
+/// Figures of one choice in a report.
 pub struct Figures<'r> {
     /// The report.
     pub report: &'r Report,
@@ -109,7 +110,7 @@ pub struct Figures<'r> {
 }
 
 impl Figures<'_> {
-    /// A measurement, if there is such a one.
+    /// Returns a measurement, if present.
     pub fn any(&self, what: &str) -> Option<Summary> {
         let name = format!("{what}, {}", self.choice);
         self.report.values.iter().find(|v| v.name == name).map(|v| v.value)
@@ -167,26 +168,26 @@ pub fn report(settings: &[(&str, serde_json::Value)]) -> Report {
     report
 }
 
-/// Asserts that a report, read back, is shown as it was.
+/// Asserts that a report read back has the same presentation.
 #[cfg(test)]
-pub fn comes_back(report: &Report, first: &Shown) {
+pub fn assert_round_trip(report: &Report, first: &Presentation) {
     let mut report: Report = serde_json::from_str(&serde_json::to_string(report).unwrap()).unwrap();
     // How choices stood is not taken from it.
     report.facts.retain(|f| !f.name.starts_with(crate::report::standing::PREFIX));
-    let (again, unknown) = shown(&report, None).unwrap();
+    let (again, unknown) = presentation(&report, None).unwrap();
     assert!(unknown.is_empty(), "{unknown:?}");
     assert_eq!(again.table, first.table);
     assert!(again.svg().unwrap() == first.svg().unwrap());
-    // A choice that is none any more is left out.
+    // A choice that no longer exists is left out.
     for figure in &mut report.values {
         figure.name = figure.name.replace(", balanced", ", of old");
     }
-    let (again, unknown) = shown(&report, None).unwrap();
+    let (again, unknown) = presentation(&report, None).unwrap();
     assert_eq!(unknown, ["of old"]);
     assert_eq!(again.table.lines().count() + 1, first.table.lines().count());
     report.values.retain(|v| v.name != "device memory of training, fast");
-    let said = shown(&report, None).err().unwrap().to_string();
-    assert_eq!(said, "The report has no device memory of training of \"fast\".");
+    let message = presentation(&report, None).err().unwrap().to_string();
+    assert_eq!(message, "The report has no device memory of training of \"fast\".");
 }
 
 #[cfg(test)]
@@ -194,22 +195,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn settings_that_were_not_recorded_are_asked_for() {
+    fn unrecorded_settings_require_config() {
         let small = Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
         let of = |lights: u32| {
             report(&[("stage", "intrinsic".into()), ("lights", lights.into()), ("environment", 32.into())])
         };
         assert_eq!(base(&of(27), Some(&small)).unwrap().intrinsic.visibility.levels, 8);
-        let said = |report: &Report, config| base(report, config).unwrap_err().to_string();
-        assert!(said(&of(27), None).contains("--config says which they were"));
-        assert_eq!(said(&of(64), Some(&small)), "The report has lights 64, the settings of --config 27.");
+        let message = |report: &Report, config| base(report, config).unwrap_err().to_string();
+        assert!(message(&of(27), None).contains("--config says which they were"));
+        assert_eq!(message(&of(64), Some(&small)), "The report has lights 64, the settings of --config 27.");
         let mut newer = of(27);
         newer.setting("settings", "intrinsic.lights.grid=2");
         assert_eq!(base(&newer, None).unwrap().intrinsic.lights.grid, 2);
-        assert!(said(&newer, Some(&small)).contains("settings of its own"));
+        assert!(message(&newer, Some(&small)).contains("settings of its own"));
         // Those of geometry have none that matter.
-        let said = shown(&report(&[]), Some(&small)).err().unwrap().to_string();
-        assert_eq!(said, "--config is for reports of the intrinsic stage.");
+        let message = presentation(&report(&[]), Some(&small)).err().unwrap().to_string();
+        assert_eq!(message, "--config is for reports of the intrinsic stage.");
         assert_eq!(setting("size=3x2"), Ok(("size".into(), "3x2".into())));
         assert!(setting("fox").is_err());
     }

@@ -1,6 +1,6 @@
-//! What was measured before, ranked as it would be now.
+//! Recorded measurements, ranked by the current rules.
 
-use super::again::shown;
+use super::again::presentation;
 use super::front::Standing;
 use crate::report::compare::compare;
 use crate::report::{FILTER, set::ReportSet};
@@ -17,16 +17,16 @@ fn levels_of_accuracy_are_beaten_by_nothing_that_was_measured() {
     let small = here("small.toml");
     let mut wrong = Vec::new();
     for report in &reports {
-        let unsaid = report.said("stage").is_some() && report.said("settings").is_none();
-        let (shown, unknown) = shown(report, unsaid.then_some(small.as_path())).unwrap();
+        let without_settings = report.setting_text("stage").is_some() && report.setting_text("settings").is_none();
+        let (presentation, unknown) = presentation(report, without_settings.then_some(small.as_path())).unwrap();
         assert!(unknown.is_empty(), "no choices: {unknown:?}");
         for level in ["exact", "balanced", "fast"] {
-            let mark = shown.marks.iter().find(|m| m.name == level).unwrap();
+            let mark = presentation.marks.iter().find(|m| m.name == level).unwrap();
             if mark.standing == Standing::Beaten {
                 wrong.push(format!("{level} of {}", report.settings["scene"]));
             }
         }
-        assert!(shown.marks.iter().any(|m| m.name.starts_with("tiles of") && m.standing == Standing::Same));
+        assert!(presentation.marks.iter().any(|m| m.name.starts_with("tiles of") && m.standing == Standing::Same));
     }
     assert!(wrong.is_empty(), "beaten: {}", wrong.join(", "));
 }
@@ -48,23 +48,23 @@ fn reports_from_before_are_found_and_compared() {
     }
 }
 
-/// Tables and pictures of the document are those of what was measured.
+/// Tables and drawings of the document match the recorded reports.
 #[test]
-fn the_document_shows_what_was_measured() {
+fn document_tables_match_recorded_reports() {
     let reports = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap().reports;
-    let document = std::fs::read_to_string(here("../docs/TRADEOFF.md")).unwrap();
+    let document = std::fs::read_to_string(here("../docs/project/tradeoff.md")).unwrap();
     let small = here("small.toml");
-    let mut pictures = Vec::new();
+    let mut drawings = Vec::new();
     for report in &reports {
-        let unsaid = report.said("stage").is_some() && report.said("settings").is_none();
-        let (shown, _) = shown(report, unsaid.then_some(small.as_path())).unwrap();
+        let without_settings = report.setting_text("stage").is_some() && report.setting_text("settings").is_none();
+        let (presentation, _) = presentation(report, without_settings.then_some(small.as_path())).unwrap();
         let scene = &report.settings["scene"];
-        assert!(document.contains(&shown.table), "docs/TRADEOFF.md has another table of {scene}");
-        pictures.push(shown.svg().unwrap());
+        assert!(document.contains(&presentation.table), "docs/project/tradeoff.md has another table of {scene}");
+        drawings.push(presentation.svg().unwrap());
     }
     for name in ["tradeoff-photographs", "tradeoff", "tradeoff-synthetic", "tradeoff-materials"] {
         let file = std::fs::read_to_string(here(&format!("../docs/images/{name}.svg"))).unwrap();
-        assert!(pictures.contains(&file), "docs/images/{name}.svg shows something else");
-        assert!(document.contains(&format!("(images/{name}.svg)")));
+        assert!(drawings.contains(&file), "docs/images/{name}.svg shows something else");
+        assert!(document.contains(&format!("(../images/{name}.svg)")));
     }
 }

@@ -1,22 +1,23 @@
-//! The choices of both stages, each as a user would ask for it: what is measured is what that comes to as settings.
+//! Choices of both stages as command-line settings, and the settings that they resolve to.
 
 use anyhow::{Context, ensure};
 use sgs_config::{Settings, accuracy_named, overlay};
 use sgs_passes::Tuning;
 
-/// By how much gradients may differ that are sums of the same in another order; tests hold gradients to as much of finite differences.
+/// Largest relative difference of gradients that sum the same terms in another order. Tests use the same bound for finite
+/// differences.
 const ROUNDING: f64 = 1e-3;
 
-/// What a choice changes, and so what it can be held to.
+/// Effect of a choice, which determines its checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// The way to the same numbers: a step comes to what that of `exact` does, up to rounding, so that nothing is traded.
+    /// Implementation: a step matches that of `exact` up to rounding, so that nothing is traded.
     Same,
-    /// How close a step comes.
+    /// Accuracy of a step.
     Accuracy,
-    /// What becomes of later steps alone: what it costs shows in no single one, but in a training.
+    /// Later steps alone: its cost shows in a training, not in a single step.
     Later,
-    /// What is learned: there are no gradients to compare.
+    /// The model: gradients are not comparable.
     Model,
 }
 
@@ -25,7 +26,7 @@ pub enum Kind {
 pub struct Choice {
     /// Short.
     pub name: String,
-    /// As a user would ask for it.
+    /// Settings as a user types them.
     pub setting: String,
     /// What it changes.
     pub kind: Kind,
@@ -34,7 +35,7 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// What is asked is `--accuracy NAME` first, if at all, and `KEY=VALUE` as `--set` takes it.
+    /// Creates a choice from `asks`: an optional `--accuracy NAME` first, then `KEY=VALUE` as for `--set`.
     pub fn new(name: &str, asks: &[&str], kind: Kind) -> anyhow::Result<Choice> {
         let mut over = toml::Table::new();
         for ask in asks {
@@ -62,17 +63,17 @@ impl Choice {
         Ok(settings)
     }
 
-    /// The error of its gradient, if that is what may be of such a choice.
+    /// Returns the gradient error if it is allowed for this kind of choice.
     ///
     /// # Errors
-    /// If it should come to the same as `exact` and does not.
-    pub fn held(&self, gradient: f64) -> anyhow::Result<f64> {
-        let held = self.kind != Kind::Same || gradient <= ROUNDING;
-        ensure!(held, "\"{}\" should come to the same as exact, but its gradient is {gradient:.1e} off.", self.name);
+    /// If the choice must match `exact` and does not.
+    pub fn checked_gradient(&self, gradient: f64) -> anyhow::Result<f64> {
+        let allowed = self.kind != Kind::Same || gradient <= ROUNDING;
+        ensure!(allowed, "\"{}\" should come to the same as exact, but its gradient is {gradient:.1e} off.", self.name);
         Ok(gradient)
     }
 
-    /// Whether what it costs shows in one step.
+    /// Returns whether its error shows in one step.
     pub fn shows(&self) -> bool {
         matches!(self.kind, Kind::Same | Kind::Accuracy)
     }
@@ -85,8 +86,9 @@ pub fn set(pair: &str) -> anyhow::Result<toml::Table> {
     format!("{key} = {value}").parse().or_else(|_| quoted()).with_context(|| format!("\"{pair}\""))
 }
 
-/// Of the geometry stage: `exact` first, then every choice alone, then levels of accuracy, then other ways to the same. Those of
-/// features where there are some.
+/// Returns the choices of the geometry stage.
+/// Order: `exact`, every single choice, levels of accuracy, equivalent implementations. Includes choices of features with
+/// `semantics`.
 pub fn of_geometry(own: &Tuning, semantics: bool) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
     let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
@@ -127,17 +129,17 @@ pub fn of_geometry(own: &Tuning, semantics: bool) -> anyhow::Result<Vec<Choice>>
     Ok(all)
 }
 
-/// Of the intrinsic stage with these settings: `exact` first, then every choice alone, then levels of accuracy, then all together,
-/// then other models.
+/// Returns the choices of the intrinsic stage with these settings.
+/// Order: `exact`, every single choice, levels of accuracy, all together, other models.
 pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
     let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
         all.push(Choice::new(name, asks, kind)?);
         Ok(())
     };
-    add("weights anew", &["intrinsic.surface_bytes=1"], Kind::Same)?;
-    add("surroundings every 4", &["intrinsic.environment.every=4"], Kind::Later)?;
-    add("surroundings every 8", &["intrinsic.environment.every=8"], Kind::Later)?;
+    add("weights recomputed", &["intrinsic.surface_bytes=1"], Kind::Same)?;
+    add("environment every 4", &["intrinsic.environment.every=4"], Kind::Later)?;
+    add("environment every 8", &["intrinsic.environment.every=8"], Kind::Later)?;
     add("one pair of 4", &["intrinsic.visibility.sample=4"], Kind::Accuracy)?;
     add("one pair of 16", &["intrinsic.visibility.sample=16"], Kind::Accuracy)?;
     add("lights culled, 0.002", &["intrinsic.cull_error=0.002"], Kind::Accuracy)?;
@@ -169,7 +171,7 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
     }
     if s.environment.resolution > 16 {
         let half = s.environment.resolution / 2;
-        add("coarser surroundings", &[&format!("intrinsic.environment.resolution={half}")], Kind::Model)?;
+        add("coarser environment", &[&format!("intrinsic.environment.resolution={half}")], Kind::Model)?;
     }
     if s.visibility.levels > 4 {
         let levels = s.visibility.levels / 2;
@@ -202,7 +204,8 @@ mod tests {
         choice.settings(&Settings::default()).unwrap()
     }
 
-    /// Names of what is traded that a choice has otherwise than `exact`. A new way to trade does not compile until it has a choice.
+    /// Names of the accuracy settings in which a choice differs from `exact`. A new setting does not compile until it has a
+    /// choice.
     fn traded(a: &Accuracy) -> Vec<&'static str> {
         let Accuracy {
             depth_bits,
@@ -255,12 +258,12 @@ mod tests {
     }
 
     /// What `sgs train --accuracy ... --set ...` makes of what the table shows.
-    fn asked(shown: &str) -> Settings {
+    fn parsed_settings(text: &str) -> Settings {
         let mut table = toml::Table::new();
-        for ask in shown.split(", ") {
+        for ask in text.split(", ") {
             let ask = ask.strip_prefix('`').and_then(|a| a.strip_suffix('`')).unwrap();
             if let Some(level) = ask.strip_prefix("--accuracy ") {
-                assert!(table.is_empty(), "\"{shown}\": levels go before settings");
+                assert!(table.is_empty(), "\"{text}\": levels go before settings");
                 table = accuracy_named(level).unwrap();
                 continue;
             }
@@ -277,9 +280,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shown_is_what_is_measured() {
+    fn printed_settings_are_the_measured_settings() {
         for choice in all().concat() {
-            assert_eq!(asked(&choice.setting), settings(&choice), "{}", choice.name);
+            assert_eq!(parsed_settings(&choice.setting), settings(&choice), "{}", choice.name);
         }
         let of = |name: &str| settings(all()[0].iter().find(|c| c.name == name).unwrap());
         let exact = Accuracy::EXACT;
@@ -308,24 +311,24 @@ mod tests {
         for choices in all() {
             assert!(choices[0].name == "exact" && settings(&choices[0]) == Settings::default());
             for (i, a) in choices.iter().enumerate() {
-                let twin = choices[..i].iter().find(|b| b.name == a.name || settings(b) == settings(a));
-                assert!(twin.is_none(), "{} is {}", a.name, twin.unwrap().name);
+                let duplicate = choices[..i].iter().find(|b| b.name == a.name || settings(b) == settings(a));
+                assert!(duplicate.is_none(), "{} is {}", a.name, duplicate.unwrap().name);
             }
         }
     }
 
     #[test]
-    fn what_comes_to_the_same_has_the_accuracy_of_exact() {
+    fn equivalent_choices_have_exact_accuracy() {
         let same: Vec<Choice> = all().concat().into_iter().filter(|c| c.kind == Kind::Same).collect();
         let names: Vec<&str> = same.iter().map(|c| c.name.as_str()).collect();
         let tiles = ["tiles of half the rows", "tiles of twice the rows"];
         let geometry = ["tiles of 8x8", "tiles of 8x32", "backward by splats", "backward by atomics", "Adam of all"];
-        assert_eq!(names, [&geometry[..], &["weights anew"], &tiles].concat());
+        assert_eq!(names, [&geometry[..], &["weights recomputed"], &tiles].concat());
         assert!(same.iter().all(|c| c.shows() && settings(c).accuracy == Accuracy::EXACT));
         // It is held to that, and nothing else is.
-        assert_eq!(same[0].held(1e-4).unwrap(), 1e-4);
-        let said = same[0].held(0.01).unwrap_err().to_string();
-        assert_eq!(said, "\"tiles of 8x8\" should come to the same as exact, but its gradient is 1.0e-2 off.");
-        assert!(Choice::level("fast").unwrap().held(0.5).is_ok());
+        assert_eq!(same[0].checked_gradient(1e-4).unwrap(), 1e-4);
+        let message = same[0].checked_gradient(0.01).unwrap_err().to_string();
+        assert_eq!(message, "\"tiles of 8x8\" should come to the same as exact, but its gradient is 1.0e-2 off.");
+        assert!(Choice::level("fast").unwrap().checked_gradient(0.5).is_ok());
     }
 }

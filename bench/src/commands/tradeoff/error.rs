@@ -1,11 +1,13 @@
-//! How far off pictures and gradients are. What is not finite is infinitely far off, and what differs in length is not compared:
-//! a maximum passes over what is no number, and a pairing over what has no partner, so that the worst would count as equal.
+//! Errors of images and gradients.
+//!
+//! Non-finite values have infinite error, and different lengths are refused. Otherwise a maximum would ignore NaN, and a
+//! pairing would ignore surplus elements, so that the worst results would count as equal.
 
 use anyhow::ensure;
 
-/// How far off a picture is.
+/// Error of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PictureError {
+pub struct ImageError {
     /// The largest difference.
     pub largest: f64,
     /// The mean of the absolute differences.
@@ -14,13 +16,13 @@ pub struct PictureError {
     pub psnr: f64,
 }
 
-/// A picture against the truth, number by number.
+/// Compares an image with the truth, number by number.
 ///
 /// # Errors
 /// If they are of different sizes, or empty.
-pub fn of_picture(image: &[f32], truth: &[f64]) -> anyhow::Result<PictureError> {
-    let (own, wanted) = (image.len(), truth.len());
-    ensure!(own == wanted && own > 0, "A picture of {own} numbers cannot be compared with one of {wanted}.");
+pub fn image_error(image: &[f32], truth: &[f64]) -> anyhow::Result<ImageError> {
+    let (own, expected) = (image.len(), truth.len());
+    ensure!(own == expected && own > 0, "An image of {own} numbers cannot be compared with one of {expected}.");
     let (mut largest, mut sum, mut square) = (0.0_f64, 0.0, 0.0);
     for (a, b) in image.iter().zip(truth) {
         let d = (f64::from(*a) - b).abs();
@@ -29,10 +31,10 @@ pub fn of_picture(image: &[f32], truth: &[f64]) -> anyhow::Result<PictureError> 
         square += d * d;
     }
     if !(f64::is_finite(sum) && f64::is_finite(square)) {
-        return Ok(PictureError { largest: f64::INFINITY, mean: f64::INFINITY, psnr: f64::NEG_INFINITY });
+        return Ok(ImageError { largest: f64::INFINITY, mean: f64::INFINITY, psnr: f64::NEG_INFINITY });
     }
     let n = own as f64;
-    Ok(PictureError { largest, mean: sum / n, psnr: -10.0 * (square / n).max(1e-30).log10() })
+    Ok(ImageError { largest, mean: sum / n, psnr: -10.0 * (square / n).max(1e-30).log10() })
 }
 
 /// Length of the difference of a gradient over that of the exact one; infinite if there is one where there should be none.
@@ -40,8 +42,8 @@ pub fn of_picture(image: &[f32], truth: &[f64]) -> anyhow::Result<PictureError> 
 /// # Errors
 /// If they are of different sizes.
 pub fn of_gradient(exact: &[f32], other: &[f32]) -> anyhow::Result<f64> {
-    let (own, wanted) = (other.len(), exact.len());
-    ensure!(own == wanted, "A gradient of {own} numbers cannot be compared with one of {wanted}.");
+    let (own, expected) = (other.len(), exact.len());
+    ensure!(own == expected, "A gradient of {own} numbers cannot be compared with one of {expected}.");
     let (mut off, mut size) = (0.0, 0.0);
     for (a, b) in exact.iter().zip(other) {
         let (a, b) = (f64::from(*a), f64::from(*b));
@@ -70,41 +72,41 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_differ_by_what_their_numbers_do() {
-        let e = of_picture(&[0.5, 0.25, 1.0, 0.0], &[0.5, 0.5, 1.0, 0.0]).unwrap();
+    fn image_error_measures_largest_mean_and_psnr() {
+        let e = image_error(&[0.5, 0.25, 1.0, 0.0], &[0.5, 0.5, 1.0, 0.0]).unwrap();
         assert_eq!((e.largest, e.mean), (0.25, 0.0625));
         assert!((e.psnr - 18.062).abs() < 1e-3, "{e:?}");
-        assert!(of_picture(&[1.0], &[1.0]).unwrap().psnr > 200.0);
+        assert!(image_error(&[1.0], &[1.0]).unwrap().psnr > 200.0);
     }
 
     #[test]
-    fn what_is_not_finite_is_infinitely_far_off() {
+    fn non_finite_values_have_infinite_error() {
         for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            let e = of_picture(&[0.5, wrong, 0.5], &[0.5; 3]).unwrap();
+            let e = image_error(&[0.5, wrong, 0.5], &[0.5; 3]).unwrap();
             assert_eq!((e.largest, e.mean, e.psnr), (f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY), "{wrong}");
             assert_eq!(of_gradient(&[1.0, 2.0], &[1.0, wrong]).unwrap(), f64::INFINITY, "{wrong}");
             assert_eq!(of_gradient(&[1.0, wrong], &[1.0, 2.0]).unwrap(), f64::INFINITY, "{wrong}");
             assert_eq!(of_gradient(&[0.0], &[wrong]).unwrap(), f64::INFINITY, "{wrong}");
-            let said = finite("fast", "mean error", f64::from(wrong)).unwrap_err().to_string();
-            assert_eq!(said, "The mean error of \"fast\" is not a finite number.");
+            let message = finite("fast", "mean error", f64::from(wrong)).unwrap_err().to_string();
+            assert_eq!(message, "The mean error of \"fast\" is not a finite number.");
         }
-        assert_eq!(of_picture(&[0.5], &[f64::NAN]).unwrap().mean, f64::INFINITY);
+        assert_eq!(image_error(&[0.5], &[f64::NAN]).unwrap().mean, f64::INFINITY);
         assert_eq!(finite("fast", "mean error", 0.5).unwrap(), 0.5);
     }
 
     #[test]
     fn gradients_differ_relatively() {
         assert!((of_gradient(&[3.0, 4.0], &[3.0, 4.5]).unwrap() - 0.1).abs() < 1e-12);
-        // What nothing is asked of has none, and that is exact; one where there should be none is not.
+        // Two zero gradients agree exactly; a nonzero gradient differs infinitely from a zero one.
         assert_eq!((of_gradient(&[0.0], &[0.0]).unwrap(), of_gradient(&[], &[]).unwrap()), (0.0, 0.0));
         assert_eq!(of_gradient(&[0.0, 0.0], &[0.0, 1e-20]).unwrap(), f64::INFINITY);
     }
 
     #[test]
-    fn what_differs_in_length_is_refused() {
-        let said = of_picture(&[0.5, 0.5], &[0.5]).unwrap_err().to_string();
-        assert_eq!(said, "A picture of 2 numbers cannot be compared with one of 1.");
-        assert!(of_picture(&[0.5], &[0.5, 0.5]).is_err() && of_picture(&[], &[]).is_err());
+    fn different_lengths_are_refused() {
+        let message = image_error(&[0.5, 0.5], &[0.5]).unwrap_err().to_string();
+        assert_eq!(message, "An image of 2 numbers cannot be compared with one of 1.");
+        assert!(image_error(&[0.5], &[0.5, 0.5]).is_err() && image_error(&[], &[]).is_err());
         assert!(of_gradient(&[1.0, 2.0], &[1.0]).is_err() && of_gradient(&[1.0], &[1.0, 2.0]).is_err());
     }
 }

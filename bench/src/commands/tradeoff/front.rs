@@ -1,5 +1,7 @@
-//! Which choices are worth choosing: those that no other beats, as far as times can be told apart. What comes to the same as `exact` in
-//! another way trades nothing and is not ranked: how fast it is says what suits a device, and nothing of a trade.
+//! The Pareto front: choices that no other beats, within the resolution of times.
+//!
+//! Choices that compute the same as `exact` in another way are not ranked: their time depends on the device and trades no
+//! accuracy.
 
 use super::choices::Kind;
 use crate::report::standing;
@@ -10,7 +12,8 @@ use std::fmt;
 /// No ratio is surer than this.
 const LEAST: f64 = 0.005;
 
-/// The time of a choice by that of `exact` right before and after it, so that a machine that is slow for a while is so for both.
+/// Ratio of a choice's time to that of `exact` right before and after it.
+/// Slow phases of the machine affect both and cancel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ratio {
     /// The median of all rounds.
@@ -35,7 +38,7 @@ impl Ratio {
         self.value.is_finite() && self.off.is_finite()
     }
 
-    /// Whether it is less, other than by chance.
+    /// Returns whether it is significantly less.
     fn surely_below(&self, other: &Ratio) -> bool {
         other.value - self.value > 2.0 * self.off.hypot(other.off).max(LEAST)
     }
@@ -51,14 +54,15 @@ impl From<Summary> for Ratio {
     fn from(s: Summary) -> Ratio {
         let rounds = s.samples.max(1);
         let off = median_error(rounds) * s.sigma();
-        // A maximum would pass over what is no number.
+        // A maximum would ignore NaN.
         let off = if off.is_finite() { off.max(LEAST) } else { f64::INFINITY };
         Ratio { value: s.median, off, rounds }
     }
 }
 
 impl From<Ratio> for Summary {
-    /// With the spread of single rounds, by which reports are compared: runs at different times differ by more than rounds of one.
+    /// Returns the ratio with the spread of single rounds, which comparisons of reports use.
+    /// Runs at different times differ by more than rounds of one run.
     fn from(r: Ratio) -> Summary {
         Summary::known(r.value, r.off / median_error(r.rounds), r.rounds)
     }
@@ -80,13 +84,13 @@ pub enum Standing {
     /// Another is as close and surely faster.
     #[default]
     Beaten,
-    /// It comes to the same as `exact` in another way.
+    /// Matches `exact` up to rounding; not ranked.
     Same,
 }
 
 impl Standing {
     /// For reports, which may be compared.
-    pub fn said(self) -> &'static str {
+    pub fn label(self) -> &'static str {
         match self {
             Standing::Front => standing::FRONT,
             Standing::Tie => standing::TIE,
@@ -107,7 +111,7 @@ impl fmt::Display for Standing {
     }
 }
 
-/// What a choice is ranked by.
+/// Figures that a choice is ranked by.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     /// What it changes.
@@ -123,13 +127,13 @@ impl Place {
         self.time.is_finite() && self.error.is_finite()
     }
 
-    /// Whether others are held to it. What is not finite beats nothing, and what trades nothing is no rival.
+    /// Returns whether it can beat others. Non-finite figures beat nothing; unranked choices do not compete.
     fn ranked(&self) -> bool {
         self.kind != Kind::Same && self.is_finite()
     }
 }
 
-/// Where each stands. What is not finite is beaten.
+/// Ranks all choices. Choices with non-finite figures are beaten.
 pub fn standings(all: &[Place]) -> Vec<Standing> {
     let of = |p: &Place| {
         let close = || all.iter().filter(|o| o.ranked() && o.error <= p.error);
@@ -163,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_to_the_same_is_not_ranked() {
+    fn equivalent_choices_are_not_ranked() {
         let ranked = [(1.0, 1e-7), (0.97, 1e-3), (0.9, 1e-2)].map(|(t, e)| place(Kind::Accuracy, t, 0.005, e));
         let alone = standings(&ranked);
         assert_eq!(alone, [Front, Front, Front]);
@@ -177,12 +181,12 @@ mod tests {
                 assert_eq!(found, alone, "{time} {error}");
             }
         }
-        assert_eq!((Same.said(), Same.to_string().as_str()), (standing::SAME, "as exact"));
+        assert_eq!((Same.label(), Same.to_string().as_str()), (standing::SAME, "as exact"));
         assert_eq!(standings(&[place(Kind::Same, 1.0, 0.005, f64::NAN)]), [Beaten]);
     }
 
     #[test]
-    fn the_front_is_what_nothing_beats() {
+    fn front_holds_undominated_choices() {
         let all = [(1.0, 1e-7), (1.2, 1e-3), (0.5, 1e-2), (0.55, 2e-2)];
         assert_eq!(standings_of(&all, 0.01), [Front, Beaten, Front, Beaten]);
         // Where the same is measured twice, both stand; what is no faster for its error does not, if that is sure.
@@ -193,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_never_on_the_front() {
+    fn non_finite_choices_are_never_on_the_front() {
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             // Neither by its error nor by its time, though it be the fastest or the only one.
             assert_eq!(standings_of(&[(1.0, 1e-7), (0.5, wrong)], 0.01), [Front, Beaten], "{wrong}");
@@ -216,7 +220,7 @@ mod tests {
         assert_eq!(Ratio::of(&[0.8]), Ratio { value: 0.8, off: LEAST, rounds: 1 });
         assert_eq!(Ratio::EXACT.to_string(), "1.00");
         // What is reported is the spread of rounds.
-        let (all, said) = (Summary::of(&often[..4]), Summary::from(Ratio::of(&often[..4])));
-        assert!((said.median, said.samples) == (all.median, 4) && (said.sigma() - all.sigma()).abs() < 1e-12);
+        let (all, stored) = (Summary::of(&often[..4]), Summary::from(Ratio::of(&often[..4])));
+        assert!((stored.median, stored.samples) == (all.median, 4) && (stored.sigma() - all.sigma()).abs() < 1e-12);
     }
 }

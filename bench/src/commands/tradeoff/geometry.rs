@@ -1,9 +1,9 @@
-//! The choices of the geometry stage, on Gaussians that stay as they are while it is measured.
+//! The choices of the geometry stage, on Gaussians that stay fixed during the measurement.
 //!
-//! For each choice: time of a training step and of a frame on the device, device memory of a step, error of one picture, of which
-//! features are further channels where there are some, against the double-precision twin (which follows the definition of 3D
-//! Gaussian splatting), and error of the gradient of one step against that of `exact`, which tests hold to finite differences of
-//! the twin.
+//! For each choice: device time of a training step and of a frame, device memory of a step, image error, and gradient error.
+//! The image (with features as further channels, if any) is compared with the double-precision reference, which follows the
+//! definition of 3D Gaussian splatting. The gradient of one step is compared with that of `exact`, which tests bound by
+//! finite differences of the reference.
 
 use super::again::Figures;
 use super::choices::{Choice, of_geometry};
@@ -12,13 +12,13 @@ use super::front::{Place, Ratio, Standing, standings};
 use super::plot::Mark;
 use super::quality::{self, Quality};
 use super::record::record;
-use super::{Args, Shown, StepArgs};
+use super::{Args, Presentation, StepArgs};
 use crate::common::Common;
 use crate::harness::spans;
 use crate::report::{Report, standing};
 use crate::stats::Summary;
 use crate::trainer::{Trainer, first_entry_capacity};
-use crate::workload::{Priors, Synthetic, Workload, directory, synthetic, twin_camera, twin_gaussians};
+use crate::workload::{Priors, Synthetic, Workload, directory, reference_camera, reference_gaussians, synthetic};
 use anyhow::Context;
 use sgs_config::{Backward, Settings};
 use sgs_engine::Device;
@@ -32,7 +32,7 @@ use sgs_scene::{Scene, Splats};
 use std::fmt::Write;
 use std::sync::Arc;
 
-/// What is known of one choice.
+/// Measurements of one choice.
 #[derive(Clone, Debug)]
 pub struct Point {
     /// Which.
@@ -45,17 +45,17 @@ pub struct Point {
     pub of_exact: [Ratio; 2],
     /// Device memory of a trainer, bytes.
     pub bytes: u64,
-    /// Of one picture, largest and mean.
+    /// Image error, largest and mean.
     pub largest: f64,
     /// Mean of the absolute differences.
     pub mean: f64,
-    /// Decibels of the picture.
+    /// PSNR of the image, dB.
     pub psnr: f64,
     /// Length of the difference of gradients over that of the exact one, the worst of all groups.
     pub gradient: f64,
     /// How it compares with all others.
     pub standing: Standing,
-    /// What a training with it comes to.
+    /// Quality after training with it.
     pub quality: Option<Quality>,
 }
 
@@ -90,12 +90,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.fact("steps of a training of its own", steps);
     }
     put(&mut report, &points);
-    report.check("the exact picture agrees with double precision");
-    shown(&report, &points).leave(common, a)?;
+    report.check("the exact image agrees with double precision");
+    presentation(&report, &points).leave(common, a)?;
     common.finish(&report, &device)
 }
 
-/// What a report has of the choices.
+/// Writes the measurements of the choices to a report.
 fn put(report: &mut Report, points: &[Point]) {
     for p in points {
         let name = &p.choice.name;
@@ -105,11 +105,11 @@ fn put(report: &mut Report, points: &[Point]) {
         for (what, value) in [("largest error", p.largest), ("mean error", p.mean), ("gradient error", p.gradient)] {
             report.time(&format!("{what}, {name}"), "", Summary::of(&[value]));
         }
-        report.fact(&format!("picture, {name}, dB"), p.psnr);
+        report.fact(&format!("image, {name}, dB"), p.psnr);
         report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[p.bytes as f64 / 1e6]));
-        report.fact(&format!("{}{name}", standing::PREFIX), p.standing.said());
+        report.fact(&format!("{}{name}", standing::PREFIX), p.standing.label());
         if let Some(q) = p.quality {
-            report.fact(&format!("pictures after training, {name}, dB"), q.psnr);
+            report.fact(&format!("images after training, {name}, dB"), q.psnr);
             if let Some(degrees) = q.normals {
                 report.fact(&format!("normals after training, {name}, degrees"), degrees);
             }
@@ -136,10 +136,10 @@ pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Point>
             bytes: of.bytes()?,
             largest: of.number("largest error")?,
             mean: of.number("mean error")?,
-            psnr: of.fact("picture", "dB").context("A picture has no decibels.")?,
+            psnr: of.fact("image", "dB").context("An image has no PSNR.")?,
             gradient: of.number("gradient error")?,
             standing: Standing::default(),
-            quality: of.fact("pictures after training", "dB").map(quality),
+            quality: of.fact("images after training", "dB").map(quality),
             choice,
         })
     };
@@ -148,14 +148,14 @@ pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Point>
     Ok(points)
 }
 
-/// What is shown of it.
-pub fn shown(report: &Report, points: &[Point]) -> Shown {
-    let said = |name| report.said(name).unwrap_or_default();
-    Shown {
+/// Builds the presentation of a report.
+pub fn presentation(report: &Report, points: &[Point]) -> Presentation {
+    let setting = |name| report.setting_text(name).unwrap_or_default();
+    Presentation {
         table: table(points),
         marks: points.iter().map(Mark::from).collect(),
-        title: format!("{}, {} Gaussians, {}", said("scene"), said("gaussians"), report.device.name),
-        errors: "mean error of a picture",
+        title: format!("{}, {} Gaussians, {}", setting("scene"), setting("gaussians"), report.device.name),
+        errors: "mean error of an image",
     }
 }
 
@@ -178,8 +178,8 @@ fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
     Ok(workload)
 }
 
-/// What choices of geometry differ from. Which kernel goes backward is not measured as training does, since then each choice might have
-/// another.
+/// Returns the settings that choices of geometry differ from. The backward kernel is fixed instead of measured as in
+/// training, since otherwise each choice might get another kernel.
 fn base_settings() -> Settings {
     let mut base = Settings::default();
     base.geometry.backward = Backward::Pixel;
@@ -196,7 +196,7 @@ fn kernel(backward: Backward) -> BackwardKernel {
 
 /// One choice, ready to be timed.
 struct Subject<'w> {
-    /// What is known of it so far.
+    /// Its measurements.
     point: Point,
     trainer: Trainer<'w>,
     renderer: Renderer,
@@ -237,8 +237,8 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     let (degree, background) = (workload.model.sh_degree, workload.settings.geometry.background);
     let camera = workload.views[0].0;
     let truth = render(
-        &twin_gaussians(&workload.start),
-        &twin_camera(&camera),
+        &reference_gaussians(&workload.start),
+        &reference_camera(&camera),
         degree as usize,
         false,
         background.map(f64::from),
@@ -271,12 +271,12 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         let bytes = device.memory_use().0 - before;
         let channels = Channels::default();
         let mut renderer = Renderer::with_features(device, tuning, &gaussians, workload.largest, channels)?;
-        let picture = renderer.render(&gaussians, &camera, degree, background)?;
-        let image = with_features(device, &renderer, picture)?;
+        let rendered = renderer.render(&gaussians, &camera, degree, background)?;
+        let image = with_features(device, &renderer, rendered)?;
         let e =
-            error::of_picture(&image, &truth.image).with_context(|| format!("The picture of \"{}\"", choice.name))?;
+            error::image_error(&image, &truth.image).with_context(|| format!("The image of \"{}\"", choice.name))?;
         if choice.name == "exact" {
-            anyhow::ensure!(e.psnr > 55.0, "The exact picture is {:.1} dB off double precision.", e.psnr);
+            anyhow::ensure!(e.psnr > 55.0, "The exact image is {:.1} dB off double precision.", e.psnr);
         }
         let mean = finite(&choice.name, "mean error", e.mean)?;
         let off = match &exact {
@@ -284,7 +284,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
             None => difference(&gradient, &gradient),
         };
         let off = off.with_context(|| format!("The gradient of \"{}\"", choice.name))?;
-        let gradient_error = choice.held(finite(&choice.name, "gradient error", off)?)?;
+        let gradient_error = choice.checked_gradient(finite(&choice.name, "gradient error", off)?)?;
         exact.get_or_insert(gradient);
         let point = Point {
             choice,
@@ -301,8 +301,8 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         };
         subjects.push(Subject { point, trainer, renderer, times: Default::default(), ratios: Default::default() });
     }
-    // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others. As many steps as there are
-    // views, or a multiple of it, so that all see the same.
+    // Every round starts at another choice, every other one runs backwards; `exact` is measured between all others. The
+    // number of steps is a multiple of the number of views, so that all choices see the same views.
     let steps = common.repeats.next_multiple_of(workload.views.len().max(1) as u32);
     let (exact, others) = subjects.split_at_mut(1);
     let count = others.len();
@@ -341,11 +341,11 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     Ok(points)
 }
 
-/// Colors, and behind those of each pixel its features, if there are any: the channels of the twin.
-fn with_features(device: &Device, renderer: &Renderer, picture: Picture) -> anyhow::Result<Vec<f32>> {
-    let Some(buffer) = renderer.features() else { return Ok(picture.image) };
+/// Colors, and behind those of each pixel its features, if there are any: the channels of the reference.
+fn with_features(device: &Device, renderer: &Renderer, rendered: Picture) -> anyhow::Result<Vec<f32>> {
+    let Some(buffer) = renderer.features() else { return Ok(rendered.image) };
     let wide = Group::Semantics.width() as usize;
-    let pixels = picture.image.chunks_exact(picture.channels as usize);
+    let pixels = rendered.image.chunks_exact(rendered.channels as usize);
     let features = device.download_as::<f32>(buffer, wide * pixels.len())?;
     Ok(pixels.zip(features.chunks_exact(wide)).flat_map(|(color, own)| color.iter().chain(own)).copied().collect())
 }
@@ -375,12 +375,12 @@ fn table(points: &[Point]) -> String {
         "memory, of exact",
         "largest error",
         "mean error",
-        "picture, dB",
+        "image, dB",
         "gradient error",
         "front",
     ];
     if trained {
-        heads.extend(["pictures after training, dB", "normals, °"]);
+        heads.extend(["images after training, dB", "normals, °"]);
     }
     let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     let Some(exact) = points.first() else { return out };
@@ -409,7 +409,7 @@ fn table(points: &[Point]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::again::{comes_back, report};
+    use super::super::again::{assert_round_trip, report};
     use super::super::choices::Kind;
     use super::super::plot;
     use super::*;
@@ -447,7 +447,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_of_the_front_is_drawn() {
+    fn front_is_plotted() {
         let mut points = vec![point("exact", 10.0, 0.0), point("fast", 5.0, 1e-2)];
         let drawn = |points: &mut [Point]| {
             mark(points);
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_has_all_that_is_shown() {
+    fn report_round_trips_to_the_same_presentation() {
         let choices = of_geometry(&Tuning::for_subgroups(8), true).unwrap();
         for trained in [false, true] {
             let some = |(i, choice): (usize, Choice)| {
@@ -494,14 +494,18 @@ mod tests {
             mark(&mut points);
             let mut report = report(&[("scene", "room".into()), ("gaussians", 17.into()), ("semantics", true.into())]);
             put(&mut report, &points);
-            let shown = shown(&report, &points);
+            let presentation = presentation(&report, &points);
             assert!(
-                shown.title == "room, 17 Gaussians, a" && shown.table.contains("| within noise |"),
+                presentation.title == "room, 17 Gaussians, a" && presentation.table.contains("| within noise |"),
                 "{}",
-                shown.table
+                presentation.table
             );
-            assert!(shown.table.contains("| yes |") && shown.table.contains("| as exact |"), "{}", shown.table);
-            comes_back(&report, &shown);
+            assert!(
+                presentation.table.contains("| yes |") && presentation.table.contains("| as exact |"),
+                "{}",
+                presentation.table
+            );
+            assert_round_trip(&report, &presentation);
         }
     }
 

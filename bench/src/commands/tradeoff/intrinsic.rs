@@ -1,18 +1,18 @@
-//! The choices of the intrinsic stage: what each saves of a step, and what it does to picture, gradients and, after a fixed
-//! training, to measures at test views.
+//! The choices of the intrinsic stage: time saved in a step, errors of image and gradients, and measures at test views after
+//! a fixed training.
 //!
-//! Materials and lights are learned as `exact` has it first. Choices that have the same model then begin there: the picture of
-//! the next step is held to double precision, its gradients to those of `exact`. Choices of another model learn for
-//! themselves; of them only time, memory and measures can be compared. Times are those of the host's clock, of several steps
-//! at once, since some choices do not do the same in every step.
+//! Materials and lights are first trained with `exact`. Choices with the same model start there: the image of the next step
+//! is compared with double precision, its gradients with those of `exact`. Choices with another model train separately; only
+//! their time, memory and measures are compared. Times are host times of several steps together, since the work of some
+//! choices varies from step to step.
 
 use super::again::Figures;
 use super::choices::{Choice, Kind, of_intrinsic};
-use super::error::{self, PictureError, finite};
+use super::error::{self, ImageError, finite};
 use super::front::{Place, Ratio, Standing, standings};
 use super::plot::Mark;
 use super::record::record;
-use super::{Args, Shown, StepArgs, lit};
+use super::{Args, Presentation, StepArgs, lit};
 use crate::common::Common;
 use crate::report::{Report, standing};
 use crate::stats::Summary;
@@ -37,17 +37,17 @@ const RHYTHM: u32 = 8;
 /// Steps after which a training that was put somewhere runs as ever.
 const WARM: u32 = 2;
 
-/// What is known of one choice.
+/// Measurements of one choice.
 pub struct Row {
     choice: Choice,
     step: Summary,
     of_exact: Ratio,
     bytes: u64,
-    /// Error of a picture against double precision.
-    picture: Option<PictureError>,
+    /// Error of an image against double precision.
+    image: Option<ImageError>,
     /// Error of gradients against those of `exact`.
     gradients: Option<GradientError>,
-    /// What a training with it comes to.
+    /// Quality after training with it.
     quality: Option<Quality>,
     standing: Standing,
 }
@@ -78,29 +78,29 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         report.fact("steps of a training of its own", steps);
         for row in &mut rows {
             let trained = trained(&device, scene, splats, &of_training(&base, &row.choice, steps)?)?;
-            finite(&row.choice.name, "error after training", trained.pictures + trained.albedo.unwrap_or(0.0))?;
+            finite(&row.choice.name, "error after training", trained.image_psnr + trained.albedo.unwrap_or(0.0))?;
             row.quality = Some(trained);
         }
     }
     put(&mut report, &rows);
-    report.check("the exact picture agrees with double precision");
-    shown(&report, &rows).leave(common, a)?;
+    report.check("the exact image agrees with double precision");
+    presentation(&report, &rows).leave(common, a)?;
     common.finish(&report, &device)
 }
 
-/// What a report has of the choices.
+/// Writes the measurements of the choices to a report.
 fn put(report: &mut Report, rows: &[Row]) {
     for r in rows {
         let name = &r.choice.name;
         report.choice("step", name, r.step, r.of_exact.into());
         report.time(&format!("device memory of training, {name}"), "MB", Summary::of(&[r.bytes as f64 / 1e6]));
         if r.choice.shows() {
-            report.fact(&format!("{}{name}", standing::PREFIX), r.standing.said());
+            report.fact(&format!("{}{name}", standing::PREFIX), r.standing.label());
         }
-        if let Some(PictureError { largest, mean, psnr }) = r.picture {
+        if let Some(ImageError { largest, mean, psnr }) = r.image {
             report.time(&format!("largest error, {name}"), "", Summary::of(&[largest]));
             report.time(&format!("mean error, {name}"), "", Summary::of(&[mean]));
-            report.fact(&format!("picture, {name}, dB"), psnr);
+            report.fact(&format!("image, {name}, dB"), psnr);
         }
         if let Some(g) = &r.gradients {
             report.time(&format!("gradient error, {name}"), "", Summary::of(&[g.all]));
@@ -110,7 +110,7 @@ fn put(report: &mut Report, rows: &[Row]) {
             }
         }
         if let Some(q) = r.quality {
-            report.fact(&format!("shaded pictures after training, {name}, dB"), q.pictures);
+            report.fact(&format!("shaded images after training, {name}, dB"), q.image_psnr);
             if let Some(albedo) = q.albedo {
                 report.fact(&format!("albedo after training, {name}, dB"), albedo);
             }
@@ -128,9 +128,9 @@ fn put(report: &mut Report, rows: &[Row]) {
 pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Row>> {
     let row = |choice: Choice| -> anyhow::Result<Row> {
         let of = Figures { report, choice: &choice.name };
-        let picture = match of.fact("picture", "dB") {
+        let image = match of.fact("image", "dB") {
             Some(psnr) => {
-                Some(PictureError { largest: of.number("largest error")?, mean: of.number("mean error")?, psnr })
+                Some(ImageError { largest: of.number("largest error")?, mean: of.number("mean error")?, psnr })
             }
             None => None,
         };
@@ -148,9 +148,9 @@ pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Row>> 
             step: of.summary("step")?,
             of_exact: of.ratio("step")?,
             bytes: of.bytes()?,
-            picture,
+            image,
             gradients,
-            quality: of.fact("shaded pictures after training", "dB").map(|pictures| Quality { pictures, albedo }),
+            quality: of.fact("shaded images after training", "dB").map(|image_psnr| Quality { image_psnr, albedo }),
             standing: Standing::default(),
             choice,
         })
@@ -160,16 +160,16 @@ pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Row>> 
     Ok(rows)
 }
 
-/// What is shown of it.
-pub fn shown(report: &Report, rows: &[Row]) -> Shown {
+/// Builds the presentation of a report.
+pub fn presentation(report: &Report, rows: &[Row]) -> Presentation {
     let mark =
         |r: &Row| Mark { name: r.choice.name.clone(), time: r.of_exact.value, error: error(r), standing: r.standing };
-    Shown {
+    Presentation {
         table: table(rows),
         marks: rows.iter().filter(|r| r.choice.shows()).map(mark).collect(),
         title: format!(
             "materials and lights, {} Gaussians, {}",
-            report.said("gaussians").unwrap_or_default(),
+            report.setting_text("gaussians").unwrap_or_default(),
             report.device.name
         ),
         errors: "error of gradients",
@@ -191,13 +191,13 @@ fn measure(
     base: &Settings,
     steps: u32,
 ) -> anyhow::Result<Vec<Row>> {
-    let wanted = |c: &Choice| a.wants(&c.name);
+    let selected = |c: &Choice| a.wants(&c.name);
     let folder = tempfile::tempdir()?;
     // One training at a time is in memory; what each begins with is in a file.
     let mut subjects: Vec<(Row, PathBuf, Vec<f64>)> = Vec::new();
     let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
-    for choice in of_intrinsic(base, &Tuning::for_device(device.info()))?.into_iter().filter(wanted) {
+    for choice in of_intrinsic(base, &Tuning::for_device(device.info()))?.into_iter().filter(selected) {
         let settings = choice.settings(base)?;
         let (name, same) = (choice.name.as_str(), choice.kind != Kind::Model);
         let before = device.memory_use().0;
@@ -211,27 +211,27 @@ fn measure(
             restore(&mut training, &start, &choice)?;
         }
         let probe = training.probe()?;
-        let (mut picture, mut gradients) = (None, None);
+        let (mut image, mut gradients) = (None, None);
         if exact.is_none() {
             let light = training.light()?;
-            let truth = lit::picture(&training.splats()?, &light, &probe.camera, base.geometry.background)?;
+            let truth = lit::shaded_reference(&training.splats()?, &light, &probe.camera, base.geometry.background)?;
             exact = Some((probe.clone(), truth));
         }
         if let (Some((of_exact, truth)), true) = (&exact, same) {
-            // Pictures of another size are of other pixels.
+            // Images of another size have other pixels.
             if settings.intrinsic.scale == base.intrinsic.scale {
                 let e =
-                    error::of_picture(&probe.picture, truth).with_context(|| format!("The picture of \"{name}\""))?;
+                    error::image_error(&probe.picture, truth).with_context(|| format!("The image of \"{name}\""))?;
                 finite(name, "mean error", e.mean)?;
-                picture = Some(e);
+                image = Some(e);
             }
             let off = difference(of_exact, &probe).with_context(|| format!("The gradient of \"{name}\""))?;
-            choice.held(finite(name, "gradient error", off.all.max(off.field))?)?;
+            choice.checked_gradient(finite(name, "gradient error", off.all.max(off.field))?)?;
             gradients = Some(off);
         }
         if name == "exact" {
-            let db = picture.map_or(0.0, |p| p.psnr);
-            ensure!(db > 50.0, "The exact picture is {db:.1} dB off double precision.");
+            let db = image.map_or(0.0, |p| p.psnr);
+            ensure!(db > 50.0, "The exact image is {db:.1} dB off double precision.");
         }
         let mut own = start.clone();
         if !same {
@@ -245,7 +245,7 @@ fn measure(
             step: Summary::default(),
             of_exact: Ratio::EXACT,
             bytes,
-            picture,
+            image,
             gradients,
             quality: None,
             standing: Standing::default(),
@@ -282,7 +282,7 @@ fn measure(
             let (row, own, times) = &mut others[i];
             let mut training = made(row)?;
             restore(&mut training, own, &row.choice)?;
-            // From a move of the surroundings to another.
+            // From one update of the environment map to the next.
             training.train(warm, |_| {}, || true)?;
             let time = timed(&mut training, steps)?;
             drop(training);
@@ -322,16 +322,16 @@ fn timed(training: &mut Intrinsic, steps: u32) -> anyhow::Result<f64> {
     Ok(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps))
 }
 
-/// Puts a training where `exact` came to.
+/// Restores a training to the state of `exact`.
 fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::Result<()> {
     training.restore(start).with_context(|| format!("\"{}\" cannot begin where \"exact\" came to", choice.name))
 }
 
-/// What a choice goes by: its gradients, or its picture if that is farther off. Those of the field are left out: where few pairs teach
-/// it they are far off in one step, and right in the mean.
+/// Error that a choice is ranked by: the larger of its gradient and image errors. Gradients of the field are left out: where
+/// few pairs supervise it, they are noisy in one step but unbiased.
 fn error(row: &Row) -> f64 {
     let gradients = row.gradients.as_ref().map_or(0.0, |g| g.all);
-    gradients.max(row.picture.map_or(0.0, |p| p.mean))
+    gradients.max(row.image.map_or(0.0, |p| p.mean))
 }
 
 /// Relative differences of gradients.
@@ -341,7 +341,7 @@ struct GradientError {
     all: f64,
     /// The field's.
     field: f64,
-    /// Of what a step has none: what does not move with every step.
+    /// Groups without a gradient in this step, since they are not updated every step.
     left_out: Vec<Cow<'static, str>>,
 }
 
@@ -371,13 +371,13 @@ fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<GradientError> {
 /// Decibels at the test views, of the training views where there are none.
 #[derive(Clone, Copy, Debug)]
 struct Quality {
-    /// Of shaded pictures.
-    pictures: f64,
+    /// PSNR of shaded images, dB.
+    image_psnr: f64,
     /// Of albedo, where the truth of all these views is known.
     albedo: Option<f64>,
 }
 
-/// What a training with these settings comes to.
+/// Measures the quality after a training with these settings.
 fn trained(device: &Device, scene: &Arc<Scene>, splats: &Splats, settings: &Settings) -> anyhow::Result<Quality> {
     let start = Some(StartGeometry::Splats(Box::new(splats.clone())));
     let options = TrainerOptions { stages: vec![StageKind::Intrinsic], start, ..Default::default() };
@@ -390,11 +390,11 @@ fn trained(device: &Device, scene: &Arc<Scene>, splats: &Splats, settings: &Sett
     let mut shading = Shading::new(device, made)?;
     let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
     let truth = GroundTruth::of(scene);
-    let (mut pictures, mut albedos) = (0.0, Some(0.0));
+    let (mut image_psnr, mut albedos) = (0.0, Some(0.0));
     for &i in views {
         let shaded = shading.shade(&scene.views[i].camera)?;
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        pictures += psnr(&displayed(&shaded.radiance(settings.geometry.background)), &photo, counts.as_ref())?;
+        image_psnr += psnr(&displayed(&shaded.radiance(settings.geometry.background)), &photo, counts.as_ref())?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         albedos = match (truth.load(GroundTruthKind::Albedo, i)?, albedos) {
             (Some(albedo), Some(sum)) => {
@@ -404,7 +404,7 @@ fn trained(device: &Device, scene: &Arc<Scene>, splats: &Splats, settings: &Sett
         };
     }
     let mean = |sum: f64| sum / views.len() as f64;
-    Ok(Quality { pictures: mean(pictures), albedo: albedos.map(mean) })
+    Ok(Quality { image_psnr: mean(image_psnr), albedo: albedos.map(mean) })
 }
 
 fn table(rows: &[Row]) -> String {
@@ -416,13 +416,13 @@ fn table(rows: &[Row]) -> String {
         "memory, of exact",
         "largest error",
         "mean error",
-        "picture, dB",
+        "image, dB",
         "gradients",
         "gradients of the field",
         "front",
     ];
     if trained {
-        heads.extend(["pictures after training, dB", "albedo, dB"]);
+        heads.extend(["images after training, dB", "albedo, dB"]);
     }
     let mut out = format!("| {} |\n|{}\n", heads.join(" | "), "---|".repeat(heads.len()));
     let Some(exact) = rows.first() else { return out };
@@ -434,16 +434,16 @@ fn table(rows: &[Row]) -> String {
             r.choice.setting.clone(),
             r.of_exact.to_string(),
             format!("{:.3}", r.bytes as f64 / exact.bytes as f64),
-            cell(r.picture.map(|p| p.largest), &small),
-            cell(r.picture.map(|p| p.mean), &small),
-            cell(r.picture.map(|p| p.psnr), &|v| format!("{v:.1}")),
+            cell(r.image.map(|p| p.largest), &small),
+            cell(r.image.map(|p| p.mean), &small),
+            cell(r.image.map(|p| p.psnr), &|v| format!("{v:.1}")),
             r.gradients.as_ref().map_or(String::new(), GradientError::cell),
             cell(r.gradients.as_ref().map(|g| g.field), &small),
             r.standing.to_string(),
         ];
         if trained {
             let db = |v: f64| format!("{v:.2}");
-            cells.push(cell(r.quality.map(|q| q.pictures), &db));
+            cells.push(cell(r.quality.map(|q| q.image_psnr), &db));
             cells.push(cell(r.quality.and_then(|q| q.albedo), &db));
         }
         let _ = writeln!(out, "| {} |", cells.join(" | "));
@@ -453,7 +453,7 @@ fn table(rows: &[Row]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::again::{comes_back, report};
+    use super::super::again::{assert_round_trip, report};
     use super::super::record::differing;
     use super::*;
 
@@ -465,8 +465,8 @@ mod tests {
         };
         let exact = probe(&[("albedo", &[3.0, 4.0]), ("environment", &[1.0]), ("visibility_mlp", &[1.0])]);
         assert_eq!(difference(&exact, &exact).unwrap(), GradientError::default());
-        let seldom = probe(&[("albedo", &[3.0, 4.5]), ("visibility_mlp", &[1.5])]);
-        let found = difference(&exact, &seldom).unwrap();
+        let not_updated = probe(&[("albedo", &[3.0, 4.5]), ("visibility_mlp", &[1.5])]);
+        let found = difference(&exact, &not_updated).unwrap();
         assert!((found.all - 0.1).abs() < 1e-12 && found.field == 0.5 && found.left_out == ["environment"]);
         assert_eq!(found.cell(), "1.0e-1, without environment");
         // What is no number stays so beside others, and what is missing in part is refused.
@@ -476,14 +476,14 @@ mod tests {
     }
 
     #[test]
-    fn a_report_has_all_that_is_shown() {
+    fn report_round_trips_to_the_same_presentation() {
         let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
         let base = lit_settings(Some(&config)).unwrap();
         let choices = of_intrinsic(&base, &Tuning::for_subgroups(8)).unwrap();
         for trained in [false, true] {
             let some = |(i, choice): (usize, Choice)| {
                 let x = i as f64;
-                let picture = PictureError { largest: 1e-3 * x, mean: 1e-5 * x, psnr: 99.96 - x };
+                let image = ImageError { largest: 1e-3 * x, mean: 1e-5 * x, psnr: 99.96 - x };
                 let left_out = if choice.kind == Kind::Later { vec!["a".into(), "b".into()] } else { Vec::new() };
                 let gradients = GradientError { all: 1e-4 * (x - 5.0).abs(), field: 0.1 * x, left_out };
                 let same = choice.kind != Kind::Model;
@@ -491,9 +491,9 @@ mod tests {
                     step: Summary::of(&[x]),
                     of_exact: if i == 0 { Ratio::EXACT } else { Ratio::of(&[0.9 + 0.02 * x, 0.81, 0.7]) },
                     bytes: 123_456_789 + i as u64,
-                    picture: (same && i != 8).then_some(picture),
+                    image: (same && i != 8).then_some(image),
                     gradients: same.then_some(gradients),
-                    quality: trained.then_some(Quality { pictures: 30.0 + x, albedo: (i % 3 > 0).then_some(24.125) }),
+                    quality: trained.then_some(Quality { image_psnr: 30.0 + x, albedo: (i % 3 > 0).then_some(24.125) }),
                     standing: Standing::default(),
                     choice,
                 }
@@ -503,15 +503,19 @@ mod tests {
             let mut report = report(&[("stage", "intrinsic".into()), ("gaussians", 17.into())]);
             report.setting("settings", differing(&base).unwrap());
             put(&mut report, &rows);
-            let shown = shown(&report, &rows);
-            assert!(shown.title == "materials and lights, 17 Gaussians, a", "{}", shown.title);
+            let presentation = presentation(&report, &rows);
+            assert!(presentation.title == "materials and lights, 17 Gaussians, a", "{}", presentation.title);
             assert!(
-                shown.table.contains(", without a, b |") && shown.table.contains("| as exact |"),
+                presentation.table.contains(", without a, b |") && presentation.table.contains("| as exact |"),
                 "{}",
-                shown.table
+                presentation.table
             );
-            assert!(shown.table.contains("| yes |") && shown.table.contains("lights.grid=2"), "{}", shown.table);
-            comes_back(&report, &shown);
+            assert!(
+                presentation.table.contains("| yes |") && presentation.table.contains("lights.grid=2"),
+                "{}",
+                presentation.table
+            );
+            assert_round_trip(&report, &presentation);
         }
     }
 

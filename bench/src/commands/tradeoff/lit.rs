@@ -1,7 +1,6 @@
-//! A shaded picture in double precision, from splats to what is displayed: the twins of all passes of a step, one behind the
-//! other.
+//! A shaded image in double precision, from splats to display: the references of all passes of a step in sequence.
 
-use crate::workload::{twin_camera, twin_gaussians};
+use crate::workload::{reference_camera, reference_gaussians};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
 use sgs_passes::pipeline::Camera;
@@ -20,10 +19,15 @@ use sgs_scene::Splats;
 type V3 = [f64; 3];
 
 /// Display-referred, three numbers a pixel.
-pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [f32; 3]) -> anyhow::Result<Vec<f64>> {
+pub fn shaded_reference(
+    splats: &Splats,
+    light: &RunLight,
+    camera: &Camera,
+    background: [f32; 3],
+) -> anyhow::Result<Vec<f64>> {
     let model = Model { sh_degree: 0, normals: true, semantics: false };
-    let gaussians = twin_gaussians(&gaussian_data(splats, model));
-    let (view, background) = (twin_camera(camera), background.map(f64::from));
+    let gaussians = reference_gaussians(&gaussian_data(splats, model));
+    let (view, background) = (reference_camera(camera), background.map(f64::from));
     let projected = project::project(&gaussians, &view, 0, true);
     let blended = blend::blend(&projected, view.size, 8, [0.0; 3]);
     let surfaces = gbuffer(&view, &blended, 8);
@@ -36,7 +40,8 @@ pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [
     };
     let of_pixels = materials.blend(&weights(&projected, view.size));
 
-    let lamps: Vec<Light> = light.lights.iter().flat_map(|l| &l.lights).filter(|l| l.gain != 0.0).map(lamp).collect();
+    let lights: Vec<Light> =
+        light.lights.iter().flat_map(|l| &l.lights).filter(|l| l.gain != 0.0).map(double_precision).collect();
     let normalizer = light.lights.as_ref().map_or(0.0, |l| f64::from(l.normalizer));
     let field = match &light.visibility {
         Visibility::None => None,
@@ -60,12 +65,12 @@ pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [
         let (point, normal) = (surfaces.points[p].to_array(), surfaces.normals[p].to_array());
         let pixel = Pixel { point, normal, coverage, material: Material { albedo, roughness, metallic } };
         let mut sum = [0.0; 3];
-        for lamp in &lamps {
-            let [diffuse, specular] = shine(&pixel, lamp, eye);
+        for light in &lights {
+            let [diffuse, specular] = shine(&pixel, light, eye);
             if diffuse == [0.0; 3] && specular == [0.0; 3] {
                 continue;
             }
-            let seen = field.as_ref().map_or(1.0, |f| f.visibility(point, lamp.place));
+            let seen = field.as_ref().map_or(1.0, |f| f.visibility(point, light.place));
             (0..3).for_each(|c| sum[c] += normalizer * seen * (diffuse[c] + specular[c]));
         }
         if let Some((e, levels)) = &around {
@@ -79,7 +84,7 @@ pub fn picture(splats: &Splats, light: &RunLight, camera: &Camera, background: [
     Ok(compose::compose(&radiance, &surfaces.coverage, background).0)
 }
 
-fn lamp(l: &sgs_run::LightRow) -> Light {
+fn double_precision(l: &sgs_run::LightRow) -> Light {
     let lobe = |k: &sgs_run::LobeRow| Lobe {
         axis: k.axis.map(f64::from),
         sharpness: f64::from(k.sharpness),

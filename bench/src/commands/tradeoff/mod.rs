@@ -1,9 +1,9 @@
-//! `engine-bench tradeoff`: what each choice that trades accuracy for speed costs and saves.
+//! `engine-bench tradeoff`: cost and benefit of each choice that trades accuracy for speed.
 //!
-//! Choices are measured in rounds, one after the other in each and in another order each time, with `exact` before and after each:
-//! times are ratios to these, which a machine that is slow for a while does not change, and said with their standard error. A
-//! choice stands on the front if nothing else that trades is both faster and closer ([`front`]); one that comes to the same as `exact`
-//! in another way ([`choices::Kind::Same`]) trades nothing.
+//! Choices are measured in rounds, in another order each round, with `exact` before and after each. Times are ratios to
+//! these, so that slow phases of the machine cancel, and carry their standard error. A choice is on the front if no other
+//! ranked choice is both faster and closer ([`front`]). Choices that compute the same as `exact`
+//! ([`choices::Kind::Same`]) are not ranked.
 
 pub mod again;
 #[cfg(test)]
@@ -44,7 +44,7 @@ pub struct Args {
     /// Trained Gaussians of the scene; without them its points, or those of the room, are trained first.
     #[arg(long, value_name = "FILE.ply", requires = "scene")]
     pub geometry: Option<PathBuf>,
-    /// Steps of training before anything is measured, where no Gaussians are given.
+    /// Steps of training before anything is measured, if --geometry is absent.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub train: u32,
     /// Gaussians of the synthetic room; 20000 on a processor, 1000000 elsewhere.
@@ -91,22 +91,22 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     geometry::run(common, a)
 }
 
-/// What is shown of the choices of a stage.
-pub struct Shown {
+/// Table and plot of the choices of a stage.
+pub struct Presentation {
     /// In Markdown.
     table: String,
-    /// What is drawn, under which title, and what its errors are of.
+    /// Marks of the plot, its title, and the label of its errors.
     marks: Vec<Mark>,
     title: String,
     errors: &'static str,
 }
 
-impl Shown {
+impl Presentation {
     fn svg(&self) -> anyhow::Result<String> {
         plot::svg(&self.marks, &self.title, self.errors)
     }
 
-    /// Leaves table and drawing where they are wanted.
+    /// Writes table and drawing to the requested files.
     fn write(&self, table: Option<&Path>, svg: Option<&Path>) -> anyhow::Result<()> {
         let write =
             |path: &Path, text: &str| sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()));

@@ -1,4 +1,4 @@
-//! Time against error, as a drawing.
+//! Plot of time against error as SVG.
 
 use super::front::Standing;
 use anyhow::anyhow;
@@ -7,7 +7,7 @@ use plotters::prelude::*;
 /// Errors below this are drawn here: exact ones would be at minus infinity.
 const LEAST: f64 = 1e-8;
 
-/// Of what is not ranked.
+/// Color of choices that are not ranked.
 const GRAY: RGBColor = RGBColor(128, 128, 128);
 
 /// Where a choice is drawn.
@@ -17,14 +17,15 @@ pub struct Mark {
     pub name: String,
     /// Of a step.
     pub time: f64,
-    /// Of whatever is compared.
+    /// Its error.
     pub error: f64,
     /// How it compares with all others.
     pub standing: Standing,
 }
 
-/// Step time by that of the first to the right, errors upwards in powers of ten; `what` they are of. Choices on the front are
-/// filled, and joined by a line; those that come to the same as `exact` are gray crosses beside it.
+/// Draws error over step time as SVG; `what` labels the errors.
+/// The x axis is step time relative to the first choice, the y axis error in powers of ten. Choices on the front are filled
+/// and joined by a line; those that match `exact` are gray crosses beside it.
 pub fn svg(points: &[Mark], title: &str, what: &str) -> anyhow::Result<String> {
     let mut out = String::new();
     draw(points, title, what, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;

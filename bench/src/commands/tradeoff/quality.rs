@@ -1,5 +1,4 @@
-//! What a scene's geometry comes to at its test views when it is trained with a choice. Measures are exact whatever it was
-//! trained with.
+//! Quality of a scene's geometry at its test views after training with a choice. Measures are always exact.
 
 use anyhow::Context;
 use sgs_config::Settings;
@@ -11,7 +10,7 @@ use sgs_scene::Scene;
 use sgs_train::{Trainer, TrainerOptions};
 use std::sync::Arc;
 
-/// Decibels of pictures, and degrees of normals if the truth is known; of the training views where there are no others.
+/// PSNR of images in dB, and degrees of normals if the truth is known; of the training views where there are no others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
     pub psnr: f64,

@@ -1,4 +1,4 @@
-//! What a report says choices are of, so that none is set against choices of something else.
+//! Settings recorded in a report, so that only choices of the same settings are compared.
 
 use super::Args;
 use super::choices::set;
@@ -22,7 +22,7 @@ pub fn record(report: &mut Report, a: &Args, base: &Settings) -> anyhow::Result<
 /// # Errors
 /// If they are no settings.
 pub fn recorded(report: &Report) -> anyhow::Result<Option<Settings>> {
-    let Some(text) = report.said("settings") else { return Ok(None) };
+    let Some(text) = report.setting_text("settings") else { return Ok(None) };
     let mut table = Settings::default().to_table()?;
     if text == DEFAULTS {
         return Ok(Some(Settings::default()));
@@ -44,7 +44,7 @@ pub fn recorded(report: &Report) -> anyhow::Result<Option<Settings>> {
 /// Of settings that are.
 const DEFAULTS: &str = "the defaults";
 
-/// Settings that are not the defaults, as `--set` would take them. The scene has a line of its own, and its folder is nobody's business.
+/// Settings that are not the defaults, as `--set` would take them. The scene has its own setting, and its folder is private.
 pub fn differing(settings: &Settings) -> anyhow::Result<String> {
     let (mut own, defaults) = (settings.to_table()?, Settings::default().to_table()?);
     own.remove("scene");
@@ -76,9 +76,9 @@ fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Ve
 mod tests {
     use super::*;
 
-    /// That of docs/ABLATION.md, without what levels of accuracy say.
+    /// The small setting of docs/project/ablation.md, without the settings of accuracy levels.
     #[test]
-    fn the_small_setting_is_what_it_is_said_to_be() {
+    fn small_preset_matches_its_description() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
         let small = crate::workload::lit_settings(Some(&file)).unwrap();
         small.check().unwrap();
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_the_default_is_recorded() {
+    fn non_default_settings_are_recorded() {
         assert_eq!(differing(&Settings::default()).unwrap(), "the defaults");
         let mut s = Settings { scene: "somewhere".into(), ..Settings::default() };
         assert_eq!(differing(&s).unwrap(), "the defaults");
@@ -99,9 +99,9 @@ mod tests {
         s.intrinsic.rates.albedo = 0.03;
         s.geometry.densify.enabled = false;
         s.scale = 0.3;
-        let said = differing(&s).unwrap();
+        let differences = differing(&s).unwrap();
         assert_eq!(
-            said,
+            differences,
             "geometry.densify.enabled=false, intrinsic.rates.albedo=0.03, intrinsic.visibility.levels=8, scale=0.3"
         );
         // And is found again in a report.
@@ -126,7 +126,7 @@ mod tests {
         for change in others {
             let mut other = s.clone();
             change(&mut other);
-            assert_ne!(differing(&other).unwrap(), said);
+            assert_ne!(differing(&other).unwrap(), differences);
         }
     }
 }

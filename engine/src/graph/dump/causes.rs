@@ -1,9 +1,8 @@
-//! Why each barrier of a plan is there: the conflicting accesses that meet at it.
+//! Reasons of a plan's barriers: the conflicting accesses that each one separates.
 //!
-//! For explaining, not for proving: it walks some replays with what touched every byte, and gives each conflict to the
-//! first barrier between its two sides that covers it by itself. Changes of layout and users outside of the plan are
-//! not among them. Whether all conflicts are covered is the verifier's
-//! business ([`crate::graph::verify`]).
+//! For explanation, not verification. Tracks accesses per byte over several replays, and assigns each conflict to the
+//! first barrier that covers it alone. Layout transitions and external users are not included. The verifier
+//! ([`crate::graph::verify`]) checks that all conflicts are covered.
 
 use std::collections::BTreeSet;
 
@@ -14,43 +13,43 @@ use crate::graph::ranges::RangeMap;
 use crate::graph::resource::{BufferKind, Slice};
 use crate::shader::Access;
 
-/// Two accesses that a barrier keeps apart.
+/// Two conflicting accesses that a barrier separates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cause {
-    /// What would go wrong.
+    /// Type of the hazard.
     pub(super) hazard: Hazard,
-    /// The earlier pass and its buffer. No pass: whoever reads the outputs between two replays.
+    /// Earlier pass and its buffer. `None` as pass: readers of outputs between two replays.
     pub(super) first: (Option<usize>, usize),
-    /// The later one. Another buffer than the first one's if memory changes hands.
+    /// Later pass and its buffer, which differs from the first after aliasing.
     pub(super) second: (Option<usize>, usize),
-    /// Whether the earlier access belongs to the replay before.
+    /// Whether the earlier access belongs to the previous replay.
     pub(super) across: bool,
-    /// Whether no single barrier covers it, but several in a chain of which this is one.
+    /// Whether only several barriers together cover it, this one included.
     pub(super) chained: bool,
 }
 
-/// Something that touched a byte.
+/// Access to a byte.
 #[derive(Clone, Copy)]
 struct Event {
     pass: Option<usize>,
     buffer: usize,
     access: Access,
     accesses: Accesses,
-    /// Position in the stream of groups, each replay's readers of outputs included.
+    /// Position in the sequence of groups over all replays, including each replay's readers of outputs.
     at: usize,
 }
 
-/// By group, and last for the barrier after the last group: what meets there.
+/// Returns the hazards at each group's barrier, and last at the final barrier.
 pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
     let mut walk = Walk::new(plan);
     let groups = plan.groups.len();
-    // The halves of a history are back in their places after two.
+    // The halves of a history return to their places after two replays.
     let histories = plan.buffers.iter().any(|info| info.kind == BufferKind::History);
     for replay in 0..if histories { 4 } else { 2 } {
         for (at, group) in plan.groups.iter().enumerate() {
             for &pass in &group.passes {
                 for (slice, access, used) in &plan.passes[pass].accesses {
-                    let (buffer, accesses) = (slice.buffer.index(), performed(*access, *used));
+                    let (buffer, accesses) = (slice.buffer.index(), device_accesses(*access, *used));
                     let at = replay * (groups + 1) + at;
                     walk.touch(slice, Event { pass: Some(pass), buffer, access: *access, accesses, at });
                 }
@@ -68,11 +67,11 @@ pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
 
 struct Walk<'p> {
     plan: &'p Plan,
-    /// One an external buffer or image, then the arena, then one an image slot.
+    /// One map per external buffer or image, then the arena, then one per image slot.
     memory: Vec<RangeMap<Vec<Event>>>,
     seen: BTreeSet<[usize; 6]>,
     found: Vec<Vec<Cause>>,
-    /// What no barrier covers by itself, with the positions of its sides.
+    /// Conflicts that no single barrier covers, with both accesses.
     chained: Vec<(Cause, Event, Event)>,
 }
 
@@ -105,35 +104,35 @@ impl<'p> Walk<'p> {
         };
         let range = slice.range();
         let mut conflicts = Vec::new();
-        self.memory[space].update(range.start + offset..range.end + offset, |since| {
+        self.memory[space].update(range.start + offset..range.end + offset, |recent| {
             let mut read_since = false;
-            for earlier in since.iter().rev() {
-                // A reader between two writes stands for the first of them.
-                let hidden = earlier.access != Access::Read && event.access == Access::Write && read_since;
-                if let (Some(hazard), false) = (conflict(earlier, &event), hidden) {
+            for earlier in recent.iter().rev() {
+                // A reader between two writes already orders them.
+                let redundant = earlier.access != Access::Read && event.access == Access::Write && read_since;
+                if let (Some(hazard), false) = (conflict(earlier, &event), redundant) {
                     let seen = if read_since { stores() } else { Accesses::NONE };
                     conflicts.push((hazard, *earlier, event.accesses.without(seen)));
                 }
                 read_since |= earlier.access == Access::Read;
             }
             if matches!(event.access, Access::Write | Access::ReadWrite) {
-                since.clear();
+                recent.clear();
             }
-            since.push(event);
+            recent.push(event);
         });
         for (hazard, earlier, visible) in conflicts {
             self.add(hazard, &earlier, &event, visible);
         }
     }
 
-    /// `visible`: the accesses of the second side that must see what the first one wrote.
+    /// Adds a conflict. `visible`: accesses of the second side that must see the first side's write.
     fn add(&mut self, hazard: Hazard, first: &Event, second: &Event, visible: Accesses) {
         let length = self.plan.groups.len() + 1;
         let number = |pass: Option<usize>| pass.map_or(0, |pass| pass + 1);
         let across = first.at / length != second.at / length;
         let key =
             [number(first.pass), first.buffer, number(second.pass), second.buffer, hazard as usize, across.into()];
-        // What is within the second replay was within the first.
+        // Conflicts within the second replay repeat those within the first.
         if first.at == second.at || first.at >= length || !self.seen.insert(key) {
             return;
         }
@@ -146,13 +145,13 @@ impl<'p> Walk<'p> {
         }
     }
 
-    /// The barrier before a position of the stream.
+    /// Returns the barrier before a position of the sequence.
     fn barrier(&self, at: usize) -> Option<Barrier> {
         let at = at % (self.plan.groups.len() + 1);
         self.plan.groups.get(at).map_or(self.plan.final_barrier, |group| group.barrier)
     }
 
-    /// Gives every chain to the barriers at its ends, and to those that would else be there for nothing.
+    /// Assigns each chain to the barriers at its ends, and to barriers that have no other reason.
     fn finish(mut self) -> Vec<Vec<Cause>> {
         let length = self.plan.groups.len() + 1;
         for (cause, first, second) in std::mem::take(&mut self.chained) {
@@ -170,8 +169,8 @@ impl<'p> Walk<'p> {
     }
 }
 
-/// The accesses of the device that an access is.
-fn performed(access: Access, used: Use) -> Accesses {
+/// Returns the device accesses of an access.
+fn device_accesses(access: Access, used: Use) -> Accesses {
     match (used, access) {
         (Use::Indirect, _) => Accesses::INDIRECT_READ,
         (Use::Uniform, _) => Accesses::UNIFORM_READ,
@@ -183,7 +182,7 @@ fn performed(access: Access, used: Use) -> Accesses {
     }
 }
 
-/// What goes wrong if the two run in the wrong order or at once, if anything does.
+/// Returns the hazard between two accesses, if they conflict.
 fn conflict(first: &Event, second: &Event) -> Option<Hazard> {
     match (first.access, second.access) {
         (Access::Read, Access::Read) => None,
@@ -195,7 +194,7 @@ fn conflict(first: &Event, second: &Event) -> Option<Hazard> {
     }
 }
 
-/// Whether a barrier alone keeps the two apart.
+/// Returns whether one barrier alone separates the two.
 fn covers(barrier: &Barrier, first: &Event, second: &Event, visible: Accesses) -> bool {
     let written = first.accesses.intersection(stores());
     barrier.src_stage.contains(first.accesses.stages())
@@ -203,7 +202,7 @@ fn covers(barrier: &Barrier, first: &Event, second: &Event, visible: Accesses) -
         && (written.is_empty() || barrier.src_access.contains(written) && barrier.dst_access.contains(visible))
 }
 
-/// Every access that writes.
+/// Returns all write accesses.
 fn stores() -> Accesses {
     Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE
 }

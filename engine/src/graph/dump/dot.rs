@@ -1,4 +1,4 @@
-//! A plan as a DOT graph: a box a group, an edge a dependency with the buffers that cause it.
+//! DOT output of a plan: one box per group, one edge per dependency, labeled with its buffers.
 
 use std::fmt::{self, Write};
 
@@ -6,7 +6,7 @@ use super::{describe, transition};
 use crate::graph::pass::writes;
 use crate::graph::plan::{Lane, Plan};
 
-/// The plan in the language of Graphviz.
+/// Returns the plan in the DOT language of Graphviz.
 pub fn dot(plan: &Plan) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
@@ -33,8 +33,8 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         }
         writeln!(out, "  }}")?;
     }
-    for (pass, follows) in plan.dependencies().iter().enumerate() {
-        for &before in follows {
+    for (pass, dependencies) in plan.dependencies().iter().enumerate() {
+        for &before in dependencies {
             let causes = causes(plan, before as usize, pass).join(", ");
             writeln!(out, "  p{before} -> p{pass} [label={}];", quote(&causes))?;
         }
@@ -45,13 +45,13 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
     writeln!(out, "}}")
 }
 
-/// What stands before the name of a group of the second lane.
+/// Returns the label prefix of a group of the second lane.
 fn lane(plan: &Plan, group: usize) -> &'static str {
     let side = plan.segments.iter().any(|segment| segment.lane == Lane::Side && segment.groups.contains(&group));
     if side { "side: " } else { "" }
 }
 
-/// The buffers that two passes cannot touch in either order.
+/// Returns the buffers through which two passes depend on each other.
 fn causes(plan: &Plan, first: usize, second: usize) -> Vec<&str> {
     let mut names = Vec::new();
     for (slice, access, _) in &plan.passes[first].accesses {

@@ -1,4 +1,4 @@
-//! A plan as JSON, for tools that draw or compare plans. Fields may be added; what stands here keeps its meaning.
+//! JSON output of a plan, for tools. Fields may be added; existing fields keep their meaning.
 
 use serde::Serialize;
 
@@ -9,15 +9,15 @@ use crate::graph::plan::{Barrier, ImageSlot, Lane, Plan, Transition};
 use crate::graph::resource::{Buffer, BufferKind, BufferState, ImageState};
 use crate::shader::Access;
 
-/// The plan as indented JSON.
+/// Returns the plan as indented JSON.
 pub fn json(plan: &Plan) -> String {
-    serde_json::to_string_pretty(&view(plan)).expect("invariant: names and numbers can be written as JSON")
+    serde_json::to_string_pretty(&plan_view(plan)).expect("invariant: names and numbers can be written as JSON")
 }
 
 #[derive(Serialize)]
-struct View<'p> {
+struct PlanView<'p> {
     name: &'p str,
-    /// Hexadecimal: JSON readers round large numbers.
+    /// Hexadecimal, because JSON readers round large integers.
     key: String,
     arena_bytes: u64,
     arena_unaliased_bytes: u64,
@@ -39,12 +39,12 @@ struct BufferView<'p> {
     kind: BufferKind,
     keep: bool,
     offset: Option<u64>,
-    /// First and last group. The offset of an image is the number of its slot.
+    /// First and last group. The offset of an image is its slot index.
     lifetime: Option<(usize, usize)>,
     entry: BufferState,
     exit: BufferState,
     image: Option<ImageView>,
-    /// The other half of a history.
+    /// Other half of a history.
     partner: Option<Buffer>,
 }
 
@@ -61,7 +61,7 @@ struct ImageView {
 struct PassView<'p> {
     name: &'p str,
     does: String,
-    /// Buffer and byte of the word that it runs on.
+    /// Buffer and byte offset of the condition word.
     condition: Option<(Buffer, u64)>,
     accesses: Vec<AccessView<'p>>,
     follows: Vec<u32>,
@@ -79,7 +79,7 @@ struct AccessView<'p> {
     discards: bool,
 }
 
-/// Groups `first..end` on one lane, begun after the segments that it waits for.
+/// Groups `first..end` of one lane, started after the segments in `waits`.
 #[derive(Serialize)]
 struct SegmentView<'p> {
     lane: Lane,
@@ -95,9 +95,9 @@ struct GroupView<'p> {
     passes: &'p [usize],
 }
 
-fn view(plan: &Plan) -> View<'_> {
+fn plan_view(plan: &Plan) -> PlanView<'_> {
     let lifetimes = plan.lifetimes();
-    View {
+    PlanView {
         name: &plan.name,
         key: format!("{:016x}", plan.key),
         arena_bytes: plan.arena_bytes,

@@ -1,8 +1,7 @@
-//! Plans for people and programs: text for reading and for snapshots, JSON for tools, DOT for pictures, and a page of
-//! HTML for looking at everything.
+//! Output of plans: text for reading and snapshots, JSON for tools, DOT for diagrams, and an HTML page.
 //!
-//! All are functions of the plan alone and equal for equal plans, unless measured times are given too. A trace shows
-//! nothing but measured times.
+//! All are pure functions of the plan, plus optional measured times. Equal plans give equal output. A trace
+//! contains only measured times.
 
 mod causes;
 mod dot;
@@ -22,7 +21,7 @@ use super::plan::{ImageMemory, Plan, Transition};
 use super::resource::ImageState;
 use crate::shader::Access;
 
-/// What a pass calls each of its accesses, in their order.
+/// Returns the names of a pass's accesses, in order.
 fn labels(pass: &Pass) -> Vec<&str> {
     match &pass.kind {
         PassKind::Fill { .. } => vec!["target"],
@@ -36,7 +35,7 @@ fn labels(pass: &Pass) -> Vec<&str> {
     }
 }
 
-/// What a pass does, in a few words.
+/// Returns a short description of a pass.
 fn describe(pass: &Pass) -> String {
     match &pass.kind {
         PassKind::Fill { value, .. } => format!("fill {value:#x}"),
@@ -51,7 +50,7 @@ fn describe(pass: &Pass) -> String {
     }
 }
 
-/// A change of an image's layout, in a line.
+/// Formats a layout transition on one line.
 fn transition(plan: &Plan, change: &Transition) -> String {
     let image = match change.image {
         ImageMemory::External(image) => plan.buffers[image.index()].name.clone(),
@@ -60,7 +59,7 @@ fn transition(plan: &Plan, change: &Transition) -> String {
     format!("layout of {image}: {} -> {}", state(change.from), state(change.to))
 }
 
-/// What a state is called.
+/// Returns the name of an image state.
 fn state(state: ImageState) -> &'static str {
     match state {
         ImageState::Undefined => "undefined",
@@ -73,7 +72,7 @@ fn state(state: ImageState) -> &'static str {
     }
 }
 
-/// How a range is touched, in a word or two.
+/// Returns the name of an access.
 fn verb(access: Access, used: Use) -> &'static str {
     match (used, access) {
         (Use::Indirect, _) => "indirect",

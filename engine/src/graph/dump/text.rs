@@ -1,4 +1,4 @@
-//! A plan as text: one line a fact, nothing that changes between equal plans, so that snapshots can be compared.
+//! Text output of a plan: one line per fact, equal for equal plans, for snapshot tests.
 
 use std::fmt::{self, Write};
 
@@ -6,7 +6,7 @@ use super::{describe, labels, state, transition, verb};
 use crate::graph::plan::{Lane, Plan};
 use crate::graph::resource::{BufferKind, BufferState};
 
-/// The plan as text.
+/// Returns the plan as text.
 pub fn text(plan: &Plan) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
@@ -60,7 +60,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             (BufferKind::History, ..) => {
                 if let Some(pair) = &info.pair {
                     let partner = &plan.buffers[pair.partner.index()].name;
-                    write!(out, ", {:#x} at first, changes places with {partner}", pair.value)?;
+                    write!(out, ", initially {:#x}, swaps with {partner}", pair.value)?;
                 }
             }
             (BufferKind::Uniform, ..) => {}
@@ -110,7 +110,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
     Ok(())
 }
 
-/// The segments that begin with a group, if there is more than one in the plan.
+/// Writes the segments that begin at a group, if the plan has more than one.
 fn segments_at(plan: &Plan, group: usize, out: &mut String) -> fmt::Result {
     for (number, segment) in plan.segments.iter().enumerate().filter(|(_, segment)| segment.groups.start == group) {
         if plan.segments.len() > 1 {
@@ -123,7 +123,7 @@ fn segments_at(plan: &Plan, group: usize, out: &mut String) -> fmt::Result {
     Ok(())
 }
 
-/// What a state of a buffer is called.
+/// Returns the name of a buffer state.
 fn shared(state: BufferState) -> &'static str {
     match state {
         BufferState::Ready => "ready",

@@ -1,5 +1,5 @@
-//! Measured times of replays as a Chrome trace (`chrome://tracing`, Perfetto): one process a plan, passes that ran at
-//! once on rows of their own.
+//! Measured times of replays as a Chrome trace (`chrome://tracing`, Perfetto): one process per plan, one row per
+//! concurrent pass.
 
 use crate::graph::exec::PassTime;
 use serde_json::{Value, json};
@@ -7,15 +7,15 @@ use serde_json::{Value, json};
 /// One replay of one plan.
 #[derive(Clone, Copy, Debug)]
 pub struct Track<'t> {
-    /// What the process is called.
+    /// Name of the process.
     pub name: &'t str,
-    /// What [`Executor::take_times`](crate::graph::exec::Executor::take_times) returned.
+    /// Result of [`Executor::take_times`](crate::graph::exec::Executor::take_times).
     pub times: &'t [PassTime],
-    /// Which of the replays in it.
+    /// Index of the replay in `times`.
     pub replay: usize,
 }
 
-/// The tracks as the text of a trace file, each from time 0. Passes without times are left out.
+/// Returns the tracks as a trace file, each starting at time 0. Passes without times are omitted.
 pub fn trace(tracks: &[Track<'_>]) -> String {
     let events: Vec<Value> = tracks.iter().enumerate().flat_map(|(process, track)| events(process, track)).collect();
     json!({ "displayTimeUnit": "ns", "traceEvents": events }).to_string()
@@ -30,7 +30,7 @@ fn events(process: usize, track: &Track<'_>) -> Vec<Value> {
         .filter_map(|t| Some((*t.start.get(track.replay)?, *t.nanoseconds.get(track.replay)?, t.name.as_str())))
         .collect();
     spans.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // The end of what is on each row; events of a row must not overlap.
+    // End time of each row; events of a row must not overlap.
     let mut rows: Vec<f64> = Vec::new();
     for (start, nanoseconds, name) in spans {
         let row = rows.iter().position(|&end| end <= start).unwrap_or_else(|| {
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn passes_at_once_get_rows_of_their_own() {
+    fn concurrent_passes_get_separate_rows() {
         let time = |name: &str, start: f64, nanoseconds: f64| PassTime {
             name: name.into(),
             start: vec![start],
@@ -67,7 +67,7 @@ mod tests {
             .map(|e| (e["name"].as_str().unwrap().to_owned(), e["tid"].as_u64().unwrap()))
             .collect();
         assert_eq!(rows, [("a".into(), 0), ("b".into(), 0), ("c".into(), 1)]);
-        // A replay that was not measured leaves nothing but its name.
+        // An unmeasured replay leaves only the process name.
         let other: Value = serde_json::from_str(&trace(&[Track { name: "x", times: &times, replay: 1 }])).unwrap();
         assert_eq!(other["traceEvents"].as_array().unwrap().len(), 1);
     }

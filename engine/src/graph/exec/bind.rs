@@ -1,4 +1,4 @@
-//! Descriptor sets: from the plan's slices to Vulkan buffer ranges.
+//! Descriptor sets of a plan: slices resolved to Vulkan buffer ranges.
 
 use super::{Executor, Slot};
 use crate::device::{ObjectKind, Pipeline, descriptor_type};
@@ -9,7 +9,7 @@ use crate::shader::BindingKind;
 use ash::vk;
 
 impl Executor {
-    /// A pool with exactly as many descriptors as the plan's passes need.
+    /// Creates a pool with exactly as many descriptors as the plan needs.
     pub(super) fn descriptor_pool(&self) -> Result<vk::DescriptorPool> {
         let (mut sets, mut storage, mut uniform, mut image) = (0, 0, 0, 0);
         for pass in &self.plan.passes {
@@ -36,14 +36,16 @@ impl Executor {
         })
     }
 
-    /// The buffer and byte offset behind a slice.
+    /// Returns the Vulkan buffer and byte offset of a slice.
     pub(super) fn resolve(&self, slot: &Slot, slice: &Slice) -> Result<(vk::Buffer, u64)> {
         let index = slice.buffer.index();
         let info = &self.plan.buffers[index];
         let unbound = || Error::Unbound { buffer: info.name.clone(), plan: self.plan.name.clone() };
         let (memory, base) = match info.kind {
             BufferKind::External => (self.externals[index].as_ref().ok_or_else(unbound)?, 0),
-            BufferKind::History => (self.externals[self.half(index, slot.swapped)].as_ref().ok_or_else(unbound)?, 0),
+            BufferKind::History => {
+                (self.externals[self.history_half(index, slot.swapped)].as_ref().ok_or_else(unbound)?, 0)
+            }
             BufferKind::Uniform => (slot.uniforms.as_ref().ok_or_else(unbound)?, self.uniform_offsets[index]),
             BufferKind::Transient => {
                 (self.arena.as_ref().ok_or_else(unbound)?, self.plan.placements[index].ok_or_else(unbound)?)
@@ -52,13 +54,13 @@ impl Executor {
         Ok((memory.0.raw, base + slice.offset))
     }
 
-    /// Whose memory stands behind a buffer of a history, in replays in which the halves have changed places or not.
-    pub(super) fn half(&self, index: usize, swapped: bool) -> usize {
+    /// Returns the buffer whose memory backs a half of a history; `swapped` selects the other half.
+    pub(super) fn history_half(&self, index: usize, swapped: bool) -> usize {
         let partner = self.plan.buffers[index].pair.filter(|_| swapped).map(|pair| pair.partner.index());
         partner.unwrap_or(index)
     }
 
-    /// The image behind a handle.
+    /// Returns the image of a handle.
     pub(super) fn image(&self, image: Image) -> Result<&DeviceImage> {
         let info = &self.plan.buffers[image.index()];
         let found = match (info.kind, self.plan.placements[image.index()]) {
@@ -69,7 +71,7 @@ impl Executor {
         found.ok_or_else(|| Error::Unbound { buffer: info.name.clone(), plan: self.plan.name.clone() })
     }
 
-    /// The image of a transition.
+    /// Returns the image of a transition.
     pub(super) fn image_memory(&self, memory: ImageMemory) -> Result<&DeviceImage> {
         match memory {
             ImageMemory::External(image) => self.image(image),
@@ -77,7 +79,7 @@ impl Executor {
         }
     }
 
-    /// A written descriptor set for one pass.
+    /// Allocates and writes the descriptor set of a pass.
     pub(super) fn descriptor_set(
         &self,
         slot: &Slot,
@@ -88,7 +90,7 @@ impl Executor {
         let raw = &self.device.0.raw;
         let layouts = [pipeline.set_layout];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(slot.descriptors).set_layouts(&layouts);
-        // SAFETY: the pool has room for one set of every pass and was reset before recording.
+        // SAFETY: the pool has one set for every pass and was reset before recording.
         let set = self
             .device
             .0

@@ -1,8 +1,8 @@
-//! Plans in a host's hands: recorded into its command buffers, or submitted between its semaphores.
+//! Plans in a host's frame: recorded into its command buffers, or submitted between its semaphores.
 //!
-//! Promises: recording submits nothing, waits for nothing and touches no queue; what a recording needs (descriptors, a
-//! slot of uniforms, the memory that was bound) stays untouched until the host has said that its submission is done.
-//! Leaves to the host everything outside: the command buffer, its submission, and the order against other queues.
+//! Promises: recording submits nothing, waits for nothing and touches no queue. The resources of a recording
+//! (descriptors, uniforms, bound memory) stay valid until the host reports its submission as done. The host owns the
+//! command buffer, its submission, and the order against other queues.
 
 use super::{Executor, Slot};
 use crate::device::{Device, Ticket};
@@ -12,22 +12,22 @@ use crate::memory::{DeviceBuffer, DeviceImage};
 use ash::vk;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// A semaphore that a submission waits for or signals.
+/// Semaphore that a submission waits for or signals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SemaphorePoint {
-    /// The semaphore.
+    /// Vulkan semaphore.
     pub semaphore: vk::Semaphore,
-    /// The value of a timeline semaphore; nothing for a binary one.
+    /// Value of a timeline semaphore; 0 for a binary one.
     pub value: u64,
 }
 
 impl SemaphorePoint {
-    /// A value of a timeline semaphore.
+    /// Returns a value of a timeline semaphore.
     pub fn timeline(semaphore: vk::Semaphore, value: u64) -> SemaphorePoint {
         SemaphorePoint { semaphore, value }
     }
 
-    /// A binary semaphore.
+    /// Returns a binary semaphore.
     pub fn binary(semaphore: vk::Semaphore) -> SemaphorePoint {
         SemaphorePoint { semaphore, value: 0 }
     }
@@ -40,82 +40,83 @@ impl SemaphorePoint {
     }
 }
 
-/// What covers a host's submission: when it is reached, the submission is done.
+/// Condition that marks a host's submission as done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Until {
-    /// A value of a timeline semaphore.
+pub enum Completion {
+    /// Value of a timeline semaphore.
     Timeline(vk::Semaphore, u64),
-    /// A fence is signaled. It must not be reset before the recording is seen to be done.
+    /// Signaled fence. It must not be reset before the recording is observed as done.
     Fence(vk::Fence),
 }
 
-/// How far a recording is.
+/// State of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Hold {
-    /// Nothing is known of it.
-    Held,
-    /// It is done when this is.
-    Until(Until),
-    /// It is done.
+enum RecordingState {
+    /// The host has not reported its end.
+    Pending,
+    /// Done once the condition is met.
+    Completion(Completion),
+    /// Done.
     Done,
 }
 
-/// A plan recorded into a host's command buffer. Its slot is used again only after one of the calls below; dropping the
-/// token without any says nothing, and the slot stays held.
+/// Token of a plan recorded into a host's command buffer.
+///
+/// The slot is reused only after one of the calls below. Dropping the token without a call keeps the slot in use.
 #[derive(Debug)]
-#[must_use = "the slot stays held until the host says when its submission is done"]
-pub struct Recorded(Arc<Mutex<Hold>>);
+#[must_use = "the slot stays in use until the host reports when its submission is done"]
+pub struct Recording(Arc<Mutex<RecordingState>>);
 
-impl Recorded {
-    /// The submission is done, or will never be made.
+impl Recording {
+    /// Marks the submission as done, or as never to be made.
     ///
     /// # Safety
-    /// No submission of the command buffer is pending, and none will be made without recording it anew.
+    /// No submission of the command buffer is pending, and none follows without recording it again.
     pub unsafe fn release(self) {
-        *lock(&self.0) = Hold::Done;
+        *lock(&self.0) = RecordingState::Done;
     }
 
-    /// The submission is done when something is reached.
+    /// Marks the submission as done once a condition is met.
     ///
     /// # Safety
-    /// As for [`Recorded::release`], from the moment on which `until` is reached. The semaphore or fence comes from the
-    /// executor's device and lives until the recording was seen to be done ([`Executor::recordings`]) or the executor is
-    /// gone.
-    pub unsafe fn until(self, until: Until) {
-        *lock(&self.0) = Hold::Until(until);
+    /// As for [`Recording::release`], from the moment at which `until` is met. The semaphore or fence comes from the
+    /// executor's device. It lives until the recording is observed as done ([`Executor::recordings`]) or the executor
+    /// is dropped.
+    pub unsafe fn until(self, until: Completion) {
+        *lock(&self.0) = RecordingState::Completion(until);
     }
 }
 
-fn lock(hold: &Mutex<Hold>) -> MutexGuard<'_, Hold> {
-    hold.lock().unwrap_or_else(|e| e.into_inner())
+fn lock(state: &Mutex<RecordingState>) -> MutexGuard<'_, RecordingState> {
+    state.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// Buffers and images that were bound.
-type Keeps = (Vec<Option<DeviceBuffer>>, Vec<Option<DeviceImage>>);
+/// Bound buffers and images.
+type Bindings = (Vec<Option<DeviceBuffer>>, Vec<Option<DeviceImage>>);
 
-/// What one recording uses.
-pub(super) struct Lent {
-    /// Without a command pool: the commands are the host's.
+/// Resources of one recording.
+pub(super) struct HostSlot {
+    /// Has no command pool: the commands are the host's.
     pub slot: Slot,
-    hold: Arc<Mutex<Hold>>,
-    /// What was bound; binding anew must not free it.
-    _keeps: Keeps,
+    state: Arc<Mutex<RecordingState>>,
+    /// Bound memory, kept alive if the executor binds other memory.
+    _bindings: Bindings,
 }
 
-impl Lent {
-    /// Whether the recording is done; looks, and waits at most so many nanoseconds.
+impl HostSlot {
+    /// Returns whether the recording is done. Waits at most `timeout` nanoseconds.
     fn done(&self, device: &Device, plan: &str, timeout: u64) -> Result<bool> {
         let shared = &device.0;
-        let reached = match *lock(&self.hold) {
-            Hold::Held => return Ok(false),
-            Hold::Done => return Ok(true),
-            Hold::Until(Until::Timeline(semaphore, value)) => {
+        let reached = match *lock(&self.state) {
+            RecordingState::Pending => return Ok(false),
+            RecordingState::Done => return Ok(true),
+            RecordingState::Completion(Completion::Timeline(semaphore, value)) => {
                 let (semaphores, values) = ([semaphore], [value]);
                 let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
                 // SAFETY: the host promised that the semaphore is alive.
                 shared.gate.call("vkWaitSemaphores", plan, || unsafe { shared.raw.wait_semaphores(&info, timeout) })
             }
-            Hold::Until(Until::Fence(fence)) => {
+            RecordingState::Completion(Completion::Fence(fence)) => {
                 // SAFETY: the host promised that the fence is alive.
                 shared
                     .gate
@@ -124,7 +125,7 @@ impl Lent {
         };
         match reached {
             Ok(()) => {
-                *lock(&self.hold) = Hold::Done;
+                *lock(&self.state) = RecordingState::Done;
                 Ok(true)
             }
             Err(Error::Vulkan { result: vk::Result::TIMEOUT, .. }) => Ok(false),
@@ -134,29 +135,30 @@ impl Lent {
 }
 
 impl Executor {
-    /// Records one replay of the plan, with these uniforms, into a host's command buffer, between whatever the host
-    /// records before and after. Everything before is ordered before it and everything after behind it. A plan for two
-    /// queues has full barriers where one would wait for the other.
+    /// Records one replay of the plan with these uniforms into a host's command buffer.
     ///
-    /// The bound compute pipeline, its descriptor set 0 and push constants are not what they were afterwards. After an
-    /// error the command buffer may hold part of the plan and is to be recorded anew.
+    /// All earlier commands are ordered before it and all later commands after it. A two-queue plan uses full
+    /// barriers in place of waits between queues.
+    ///
+    /// Overwrites the bound compute pipeline, descriptor set 0 and push constants. After an error the command buffer
+    /// may hold part of the plan; record it again.
     ///
     /// # Errors
-    /// [`Error::SlotsHeld`] if as many recordings as there are frames in flight are not done yet; if an external buffer is
-    /// not bound, memory runs out or the device fails; [`Error::Host`] for a plan with histories.
+    /// [`Error::SlotsInUse`] if as many recordings as frames in flight are not done; if an external buffer is unbound,
+    /// memory runs out or the device fails; [`Error::Host`] for a plan with histories.
     ///
     /// # Safety
     /// The host promises:
-    /// * the command buffer is being recorded, outside a render pass, comes from this device and from a pool of the queue
-    ///   family that the device was opened or adopted with, and nobody else records into it during the call;
-    /// * it is submitted at most once at a time, to the queue that the device submits to, or ordered by the host against
-    ///   everything else that uses the memory bound here;
-    /// * what it says of the returned token is true.
+    /// * The command buffer is being recorded, outside a render pass. It comes from this device and from a pool of
+    ///   the device's queue family. Nothing else records into it during the call.
+    /// * It is submitted at most once at a time, to the queue that the device submits to. Otherwise the host orders
+    ///   it against all other users of the bound memory.
+    /// * The host reports the returned token's completion truthfully.
     pub unsafe fn record_into(
         &mut self,
         commands: vk::CommandBuffer,
         uniforms: &[(Buffer, &[u8])],
-    ) -> Result<Recorded> {
+    ) -> Result<Recording> {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::Host("the command buffer is null".into()));
         }
@@ -165,35 +167,34 @@ impl Executor {
             let text = format!("\"{plan}\" has histories, which change places by the order of submission; submit it");
             return Err(Error::Host(text));
         }
-        let index = self.free_lent()?;
+        let index = self.free_host_slot()?;
         let shared = &self.device.0;
         let name = &self.plan.name;
-        let slot = &self.lent[index].slot;
+        let slot = &self.host_slots[index].slot;
         self.write_uniforms(slot, uniforms)?;
-        // SAFETY: the recording that used these sets is done.
+        // SAFETY: the previous recording of these sets is done.
         shared.gate.call("vkResetDescriptorPool", name, || unsafe {
             shared.raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
         })?;
-        self.change(commands, &entry(), &self.plan.entry)?;
+        self.record_barrier(commands, &entry(), &self.plan.entry)?;
         self.body(commands, slot)?;
-        self.change(commands, &exit(), &self.plan.exit)?;
-        let hold = Arc::new(Mutex::new(Hold::Held));
-        let keeps = (self.externals.clone(), self.images.clone());
-        let lent = &mut self.lent[index];
-        lent.hold = hold.clone();
-        lent._keeps = keeps;
-        Ok(Recorded(hold))
+        self.record_barrier(commands, &exit(), &self.plan.exit)?;
+        let state = Arc::new(Mutex::new(RecordingState::Pending));
+        let bindings = (self.externals.clone(), self.images.clone());
+        let host_slot = &mut self.host_slots[index];
+        host_slot.state = state.clone();
+        host_slot._bindings = bindings;
+        Ok(Recording(state))
     }
 
-    /// As [`Executor::submit`], after some semaphores and before others.
+    /// Like [`Executor::submit`], with wait and signal semaphores.
     ///
     /// # Errors
     /// As [`Executor::submit`].
     ///
     /// # Safety
-    /// The semaphores come from this device and live until the replay is done. A value of a timeline semaphore to be
-    /// signaled is above every value so far; a binary semaphore to be waited for has a signal on its way, and one to be
-    /// signaled has none.
+    /// The semaphores come from this device and live until the replay is done. A signaled timeline value exceeds all
+    /// earlier values. An awaited binary semaphore has a pending signal; a signaled one has none.
     pub unsafe fn submit_with(
         &mut self,
         uniforms: &[(Buffer, &[u8])],
@@ -204,28 +205,28 @@ impl Executor {
         self.submit_between(uniforms, &infos(waits), &infos(signals))
     }
 
-    /// How many recordings are not done yet, as far as the host has said and the device tells. Waits for nothing.
+    /// Returns the number of recordings not known to be done. Does not wait.
     ///
     /// # Errors
     /// If the device fails.
     pub fn recordings(&self) -> Result<usize> {
         let mut open = 0;
-        for lent in &self.lent {
-            open += usize::from(!lent.done(&self.device, &self.plan.name, 0)?);
+        for host_slot in &self.host_slots {
+            open += usize::from(!host_slot.done(&self.device, &self.plan.name, 0)?);
         }
         Ok(open)
     }
 
-    /// A slot that no recording uses.
-    fn free_lent(&mut self) -> Result<usize> {
-        for (index, lent) in self.lent.iter().enumerate() {
-            if lent.done(&self.device, &self.plan.name, 0)? {
+    /// Returns the index of a free slot.
+    fn free_host_slot(&mut self) -> Result<usize> {
+        for (index, host_slot) in self.host_slots.iter().enumerate() {
+            if host_slot.done(&self.device, &self.plan.name, 0)? {
                 return Ok(index);
             }
         }
         let slots = self.frames();
-        if self.lent.len() >= slots {
-            return Err(Error::SlotsHeld { plan: self.plan.name.clone(), slots });
+        if self.host_slots.len() >= slots {
+            return Err(Error::SlotsInUse { plan: self.plan.name.clone(), slots });
         }
         let uniforms = self.slot_uniforms()?;
         let slot = Slot {
@@ -239,48 +240,52 @@ impl Executor {
             segments: None,
             ticket: None,
         };
-        self.lent.push(Lent { slot, hold: Arc::new(Mutex::new(Hold::Done)), _keeps: Keeps::default() });
-        Ok(self.lent.len() - 1)
+        self.host_slots.push(HostSlot {
+            slot,
+            state: Arc::new(Mutex::new(RecordingState::Done)),
+            _bindings: Bindings::default(),
+        });
+        Ok(self.host_slots.len() - 1)
     }
 
-    /// Waits for the recordings of which the host has said when they are done, and gives back what they used.
-    pub(super) fn drop_lent(&mut self) {
+    /// Waits for recordings with a known completion condition, and releases their resources.
+    pub(super) fn drop_host_slots(&mut self) {
         let limit = u64::try_from(self.device.timeout().as_nanos()).unwrap_or(u64::MAX);
-        let lent = std::mem::take(&mut self.lent);
-        if lent.iter().all(|l| l.done(&self.device, &self.plan.name, limit).unwrap_or(false)) {
-            lent.iter().for_each(|l| self.destroy_slot(&l.slot, Ticket(0)));
+        let host_slots = std::mem::take(&mut self.host_slots);
+        if host_slots.iter().all(|l| l.done(&self.device, &self.plan.name, limit).unwrap_or(false)) {
+            host_slots.iter().for_each(|l| self.destroy_slot(&l.slot, Ticket(0)));
             return;
         }
         tracing::error!(
             plan = self.plan.name,
-            "a host still holds recordings of a plan that goes; what they use stays"
+            "a host still holds recordings of a dropped plan; their resources are leaked"
         );
-        // They may run at any time: neither memory nor pipelines nor the device may go.
-        std::mem::forget(lent);
+        // They may run at any time: neither memory nor pipelines nor the device may be destroyed.
+        std::mem::forget(host_slots);
         std::mem::forget((self.externals.clone(), self.images.clone(), self.arena.clone(), self.slot_images.clone()));
         std::mem::forget(self.device.clone());
     }
 }
 
-/// Whatever the host did before, before us.
+/// Orders all earlier commands of the host before the plan.
 fn entry() -> vk::MemoryBarrier2<'static> {
     vk::MemoryBarrier2::default()
         .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
         .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-        .dst_stage_mask(ours())
+        .dst_stage_mask(plan_stages())
         .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
 }
 
-/// Whatever the host does after, behind us; its memory too, for reading back.
+/// Orders the plan before all later commands of the host, host reads included.
 fn exit() -> vk::MemoryBarrier2<'static> {
     vk::MemoryBarrier2::default()
-        .src_stage_mask(ours())
+        .src_stage_mask(plan_stages())
         .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
         .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST)
         .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE | vk::AccessFlags2::HOST_READ)
 }
 
-fn ours() -> vk::PipelineStageFlags2 {
+fn plan_stages() -> vk::PipelineStageFlags2 {
     vk::PipelineStageFlags2::COMPUTE_SHADER
         | vk::PipelineStageFlags2::ALL_TRANSFER
         | vk::PipelineStageFlags2::DRAW_INDIRECT

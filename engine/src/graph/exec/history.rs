@@ -1,7 +1,6 @@
-//! The memory of histories: two buffers each, which change places from replay to replay.
+//! Memory of histories: two buffers each, which swap roles at each replay.
 //!
-//! Nothing is copied and nothing recorded again: slots are recorded for one of the two arrangements, and follow each other
-//! in turn.
+//! Nothing is copied or recorded again: each slot is recorded for one of the two arrangements, and slots alternate.
 
 use super::Executor;
 use crate::error::{Error, Result};
@@ -13,7 +12,7 @@ impl Executor {
         self.plan.buffers.iter().any(|info| info.kind == BufferKind::History)
     }
 
-    /// Makes and fills the memory of every history.
+    /// Creates and fills the memory of every history.
     pub(super) fn make_histories(&mut self) -> Result<()> {
         for (index, info) in self.plan.buffers.iter().enumerate() {
             if info.kind == BufferKind::History {
@@ -32,8 +31,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Forgets what replays have left in histories: fills them as before the first replay. Waits for the replays in
-    /// flight.
+    /// Resets histories to their initial values. Waits for replays in flight.
     ///
     /// # Errors
     /// [`Error::Timeout`], [`Error::DeviceLost`].
@@ -42,8 +40,9 @@ impl Executor {
         self.fill_histories()
     }
 
-    /// The memory in which the latest replay left what it wrote to the current half of a history, or, for the previous
-    /// half, what it read. Valid until the next replay is submitted.
+    /// Returns the memory behind a half of a history after the latest replay.
+    ///
+    /// The current half holds that replay's output, the previous half its input. Valid until the next submission.
     ///
     /// # Errors
     /// [`Error::Unbound`] if the buffer belongs to no history.
@@ -52,6 +51,6 @@ impl Executor {
         let pair = self.plan.buffers.get(buffer.index()).and_then(|info| info.pair);
         pair.ok_or_else(unbound)?;
         let last = &self.slots[(self.next + self.slots.len() - 1) % self.slots.len()];
-        self.externals[self.half(buffer.index(), last.swapped)].as_ref().ok_or_else(unbound)
+        self.externals[self.history_half(buffer.index(), last.swapped)].as_ref().ok_or_else(unbound)
     }
 }

@@ -1,43 +1,43 @@
-//! Plans for two queues: a command buffer for each segment, submitted in the order of the plan, joined by timelines.
+//! Two-queue execution: one command buffer per segment, submitted in plan order, joined by timelines.
 //!
-//! Segments of the main lane signal the device's timeline like everything else on it, those of the second lane one that the
-//! device keeps for them. Whoever waits was submitted after what it waits for, so that both lanes may even share one queue.
+//! Main-lane segments signal the device's timeline. Side-lane segments signal a second timeline of the device. Every
+//! wait follows its signal in submission order, so that both lanes may share one queue.
 
 use super::{Executor, Slot};
-use crate::device::{ObjectKind, Parked, Ticket, semaphore};
+use crate::device::{DeferredObject, ObjectKind, Ticket, semaphore};
 use crate::error::Result;
 use crate::graph::plan::Lane;
 use ash::vk;
 
-/// What an executor has for its second lane.
-pub(super) struct Side {
+/// Executor state of the second lane.
+pub(super) struct SideLane {
     timeline: vk::Semaphore,
-    /// What this executor reached on it.
+    /// Last value that this executor submitted on it.
     submitted: u64,
-    /// By segment: the value that it signaled last.
+    /// By segment: last signaled value.
     values: Vec<u64>,
 }
 
-/// What a slot has for it.
+/// Command buffers of a slot's segments.
 pub(super) struct Segments {
-    /// For the second lane; the main lane's are from the slot's own pool.
+    /// Pool of the second lane; the main lane uses the slot's own pool.
     pool: vk::CommandPool,
     /// By segment.
     commands: Vec<vk::CommandBuffer>,
 }
 
 impl Executor {
-    /// Makes the second lane's timeline if the plan has one.
+    /// Creates the second lane's state if the plan has several segments.
     pub(super) fn make_side(&mut self) -> Result<()> {
         if self.plan.segments.len() < 2 {
             return Ok(());
         }
         let timeline = self.device.0.second_timeline()?;
-        self.side = Some(Side { timeline, submitted: 0, values: vec![0; self.plan.segments.len()] });
+        self.side = Some(SideLane { timeline, submitted: 0, values: vec![0; self.plan.segments.len()] });
         Ok(())
     }
 
-    /// Makes a slot's command buffers for the segments.
+    /// Allocates a slot's command buffers for the segments.
     pub(super) fn make_segments(&self, slot: &mut Slot) -> Result<()> {
         if self.side.is_none() {
             return Ok(());
@@ -49,7 +49,7 @@ impl Executor {
         let pool = shared.gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", name, || unsafe {
             shared.raw.create_command_pool(&info, None)
         })?;
-        // In the slot from here on, so that it is given back with it.
+        // Stored in the slot now, so that it is released with the slot.
         let segments = slot.segments.insert(Segments { pool, commands: Vec::new() });
         for segment in &self.plan.segments {
             let pool = if segment.lane == Lane::Main { slot.pool } else { segments.pool };
@@ -57,7 +57,7 @@ impl Executor {
                 .command_pool(pool)
                 .level(vk::CommandBufferLevel::PRIMARY)
                 .command_buffer_count(1);
-            // SAFETY: the pool was made from this device.
+            // SAFETY: the pool was created from this device.
             let made = shared
                 .gate
                 .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&info) })?;
@@ -82,14 +82,14 @@ impl Executor {
                 shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
             }
             if at == 0 {
-                // Everything else begins after this segment, on either lane.
+                // All other segments begin after this one, on either lane.
                 self.reset_stamps(commands, slot);
                 self.open(commands)?;
                 self.prelude(commands);
             }
             if !segment.waits.is_empty() && shared.second.is_none() {
-                // On one queue a barrier reaches as far as the wait. Layer 1.3.239 knows no timeline semaphores and would
-                // miss the wait alone.
+                // On one queue, a barrier has the same effect as the wait. Layer 1.3.239 does not track timeline
+                // semaphores and would miss the wait alone.
                 self.barrier(commands, &super::record::everything());
             }
             self.groups(commands, slot, segment.groups.clone())?;
@@ -105,8 +105,9 @@ impl Executor {
         Ok(())
     }
 
-    /// Submits a slot's segments, the first after `waits` and the last before `signals`; returns the end of the last one,
-    /// which everything precedes.
+    /// Submits a slot's segments. Returns the ticket of the last one, which all others precede.
+    ///
+    /// The first segment waits for `waits`; the last one signals `signals`.
     pub(super) fn submit_segments(
         &mut self,
         index: usize,
@@ -117,11 +118,11 @@ impl Executor {
         let (Some(side), Some(segments)) = (&mut self.side, &self.slots[index].segments) else {
             return shared.submit_between(self.slots[index].commands, waits, signals, &self.plan.name);
         };
-        // What others wait for or are waited for is the main lane's: it has the first segment and the last.
-        let (given, last) = (waits, self.plan.segments.len() - 1);
+        // External waits and signals belong to the main lane, which has the first and the last segment.
+        let (external_waits, last) = (waits, self.plan.segments.len() - 1);
         let mut ticket = Ticket(0);
         for (at, (segment, &commands)) in self.plan.segments.iter().zip(&segments.commands).enumerate() {
-            // One wait for each lane is enough: the latest stands for all before it.
+            // One wait per lane suffices: the latest value covers all earlier ones.
             let latest = |lane: Lane| {
                 let waits = segment.waits.iter().filter(|&&wait| self.plan.segments[wait].lane == lane);
                 waits.map(|&wait| side.values[wait]).max().unwrap_or(0)
@@ -130,7 +131,7 @@ impl Executor {
                 vec![shared.point(Ticket(latest(Lane::Main))), semaphore(side.timeline, latest(Lane::Side))];
             waits.retain(|wait| wait.value > 0);
             if at == 0 {
-                waits.extend_from_slice(given);
+                waits.extend_from_slice(external_waits);
             }
             let result = if segment.lane == Lane::Main {
                 let signals = if at == last { signals } else { &[] };
@@ -144,7 +145,8 @@ impl Executor {
             match result {
                 Ok(value) => side.values[at] = value,
                 Err(error) => {
-                    // What was submitted of this replay runs all the same; nothing of it may be given back before.
+                    // The submitted part of this replay still runs; its resources must not be released before it
+                    // ends.
                     let (semaphores, values) = ([side.timeline], [side.submitted]);
                     let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
                     let limit = u64::try_from(self.device.timeout().as_nanos()).unwrap_or(u64::MAX);
@@ -152,7 +154,7 @@ impl Executor {
                     let waited = shared.gate.call("vkWaitSemaphores", &self.plan.name, || unsafe {
                         shared.raw.wait_semaphores(&info, limit)
                     });
-                    self.gave_up |= waited.is_err();
+                    self.wait_failed |= waited.is_err();
                     self.slots[index].ticket = (ticket > Ticket(0)).then_some(ticket);
                     return Err(error);
                 }
@@ -161,10 +163,10 @@ impl Executor {
         Ok(ticket)
     }
 
-    /// Gives a slot's second pool back.
+    /// Destroys a slot's second pool.
     pub(super) fn destroy_segments(&self, slot: &Slot, until: Ticket) {
         if let Some(segments) = &slot.segments {
-            self.device.0.dispose(until, Parked::CommandPool(segments.pool));
+            self.device.0.dispose(until, DeferredObject::CommandPool(segments.pool));
         }
     }
 }

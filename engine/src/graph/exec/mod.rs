@@ -1,8 +1,8 @@
-//! Runs plans: binds memory, records one command buffer a frame in flight, replays it.
+//! Execution of plans: binds memory, records one command buffer per frame in flight, replays it.
 //!
-//! Promises: once every slot is recorded, a replay waits only for its own slot, copies the uniforms, and submits;
-//! nothing is allocated or recorded. Work of different executors on one device is ordered by submission. Leaves hazards
-//! inside a replay to the plan.
+//! Promises: once every slot is recorded, a replay waits only for its own slot, copies the uniforms, and submits. It
+//! allocates and records nothing. Executors of one device are ordered by submission. The plan resolves hazards inside
+//! a replay.
 
 mod bind;
 mod external;
@@ -11,27 +11,27 @@ mod lanes;
 mod record;
 mod time;
 
-pub use external::{Recorded, SemaphorePoint, Until};
+pub use external::{Completion, Recording, SemaphorePoint};
 pub use time::PassTime;
 
 use super::{Buffer, BufferKind, Image, Plan, Switch, Use};
-use crate::device::{Device, ObjectKind, Parked, Ticket};
+use crate::device::{DeferredObject, Device, ObjectKind, Ticket};
 use crate::error::{Error, Result};
 use crate::memory::{DeviceBuffer, DeviceImage, Location};
 use ash::vk;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How a plan is run.
+/// Execution options.
 #[derive(Clone, Debug)]
 pub struct ExecOptions {
-    /// Replays that may be in flight together; uniforms have one slot each.
+    /// Replays in flight; each has its own uniforms.
     pub frames_in_flight: usize,
-    /// Two timestamps around every pass.
+    /// Writes two timestamps around every pass.
     pub timestamps: bool,
-    /// Fill the arena with ones before each replay, so that reading what nobody wrote shows.
+    /// Fills the arena with one bits before each replay, to expose reads of unwritten memory.
     pub poison: bool,
-    /// Memory for the transients, shared with other executors of the device; own memory if absent or too small.
+    /// Arena shared with other executors of the device; own memory if absent or too small.
     pub arena: Option<DeviceBuffer>,
 }
 
@@ -41,60 +41,61 @@ impl Default for ExecOptions {
     }
 }
 
-/// A plan with its memory, ready to be replayed.
+/// Executable plan with its memory.
 pub struct Executor {
     device: Device,
     plan: Arc<Plan>,
     options: ExecOptions,
-    /// By buffer; uniforms and transients stay empty.
+    /// By buffer; `None` for uniforms and transients.
     externals: Vec<Option<DeviceBuffer>>,
-    /// By buffer; only external images have one.
+    /// By buffer; `Some` only for external images.
     images: Vec<Option<DeviceImage>>,
-    /// The plan's image slots.
+    /// Images of the plan's image slots.
     slot_images: Vec<DeviceImage>,
     arena: Option<DeviceBuffer>,
-    /// Byte offset of each uniform inside a slot's uniform memory.
+    /// By buffer: byte offset in a slot's uniform memory.
     uniform_offsets: Vec<u64>,
-    /// The switches and what they are set to.
+    /// Switches with their current values.
     switches: Vec<(Buffer, u32)>,
     slots: Vec<Slot>,
-    side: Option<lanes::Side>,
+    side: Option<lanes::SideLane>,
     next: usize,
     uniform_bytes: u64,
-    /// What is recorded into command buffers of a host.
-    lent: Vec<external::Lent>,
+    /// Slots recorded into command buffers of a host.
+    host_slots: Vec<external::HostSlot>,
     times: time::Times,
     host: HostTimes,
-    /// A wait has failed: what is in flight is not waited for again, only left until it is done.
-    gave_up: bool,
+    /// Whether a wait failed: work in flight is not awaited again, and its resources are released once it ends.
+    wait_failed: bool,
 }
 
-/// What replaying has cost the host since the executor was made.
+/// Host time of replays since the executor was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HostTimes {
-    /// Replays submitted.
+    /// Submitted replays.
     pub replays: u64,
-    /// Of these, the ones that had to be recorded first.
-    pub recorded: u64,
-    /// Spent in [`Executor::submit`], waiting excluded: uniforms, recording, the submission itself.
-    pub working: Duration,
-    /// Of this, spent inside `vkQueueSubmit2`: the driver's.
-    pub submitting: Duration,
-    /// Spent waiting for the device, in [`Executor::submit`] and [`Executor::finish`].
-    pub waiting: Duration,
+    /// Submitted replays that were recorded first.
+    pub recordings: u64,
+    /// Time in [`Executor::submit`] without waiting: uniforms, recording, submission.
+    pub work_time: Duration,
+    /// Part of `work_time` inside `vkQueueSubmit2`.
+    pub submit_time: Duration,
+    /// Time waiting for the device, in [`Executor::submit`] and [`Executor::finish`].
+    pub wait_time: Duration,
 }
 
 impl HostTimes {
-    /// Since an earlier look: seconds of a replay besides its submission, and of its submission; zero without replays.
+    /// Returns seconds per replay since `earlier`: host work without submission, and submission. Zero without
+    /// replays.
     pub fn since(&self, earlier: &HostTimes) -> (f64, f64) {
         let replays = (self.replays - earlier.replays).max(1) as f64;
-        let submitting = (self.submitting - earlier.submitting).as_secs_f64();
-        let working = (self.working - earlier.working).as_secs_f64();
+        let submitting = (self.submit_time - earlier.submit_time).as_secs_f64();
+        let working = (self.work_time - earlier.work_time).as_secs_f64();
         ((working - submitting).max(0.0) / replays, submitting / replays)
     }
 }
 
-/// What one replay in flight owns.
+/// Resources of one replay in flight.
 struct Slot {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
@@ -102,19 +103,20 @@ struct Slot {
     queries: vk::QueryPool,
     uniforms: Option<DeviceBuffer>,
     recorded: bool,
-    /// Whether the halves of histories have changed places in its replays: in every other slot, and there is an even
-    /// number of them, so that nothing is recorded again.
+    /// Whether the halves of histories are swapped in this slot. True for every other slot; the number of slots is
+    /// then even, so that nothing is recorded again.
     swapped: bool,
-    /// For plans of more than one segment.
+    /// Command buffers of plans with several segments.
     segments: Option<lanes::Segments>,
     ticket: Option<Ticket>,
 }
 
 impl Executor {
-    /// Prepares a plan: its arena and the slots.
+    /// Creates the arena and slots of a plan.
     ///
     /// # Errors
-    /// If memory runs out, or the plan exceeds the device's limits ([`DeviceInfo::check_plan`](crate::DeviceInfo::check_plan)).
+    /// If memory runs out, or the plan exceeds the device's limits
+    /// ([`DeviceInfo::check_plan`](crate::DeviceInfo::check_plan)).
     pub fn new(device: &Device, plan: Arc<Plan>, options: ExecOptions) -> Result<Executor> {
         device.info().check_plan(&plan)?;
         let arena = match (&options.arena, plan.arena_bytes) {
@@ -130,7 +132,7 @@ impl Executor {
                 let at = uniform_bytes;
                 if b.kind == BufferKind::Uniform {
                     uniform_bytes += {
-                        // Kernels may bind it as a storage buffer too.
+                        // Kernels may also bind it as a storage buffer.
                         let info = device.info();
                         b.bytes.next_multiple_of(info.uniform_alignment.max(info.storage_alignment).max(16))
                     };
@@ -150,10 +152,10 @@ impl Executor {
             side: None,
             next: 0,
             uniform_bytes,
-            lent: Vec::new(),
+            host_slots: Vec::new(),
             times: time::Times::new(&plan, options.timestamps && device.info().timestamp_period > 0.0),
             host: HostTimes::default(),
-            gave_up: false,
+            wait_failed: false,
             plan,
             options,
         };
@@ -172,31 +174,30 @@ impl Executor {
         Ok(executor)
     }
 
-    /// Replays that may be in flight together.
+    /// Returns the number of replays in flight.
     fn frames(&self) -> usize {
         self.options.frames_in_flight.max(1)
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &Arc<Plan> {
         &self.plan
     }
 
-    /// The device.
+    /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// The arena's memory, for sharing with other executors.
+    /// Returns the arena's memory, to share with other executors.
     pub fn arena(&self) -> Option<&DeviceBuffer> {
         self.arena.as_ref()
     }
 
-    /// Puts memory behind an external buffer of the plan. Before the first replay this is free; later it waits for
-    /// the replays in flight and records again.
+    /// Binds memory to an external buffer of the plan. Rebinding waits for the replays in flight and records again.
     ///
     /// # Errors
-    /// If the memory is smaller than declared.
+    /// [`Error::OutOfRange`] if the memory is smaller than declared.
     pub fn bind(&mut self, buffer: Buffer, memory: &DeviceBuffer) -> Result<()> {
         memory.check_range(0, self.plan.buffers[buffer.index()].bytes)?;
         let place = &mut self.externals[buffer.index()];
@@ -213,18 +214,18 @@ impl Executor {
         Ok(())
     }
 
-    /// Puts an image behind an external image of the plan; as [`Executor::bind`].
+    /// Binds an image to an external image of the plan; like [`Executor::bind`].
     ///
     /// # Errors
-    /// [`Error::WrongImage`] if it is of another size or format than declared; [`Error::NotStorageImage`] if a kernel is to
-    /// read or write it and cannot.
+    /// [`Error::WrongImage`] if size or format differ from the declaration; [`Error::NotStorageImage`] if a kernel
+    /// uses the image but its format does not support storage.
     pub fn bind_image(&mut self, image: Image, memory: &DeviceImage) -> Result<()> {
         let info = &self.plan.buffers[image.index()];
         let shape = |[width, height]: [u32; 2], format| format!("{width}x{height} {format}");
-        let given = shape(memory.size(), memory.format());
+        let bound = shape(memory.size(), memory.format());
         let declared = info.image.map_or("a buffer".to_owned(), |image| shape(image.size, image.format));
-        if declared != given {
-            return Err(Error::WrongImage { image: info.name.clone(), given, declared });
+        if declared != bound {
+            return Err(Error::WrongImage { image: info.name.clone(), bound, declared });
         }
         let in_kernels = self.plan.passes.iter().flat_map(|pass| &pass.accesses);
         let mut in_kernels = in_kernels.filter(|(_, _, used)| *used == Use::Compute).map(|(slice, ..)| slice.buffer);
@@ -245,14 +246,14 @@ impl Executor {
         Ok(())
     }
 
-    /// Turns a switch on or off, for the replays submitted from now on.
+    /// Sets a switch for all later submissions.
     pub fn set_switch(&mut self, switch: Switch, on: bool) {
         if let Some((_, word)) = self.switches.iter_mut().find(|(buffer, _)| *buffer == switch.0) {
             *word = u32::from(on);
         }
     }
 
-    /// Replays the plan with these uniforms; returns where on the timeline it ends.
+    /// Replays the plan with these uniforms; returns the ticket of its end.
     ///
     /// # Errors
     /// If an external buffer is not bound, or the device fails.
@@ -269,7 +270,7 @@ impl Executor {
         let begin = Instant::now();
         let index = self.next;
         let mut waited = self.retire(index, self.device.timeout())?;
-        // There may be one slot more than replays may be in flight.
+        // With histories, one slot more than replays in flight may exist.
         let frames = self.frames();
         if frames < self.slots.len() {
             let oldest = (index + self.slots.len() - frames) % self.slots.len();
@@ -278,15 +279,15 @@ impl Executor {
         self.write_uniforms(&self.slots[index], uniforms)?;
         if !self.slots[index].recorded {
             self.record(index)?;
-            self.host.recorded += 1;
+            self.host.recordings += 1;
         }
-        let handed = Instant::now();
+        let submit_start = Instant::now();
         let ticket = self.submit_segments(index, waits, signals)?;
-        self.host.submitting += handed.elapsed();
+        self.host.submit_time += submit_start.elapsed();
         self.slots[index].ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
         self.host.replays += 1;
-        self.host.working += begin.elapsed().saturating_sub(waited);
+        self.host.work_time += begin.elapsed().saturating_sub(waited);
         Ok(ticket)
     }
 
@@ -309,10 +310,10 @@ impl Executor {
         self.finish_within(self.device.timeout())
     }
 
-    /// As [`Executor::finish`], with a time limit of its own for each replay. After a timeout it may be called again.
+    /// Like [`Executor::finish`], with an explicit time limit per replay. May be called again after a timeout.
     ///
     /// # Errors
-    /// [`Error::Timeout`] with the pass that has not ended, where there are timestamps; [`Error::DeviceLost`].
+    /// [`Error::Timeout`] with the unfinished pass, if timestamps are enabled; [`Error::DeviceLost`].
     pub fn finish_within(&mut self, limit: Duration) -> Result<()> {
         for i in 0..self.slots.len() {
             self.retire((self.next + i) % self.slots.len(), limit)?;
@@ -320,12 +321,12 @@ impl Executor {
         Ok(())
     }
 
-    /// Waits for the replay in a slot, if there is one, and takes its times; returns how long it waited.
+    /// Waits for the replay of a slot, if any, and collects its times. Returns the time waited.
     fn retire(&mut self, index: usize, limit: Duration) -> Result<Duration> {
         let Some(ticket) = self.slots[index].ticket else { return Ok(Duration::ZERO) };
         let begin = Instant::now();
         if let Err(mut error) = self.device.wait_within(ticket, &self.plan.name, limit) {
-            self.gave_up = true;
+            self.wait_failed = true;
             if let Error::Timeout { pass, .. } = &mut error {
                 *pass = self.times.running(&self.device, self.slots[index].queries);
             }
@@ -333,17 +334,17 @@ impl Executor {
         }
         self.slots[index].ticket = None;
         let waited = begin.elapsed();
-        self.host.waiting += waited;
+        self.host.wait_time += waited;
         self.times.collect(&self.device, self.slots[index].queries)?;
         Ok(waited)
     }
 
-    /// What replaying has cost the host so far.
+    /// Returns the host time of all replays.
     pub fn host_times(&self) -> HostTimes {
         self.host
     }
 
-    /// Nanoseconds of each pass in the replays whose end was seen since the last call (empty without timestamps).
+    /// Returns and clears the nanoseconds of each pass in the finished replays (empty without timestamps).
     pub fn take_times(&mut self) -> Vec<PassTime> {
         self.times.take()
     }
@@ -390,7 +391,7 @@ impl Executor {
             .command_pool(slot.pool)
             .level(vk::CommandBufferLevel::PRIMARY)
             .command_buffer_count(1);
-        // SAFETY: the pool was made from this device.
+        // SAFETY: the pool was created from this device.
         slot.commands = shared
             .gate
             .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
@@ -405,37 +406,37 @@ impl Executor {
             slot.queries = shared.gate.make(ObjectKind::QueryPool, "vkCreateQueryPool", name, || unsafe {
                 shared.raw.create_query_pool(&info, None)
             })?;
-            // Stamps are also looked at before the first replay has reset them.
-            // SAFETY: the pool was just made with that many queries; host resets are a required feature.
+            // Queries may be read before the first replay has reset them.
+            // SAFETY: the pool was created with that many queries; host query reset is a required feature.
             unsafe { shared.raw.reset_query_pool(slot.queries, 0, 2 * self.plan.passes.len() as u32) };
         }
         Ok(())
     }
 
-    /// Destroys what a slot owns, once the timeline has passed `until`.
+    /// Destroys a slot's resources once the timeline has passed `until`.
     fn destroy_slot(&self, slot: &Slot, until: Ticket) {
         let shared = &self.device.0;
         if slot.queries != vk::QueryPool::null() {
-            shared.dispose(until, Parked::QueryPool(slot.queries));
+            shared.dispose(until, DeferredObject::QueryPool(slot.queries));
         }
         if slot.descriptors != vk::DescriptorPool::null() {
-            shared.dispose(until, Parked::DescriptorPool(slot.descriptors));
+            shared.dispose(until, DeferredObject::DescriptorPool(slot.descriptors));
         }
         self.destroy_segments(slot, until);
         if slot.pool != vk::CommandPool::null() {
-            shared.dispose(until, Parked::CommandPool(slot.pool));
+            shared.dispose(until, DeferredObject::CommandPool(slot.pool));
         }
     }
 }
 
 impl Drop for Executor {
     fn drop(&mut self) {
-        if !self.gave_up
+        if !self.wait_failed
             && let Err(error) = self.finish()
         {
-            tracing::warn!(%error, plan = self.plan.name, "work is not finished; what it uses is kept until it is");
+            tracing::warn!(%error, plan = self.plan.name, "work is not finished; its resources are released once it is");
         }
-        self.drop_lent();
+        self.drop_host_slots();
         let Some(last) = self.slots.iter().filter_map(|s| s.ticket).max() else {
             self.slots.iter().for_each(|s| self.destroy_slot(s, Ticket(0)));
             return;

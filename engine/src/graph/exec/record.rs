@@ -1,4 +1,4 @@
-//! From a plan to a command buffer.
+//! Recording of a plan into a command buffer.
 
 use super::{Executor, Slot};
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::memory::image::{WHOLE, packed_copy};
 use ash::vk;
 
 impl Executor {
-    /// Records one slot's command buffer.
+    /// Records the command buffer of a slot.
     pub(super) fn record(&mut self, index: usize) -> Result<()> {
         let shared = &self.device.0;
         let raw = &shared.raw;
@@ -16,7 +16,7 @@ impl Executor {
         let slot = &self.slots[index];
         let commands = slot.commands;
         let begin = vk::CommandBufferBeginInfo::default();
-        // SAFETY: the slot is not in flight (its ticket was waited for), so pool and sets may be reset.
+        // SAFETY: the slot is not in flight (its ticket was awaited), so pool and sets may be reset.
         unsafe {
             shared.gate.call("vkResetCommandPool", &plan.name, || {
                 raw.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty())
@@ -44,15 +44,15 @@ impl Executor {
         Ok(())
     }
 
-    /// Records the entry's barrier and changes of layout.
+    /// Records the barrier and layout transitions at the beginning of a replay.
     pub(super) fn open(&self, commands: vk::CommandBuffer) -> Result<()> {
-        // Other plans and transfers may have touched the same externals and the same arena just before, so the entry
-        // orders everything on the queue rather than what this plan alone would need.
+        // Other plans and transfers may have used the same externals and arena just before. The entry therefore
+        // orders everything on the queue, not only the hazards of this plan.
         let own = self.plan.groups.first().and_then(|group| group.barrier).unwrap_or_default();
-        self.change(commands, &merged(everything(), translate(&own)), &self.plan.entry)
+        self.record_barrier(commands, &merge(everything(), translate(&own)), &self.plan.entry)
     }
 
-    /// Records the exit's barrier and changes of layout.
+    /// Records the barrier and layout transitions at the end of a replay.
     pub(super) fn close(&self, commands: vk::CommandBuffer) -> Result<()> {
         let results = vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::COMPUTE_SHADER | vk::PipelineStageFlags2::ALL_TRANSFER)
@@ -60,14 +60,14 @@ impl Executor {
             .dst_stage_mask(vk::PipelineStageFlags2::HOST)
             .dst_access_mask(vk::AccessFlags2::HOST_READ);
         let own = self.plan.final_barrier.unwrap_or_default();
-        self.change(commands, &merged(results, translate(&own)), &self.plan.exit)
+        self.record_barrier(commands, &merge(results, translate(&own)), &self.plan.exit)
     }
 
-    /// Records the passes, from behind the entry's barrier up to the exit's.
+    /// Records the passes between entry and exit barrier.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
         self.prelude(commands);
         for segment in &self.plan.segments {
-            // In one command buffer a full barrier stands for waiting.
+            // In one command buffer, a full barrier replaces the wait.
             if !segment.waits.is_empty() {
                 self.barrier(commands, &everything());
             }
@@ -76,7 +76,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Makes the queries of a slot ready to be written.
+    /// Resets the timestamp queries of a slot.
     pub(super) fn reset_stamps(&self, commands: vk::CommandBuffer, slot: &Slot) {
         if slot.queries != vk::QueryPool::null() {
             let count = 2 * self.plan.passes.len() as u32;
@@ -85,10 +85,10 @@ impl Executor {
         }
     }
 
-    /// Records what comes before the passes: poison, if wanted.
+    /// Records the poison fills, if enabled.
     pub(super) fn prelude(&self, commands: vk::CommandBuffer) {
         let plan = &self.plan;
-        // A recording that failed before may have left some labels open.
+        // A failed recording may have left labels open.
         self.device.0.instance.messages.close_all();
         if self.options.poison && (self.arena.is_some() || !self.slot_images.is_empty()) {
             let raw = &self.device.0.raw;
@@ -100,9 +100,10 @@ impl Executor {
             }
             let ones = vk::ClearColorValue { uint32: [u32::MAX; 4] };
             for (image, slot) in self.slot_images.iter().zip(&plan.image_slots) {
-                // An image to copy from cannot be cleared; nobody could have read it before a copy wrote it either.
+                // Images used only as transfer sources cannot be cleared; no pass can read them before a copy writes
+                // them.
                 if slot.home != ImageState::TransferSource {
-                    // SAFETY: the image is alive and in the layout of its home.
+                    // SAFETY: the image is alive and in its home layout.
                     unsafe { raw.cmd_clear_color_image(commands, image.0.raw, layout(slot.home), &ones, &[WHOLE]) };
                 }
             }
@@ -110,7 +111,7 @@ impl Executor {
         }
     }
 
-    /// Records some of the groups.
+    /// Records a range of groups.
     pub(super) fn groups(
         &self,
         commands: vk::CommandBuffer,
@@ -146,8 +147,8 @@ impl Executor {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
                 let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
                 let set = self.descriptor_set(slot, &pipeline, shader, bindings)?;
-                // SAFETY: pipeline, layout and set belong together; the push constants are as many as the layout has;
-                // indirect arguments lie inside their buffer, as the builder checked.
+                // SAFETY: pipeline, layout and set belong together. The push constants have the size of the layout.
+                // The builder has checked that indirect arguments lie inside their buffer.
                 unsafe {
                     raw.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.raw);
                     let sets = [set];
@@ -167,21 +168,22 @@ impl Executor {
             }
             PassKind::Fill { target, value } => {
                 let (buffer, offset) = self.resolve(slot, target)?;
-                // SAFETY: the range lies inside the buffer and is aligned to words, as the builder checked.
+                // SAFETY: the builder has checked that the range is word-aligned and inside the buffer.
                 unsafe { raw.cmd_fill_buffer(commands, buffer, offset, target.bytes, *value) };
             }
             PassKind::Copy { source, target } => {
                 let (from, src_offset) = self.resolve(slot, source)?;
                 let (to, dst_offset) = self.resolve(slot, target)?;
                 let region = [vk::BufferCopy { src_offset, dst_offset, size: source.bytes }];
-                // SAFETY: both ranges lie inside their buffers and do not overlap, as the builder checked.
+                // SAFETY: the builder has checked that both ranges are inside their buffers and do not overlap.
                 unsafe { raw.cmd_copy_buffer(commands, from, to, &region) };
             }
             PassKind::CopyToImage { source, target } => {
                 let (buffer, offset) = self.resolve(slot, source)?;
                 let (image, home) = (self.image(*target)?, self.home(*target));
                 let region = [packed_copy(offset, image.size())];
-                // SAFETY: the range holds exactly the packed image, as the builder checked, which is in this layout.
+                // SAFETY: the builder has checked that the range holds exactly the packed image; the image is in this
+                // layout.
                 unsafe { raw.cmd_copy_buffer_to_image(commands, buffer, image.0.raw, home, &region) };
             }
             PassKind::CopyFromImage { source, target } => {
@@ -201,8 +203,8 @@ impl Executor {
         Ok(())
     }
 
-    /// One barrier for memory, and for layouts, which wait for the same and are waited for by the same.
-    pub(super) fn change(
+    /// Records one memory barrier with layout transitions of the same scopes.
+    pub(super) fn record_barrier(
         &self,
         commands: vk::CommandBuffer,
         barrier: &vk::MemoryBarrier2<'_>,
@@ -226,18 +228,18 @@ impl Executor {
         }
         let barriers = [*barrier];
         let info = vk::DependencyInfo::default().memory_barriers(&barriers).image_memory_barriers(&images);
-        // SAFETY: the command buffer is being recorded; the images are alive and in the layouts that the plan, and
-        // whoever bound them, promise.
+        // SAFETY: the command buffer is being recorded; the images are alive and in the layouts that the plan and the
+        // caller that bound them promise.
         unsafe { self.device.0.raw.cmd_pipeline_barrier2(commands, &info) };
         Ok(())
     }
 
-    /// The layout that an image is in between entry and exit.
+    /// Returns the layout of an image between entry and exit.
     fn home(&self, image: Image) -> vk::ImageLayout {
         layout(self.plan.homes[image.index()].unwrap_or(ImageState::General))
     }
 
-    /// What is recorded from here to the matching [`Executor::close_label`] carries a name in capture tools and messages.
+    /// Opens a label for capture tools and messages, until the matching [`Executor::close_label`].
     fn open_label(&self, commands: vk::CommandBuffer, name: &str) {
         let shared = &self.device.0;
         if shared.instance.validation {
@@ -256,7 +258,7 @@ impl Executor {
             shared.instance.messages.close();
         }
         let Some(labels) = &shared.labels else { return };
-        // SAFETY: as above; one is open.
+        // SAFETY: as above; a label is open.
         unsafe { labels.cmd_end_debug_utils_label(commands) };
     }
 
@@ -288,8 +290,8 @@ pub(super) fn everything() -> vk::MemoryBarrier2<'static> {
         .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
 }
 
-/// Does what both do.
-fn merged(a: vk::MemoryBarrier2<'static>, b: vk::MemoryBarrier2<'static>) -> vk::MemoryBarrier2<'static> {
+/// Merges the scopes of two barriers.
+fn merge(a: vk::MemoryBarrier2<'static>, b: vk::MemoryBarrier2<'static>) -> vk::MemoryBarrier2<'static> {
     vk::MemoryBarrier2::default()
         .src_stage_mask(a.src_stage_mask | b.src_stage_mask)
         .src_access_mask(a.src_access_mask | b.src_access_mask)
@@ -297,7 +299,7 @@ fn merged(a: vk::MemoryBarrier2<'static>, b: vk::MemoryBarrier2<'static>) -> vk:
         .dst_access_mask(a.dst_access_mask | b.dst_access_mask)
 }
 
-/// The layout of a state.
+/// Returns the Vulkan layout of a state.
 fn layout(state: ImageState) -> vk::ImageLayout {
     match state {
         ImageState::Undefined => vk::ImageLayout::UNDEFINED,

@@ -1,18 +1,18 @@
-//! How long each pass took, by the device's own clock.
+//! GPU times of passes from timestamp queries.
 
 use crate::device::Device;
 use crate::error::{Error, Result};
 use crate::graph::Plan;
 use ash::vk;
 
-/// The measured times of one pass.
+/// Measured times of one pass.
 #[derive(Clone, Debug)]
 pub struct PassTime {
-    /// The pass.
+    /// Name of the pass.
     pub name: String,
-    /// Start after the first pass of its replay began, in nanoseconds, one entry a replay.
+    /// By replay: start in nanoseconds, relative to the first pass of the replay.
     pub start: Vec<f64>,
-    /// Duration in nanoseconds, one entry a replay.
+    /// By replay: duration in nanoseconds.
     pub nanoseconds: Vec<f64>,
 }
 
@@ -35,7 +35,7 @@ impl Times {
         self.enabled && !self.passes.is_empty()
     }
 
-    /// Reads the stamps of a finished replay.
+    /// Reads the timestamps of a finished replay.
     pub fn collect(&mut self, device: &Device, queries: vk::QueryPool) -> Result<()> {
         if !self.enabled() {
             return Ok(());
@@ -58,17 +58,18 @@ impl Times {
         Ok(())
     }
 
-    /// The first pass, in the order of the plan, whose end has not been reached by a replay that is under way.
+    /// Returns the first pass in plan order whose end timestamp is not available.
     pub fn running(&self, device: &Device, queries: vk::QueryPool) -> Option<String> {
-        // Mesa's lavapipe waits for all work before it answers, even when asked not to: the name is not worth hanging.
+        // Mesa's lavapipe blocks until all work is done, even without the WAIT flag; the pass name does not justify a
+        // hang.
         if !self.enabled() || device.info().kind == "cpu" {
             return None;
         }
         let unfinished = |pass: usize| {
-            // A stamp and whether it is there.
+            // Timestamp and its availability.
             let mut stamp = [[0u64; 2]];
             let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WITH_AVAILABILITY;
-            // SAFETY: the pool has two queries for every pass, reset by the replay; nothing is waited for.
+            // SAFETY: the pool has two queries for every pass, reset by the replay; the call does not wait.
             let read = device.0.gate.call("vkGetQueryPoolResults", &self.passes[pass].name, || unsafe {
                 device.0.raw.get_query_pool_results(queries, 2 * pass as u32 + 1, &mut stamp, flags)
             });
@@ -78,22 +79,22 @@ impl Times {
                 Err(_) => None,
             }
         };
-        first_open(&self.live, unfinished).map(|pass| self.passes[pass].name.clone())
+        first_unfinished(&self.live, unfinished).map(|pass| self.passes[pass].name.clone())
     }
 
     pub fn take(&mut self) -> Vec<PassTime> {
-        let mut taken = Vec::with_capacity(self.live.len());
+        let mut times = Vec::with_capacity(self.live.len());
         for &p in &self.live {
             let pass = &mut self.passes[p];
             let (start, nanoseconds) = (std::mem::take(&mut pass.start), std::mem::take(&mut pass.nanoseconds));
-            taken.push(PassTime { name: pass.name.clone(), start, nanoseconds });
+            times.push(PassTime { name: pass.name.clone(), start, nanoseconds });
         }
-        taken
+        times
     }
 }
 
-/// The first pass that has not ended; none if there is no telling.
-fn first_open(live: &[usize], mut open: impl FnMut(usize) -> Option<bool>) -> Option<usize> {
+/// Returns the first unfinished pass; `None` if unknown.
+fn first_unfinished(live: &[usize], mut open: impl FnMut(usize) -> Option<bool>) -> Option<usize> {
     for &pass in live {
         if open(pass)? {
             return Some(pass);
@@ -107,11 +108,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_pass_without_an_end_is_named() {
+    fn first_unfinished_pass_is_found() {
         let live = [2, 0, 5];
-        assert_eq!(first_open(&live, |p| Some(p == 0 || p == 5)), Some(0));
-        assert_eq!(first_open(&live, |p| Some(p == 5)), Some(5));
-        assert_eq!(first_open(&live, |_| Some(false)), None);
-        assert_eq!(first_open(&live, |p| (p != 0).then_some(p == 5)), None);
+        assert_eq!(first_unfinished(&live, |p| Some(p == 0 || p == 5)), Some(0));
+        assert_eq!(first_unfinished(&live, |p| Some(p == 5)), Some(5));
+        assert_eq!(first_unfinished(&live, |_| Some(false)), None);
+        assert_eq!(first_unfinished(&live, |p| (p != 0).then_some(p == 5)), None);
     }
 }

@@ -1,25 +1,25 @@
-//! Where in the arena each transient lives.
+//! Placement of transients in the arena.
 //!
-//! Two transients that are alive in a common group never overlap; others may. The largest are placed first, the
-//! longest-lived among equals, each at the lowest offset that is free for its lifetime. That a byte passes from one
-//! transient to the next is a hazard like any other, and left to the barriers.
+//! Transients that are alive in a common group never overlap; others may. Larger transients are placed first,
+//! longer-lived ones first among equals, each at the lowest free offset of its lifetime. Reuse of a byte by another
+//! transient is an ordinary hazard, which the barriers cover.
 //!
-//! Images are not placed by bytes, since only a device knows how large they are: transients of equal make and layout
-//! share a whole image when their lifetimes do not meet.
+//! Images are not placed by bytes, because only a device knows their size. Transient images of equal format, size and
+//! layout share a whole image if their lifetimes do not overlap.
 
 use super::Group;
 use super::image::ImageSlot;
 use crate::graph::pass::Pass;
 use crate::graph::resource::{BufferInfo, BufferKind, ImageState};
 
-/// First and last group of each transient that is used; a kept one lives past the last group.
+/// Returns first and last group of each used transient; a kept one lives past the last group.
 pub(super) fn lifetimes(
     buffers: &[BufferInfo],
     passes: &[Pass],
     groups: &[Group],
     spans: &[(usize, usize)],
 ) -> Vec<Option<(usize, usize)>> {
-    let mut lives = vec![None; buffers.len()];
+    let mut lifetimes = vec![None; buffers.len()];
     for (group, &(begin, end)) in groups.iter().zip(spans) {
         for &pass in &group.passes {
             for (slice, ..) in &passes[pass].accesses {
@@ -27,24 +27,24 @@ pub(super) fn lifetimes(
                 let info = &buffers[buffer];
                 if info.kind == BufferKind::Transient {
                     let end = if info.keep { groups.len() } else { end };
-                    let (first, last) = lives[buffer].unwrap_or((begin, end));
-                    lives[buffer] = Some((first.min(begin), last.max(end)));
+                    let (first, last) = lifetimes[buffer].unwrap_or((begin, end));
+                    lifetimes[buffer] = Some((first.min(begin), last.max(end)));
                 }
             }
         }
     }
-    lives
+    lifetimes
 }
 
-/// An arena.
+/// Arena layout.
 pub(super) struct Layout {
-    /// By buffer: its offset, if it is a transient that is used; its slot, if it is an image.
+    /// By buffer: offset of a used transient; for an image, its slot.
     pub(super) placements: Vec<Option<u64>>,
-    /// The images that transient images share.
+    /// Images shared by transient images.
     pub(super) slots: Vec<ImageSlot>,
-    /// Size of the arena.
+    /// Size of the arena in bytes.
     pub(super) bytes: u64,
-    /// Size that it would have without sharing.
+    /// Size without aliasing in bytes.
     pub(super) unaliased_bytes: u64,
 }
 
@@ -56,7 +56,7 @@ pub(super) fn alias(
     alignment: u64,
     share: bool,
 ) -> Layout {
-    struct Placed {
+    struct Placement {
         offset: u64,
         end: u64,
         first: usize,
@@ -75,8 +75,8 @@ pub(super) fn alias(
         todo.sort_by_key(|&(index, first, last)| (std::cmp::Reverse((size(index), last - first)), index));
     }
     let mut placements = vec![None; buffers.len()];
-    // By offset, so that one walk finds the lowest gap.
-    let mut placed: Vec<Placed> = Vec::with_capacity(todo.len());
+    // Sorted by offset, so that one pass finds the lowest gap.
+    let mut placed: Vec<Placement> = Vec::with_capacity(todo.len());
     for (index, first, last) in todo {
         let bytes = size(index);
         let mut offset = 0;
@@ -90,13 +90,13 @@ pub(super) fn alias(
         }
         placements[index] = Some(offset);
         let at = placed.partition_point(|other| other.offset <= offset);
-        placed.insert(at, Placed { offset, end: offset + bytes, first, last });
+        placed.insert(at, Placement { offset, end: offset + bytes, first, last });
     }
     let slots = place_images(buffers, lifetimes, homes, share, &mut placements);
     Layout { placements, slots, bytes: placed.iter().map(|p| p.end).max().unwrap_or(0), unaliased_bytes }
 }
 
-/// Gives each transient image the first slot of its make that is free from its first group on.
+/// Assigns each transient image the first equal slot that is free from its first group on.
 fn place_images(
     buffers: &[BufferInfo],
     lifetimes: &[Option<(usize, usize)>],

@@ -1,8 +1,8 @@
-//! The barrier before each group, the one before the first of a replay, and the one after the last.
+//! Placement of barriers: before each group, before the first group of a replay, and after the last group.
 //!
-//! Each is the merger of what the group's hazards lack, and then loses every bit without which they are still covered.
-//! Between groups only hazards within a replay count. What the end of one replay, or whoever comes between two, leaves
-//! open is the first barrier's: it gets what the barriers of the next replay, as they stand, do not cover in time.
+//! Each barrier starts as the union of what the group's hazards require. It then loses every bit without which all
+//! hazards stay covered. Barriers between groups cover only hazards within a replay. The first barrier covers the
+//! hazards with the previous replay and with external commands, as far as later barriers do not cover them in time.
 
 use super::alias::Layout;
 use super::clock::{Clock, Transitions};
@@ -13,8 +13,8 @@ use super::{Group, Lane, Segment};
 use crate::graph::pass::Pass;
 use crate::graph::resource::{Buffer, BufferInfo, Slice};
 
-/// What barriers are placed for.
-pub(super) struct Scene<'p> {
+/// Inputs of barrier placement.
+pub(super) struct BarrierInputs<'p> {
     pub(super) buffers: &'p [BufferInfo],
     pub(super) passes: &'p [Pass],
     pub(super) layout: &'p Layout,
@@ -22,21 +22,23 @@ pub(super) struct Scene<'p> {
     pub(super) exit: &'p [Transition],
 }
 
-/// Puts barriers into the groups of both lanes, each by what its own lane does; returns the one after the last group of
-/// the main lane. What happens between lanes is ordered by waiting: also everything that the second lane did in the
-/// replay before, so that it needs no first barrier.
-pub(super) fn place_lanes(scene: &Scene<'_>, groups: &mut [Group], segments: &[Segment]) -> Option<Barrier> {
+/// Places barriers in the groups of both lanes, each for its own lane; returns the barrier after the last group of
+/// the main lane.
+///
+/// Waits order hazards between lanes, including everything that the second lane did in the previous replay. The
+/// second lane therefore needs no first barrier.
+pub(super) fn place_lanes(inputs: &BarrierInputs<'_>, groups: &mut [Group], segments: &[Segment]) -> Option<Barrier> {
     let mut last = None;
-    // Whoever reads what the second lane leaves is somebody for whom the first barrier of the next replay waits too.
-    let outputs = scene.outputs(groups);
+    // Readers of the second lane's outputs also count for the first barrier of the next replay.
+    let outputs = inputs.outputs(groups);
     for lane in [Lane::Main, Lane::Side] {
         let own = segments.iter().filter(|segment| segment.lane == lane);
         let places: Vec<usize> = own.flat_map(|segment| segment.groups.clone()).collect();
         let mut lane_groups: Vec<Group> = places.iter().map(|&at| std::mem::take(&mut groups[at])).collect();
         if lane == Lane::Main {
-            last = place(scene, &mut lane_groups, &outputs);
+            last = place(inputs, &mut lane_groups, &outputs);
         } else {
-            place(&Scene { entry: &[], exit: &[], ..*scene }, &mut lane_groups, &outputs);
+            place(&BarrierInputs { entry: &[], exit: &[], ..*inputs }, &mut lane_groups, &outputs);
             if let Some(first) = lane_groups.first_mut() {
                 first.barrier = None;
             }
@@ -46,22 +48,22 @@ pub(super) fn place_lanes(scene: &Scene<'_>, groups: &mut [Group], segments: &[S
     last
 }
 
-/// Puts barriers into the groups of one lane; returns the one after the last group.
-fn place(scene: &Scene<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<Barrier> {
+/// Places barriers in the groups of one lane; returns the barrier after the last group.
+fn place(inputs: &BarrierInputs<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<Barrier> {
     if groups.is_empty() {
         return None;
     }
-    let mut memory = Memory::new(scene.buffers, scene.layout);
+    let mut memory = Memory::new(inputs.buffers, inputs.layout);
     let last = groups.len();
     let mut clock = Clock::default();
 
-    let needs = scene.replay(&mut memory, groups, outputs, 0, false);
+    let needs = inputs.replay(&mut memory, groups, outputs, 0, false);
     let mut barriers = Vec::with_capacity(groups.len() + 1);
     for (at, need) in needs.iter().enumerate() {
-        // The first barrier's transitions come later, with everything else that it has to do.
+        // The first barrier's transitions are handled below, with its other needs.
         let transitions = if at == last { Transitions::Exit } else { Transitions::None };
         let before = at as Time + 1;
-        let barrier = minimal(clock.lacks(need), |barrier| {
+        let barrier = minimal(clock.missing_barrier(need), |barrier| {
             let mut clock = clock;
             clock.pass(barrier, before, transitions);
             clock.covers(need)
@@ -70,8 +72,8 @@ fn place(scene: &Scene<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<B
         barriers.push(barrier);
     }
 
-    // More replays, with the same barriers: one, or as many as a history takes to come round and meet itself.
-    let histories = scene.buffers.iter().any(|info| info.pair.is_some());
+    // More replays with the same barriers: one, or as many as a history needs to return to its first arrangement.
+    let histories = inputs.buffers.iter().any(|info| info.pair.is_some());
     let transitions = |at: usize| match at {
         0 => Transitions::Entry,
         at if at == last => Transitions::Exit,
@@ -81,18 +83,18 @@ fn place(scene: &Scene<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<B
         .map(|number| {
             let start = number * length(groups);
             memory.swapped = histories && number % 2 == 1;
-            (start, scene.replay(&mut memory, groups, outputs, start, true))
+            (start, inputs.replay(&mut memory, groups, outputs, start, true))
         })
         .collect();
     let mut first = Barrier::default();
     let mut later = clock;
     for (start, needs) in &replays {
         for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
-            // What the barrier's own transitions wait for is its own affair unless it is the first.
+            // Only the first barrier handles the needs of its own transitions here.
             if at > 0 {
                 later.pass(barrier, start + at as Time + 1, transitions(at));
             }
-            first = first.merge(&later.lacks(need));
+            first = first.merge(&later.missing_barrier(need));
         }
     }
     barriers[0] = minimal(first, |barrier| {
@@ -113,14 +115,14 @@ fn place(scene: &Scene<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<B
     barriers.next().flatten()
 }
 
-/// Points in time of one replay: whoever comes before it, its groups, and whoever reads the outputs afterwards.
+/// Returns the time steps of one replay: earlier users, its groups, and later readers of the outputs.
 fn length(groups: &[Group]) -> Time {
     groups.len() as Time + 2
 }
 
-impl Scene<'_> {
-    /// What is written and wanted after a replay by copies and the host. Who leaves it to the queue's commands wants
-    /// more than that.
+impl BarrierInputs<'_> {
+    /// Returns the written buffers that copies and the host read after a replay. Buffers left to the queue are
+    /// excluded; they have stricter needs.
     fn outputs(&self, groups: &[Group]) -> Vec<Slice> {
         let mut written = vec![false; self.buffers.len()];
         for &pass in groups.iter().flat_map(|group| &group.passes) {
@@ -128,14 +130,15 @@ impl Scene<'_> {
                 written[slice.buffer.index()] |= crate::graph::pass::writes(*access);
             }
         }
-        let kept = self.buffers.iter().zip(written).enumerate();
-        kept.filter(|(_, (info, written))| info.keep && *written && !leaves(info))
+        let retained = self.buffers.iter().zip(written).enumerate();
+        retained
+            .filter(|(_, (info, written))| info.keep && *written && !leaves(info))
             .map(|(index, (info, _))| Buffer(index as u32).slice(0, info.bytes))
             .collect()
     }
 
-    /// The need of each group of a replay that begins after time `start`, and, last, that of whoever comes afterwards.
-    /// Its beginning counts only if it is `entered`.
+    /// Returns the need of each group of a replay that begins after time `start`, and last that of later users. The
+    /// beginning of the replay counts only if `entered`.
     fn replay(
         &self,
         memory: &mut Memory<'_>,
@@ -148,7 +151,7 @@ impl Scene<'_> {
         let whole = |index: usize, info: &BufferInfo| Buffer(index as u32).slice(0, info.bytes);
         if entered {
             for (index, info) in self.buffers.iter().enumerate().filter(|(_, info)| enters(info)) {
-                memory.outside(start + 1, &whole(index, info));
+                memory.external_before(start + 1, &whole(index, info));
             }
             for transition in self.entry {
                 memory.transition(start + 2, transition.image, Transitions::Entry, &mut needs[0]);
@@ -165,32 +168,32 @@ impl Scene<'_> {
         for transition in self.exit {
             memory.transition(after, transition.image, Transitions::Exit, need);
         }
-        // The host and copies may read the outputs between replays; the next replay waits for the copies.
+        // The host and copies may read outputs between replays; the next replay waits for the copies.
         for slice in outputs {
             memory.read(after, slice, Accesses::TRANSFER_READ, need);
             memory.read(after, slice, Accesses::HOST_READ, need);
         }
         for (index, info) in self.buffers.iter().enumerate().filter(|(_, info)| leaves(info)) {
-            memory.leave(&whole(index, info), need);
+            memory.external_after(&whole(index, info), need);
         }
         needs
     }
 }
 
-/// Takes bits away, one at a time and always in the same sequence, as long as the barrier is enough.
+/// Removes barrier bits one at a time, in a fixed order, while the barrier stays sufficient.
 fn minimal(mut barrier: Barrier, mut enough: impl FnMut(&Barrier) -> bool) -> Barrier {
     let mut attempt = |barrier: &mut Barrier, less: Barrier| {
         if less != *barrier && enough(&less) {
             *barrier = less;
         }
     };
-    for access in Accesses::EACH {
+    for access in Accesses::ALL {
         let less = Barrier { src_access: barrier.src_access.without(access), ..barrier };
         attempt(&mut barrier, less);
         let less = Barrier { dst_access: barrier.dst_access.without(access), ..barrier };
         attempt(&mut barrier, less);
     }
-    for stage in Stages::EACH {
+    for stage in Stages::ALL {
         let less = Barrier { src_stage: barrier.src_stage.without(stage), ..barrier };
         attempt(&mut barrier, less);
         let less = Barrier { dst_stage: barrier.dst_stage.without(stage), ..barrier };

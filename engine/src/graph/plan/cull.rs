@@ -1,35 +1,35 @@
-//! Which passes any output needs.
+//! Culling of passes that no output needs.
 //!
-//! One walk from the last declared pass to the first with the set of bytes whose contents somebody still wants. A
-//! pass lives if it writes one of them. A write does not end the want for what was there before, since it may leave
-//! bytes as they are, unless the pass promised to overwrite them.
+//! One walk from the last declared pass to the first tracks the bytes whose contents are still needed. A pass is live
+//! if it writes one of them. A write does not end the need for earlier contents, because it may preserve bytes,
+//! unless the pass discards them.
 
 use crate::graph::pass::{Pass, writes};
 use crate::graph::ranges::RangeMap;
 use crate::graph::resource::BufferInfo;
 use crate::shader::Access;
 
-/// By declared pass: whether it must run.
+/// Returns, by declared pass, whether it must run.
 pub(super) fn cull(buffers: &[BufferInfo], passes: &[Pass]) -> Vec<bool> {
-    let mut wanted: Vec<_> = buffers.iter().map(|info| RangeMap::new(info.bytes, info.keep)).collect();
-    let mut lives = vec![false; passes.len()];
-    for (pass, lives) in passes.iter().zip(&mut lives).rev() {
-        *lives = pass.accesses.iter().any(|(slice, access, _)| {
-            writes(*access) && wanted[slice.buffer.index()].any(slice.range(), |&wanted| wanted)
+    let mut needed: Vec<_> = buffers.iter().map(|info| RangeMap::new(info.bytes, info.keep)).collect();
+    let mut live = vec![false; passes.len()];
+    for (pass, live) in passes.iter().zip(&mut live).rev() {
+        *live = pass.accesses.iter().any(|(slice, access, _)| {
+            writes(*access) && needed[slice.buffer.index()].any(slice.range(), |&needed| needed)
         });
-        if !*lives {
+        if !*live {
             continue;
         }
         for slice in &pass.discards {
-            wanted[slice.buffer.index()].set(slice.range(), false);
+            needed[slice.buffer.index()].set(slice.range(), false);
         }
         for (slice, access, _) in &pass.accesses {
-            // What is accumulated into matters only to those who read the sum.
+            // Accumulation needs earlier contents only if something reads the sum.
             let reads = matches!(access, Access::Read | Access::ReadWrite);
             if reads && !pass.discards(slice) {
-                wanted[slice.buffer.index()].set(slice.range(), true);
+                needed[slice.buffer.index()].set(slice.range(), true);
             }
         }
     }
-    lives
+    live
 }

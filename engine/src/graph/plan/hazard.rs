@@ -1,9 +1,8 @@
-//! What each group needs of the memory operations before it.
+//! Needs of each group: earlier memory operations that must be ordered or visible before it.
 //!
-//! Walks the groups in order with the last writes and reads of every byte: of external buffers each by itself, of the
-//! arena as one stretch, so that memory passed from one transient to another needs what any memory needs. Points in
-//! time are numbers, and only the latest of a kind is kept: whatever orders a later operation after it also orders the
-//! earlier ones of that kind.
+//! Walks the groups in order and tracks the last writes and reads of every byte: external buffers each by itself, the
+//! arena as one range, so that reused memory has ordinary hazards. Times are numbers. Only the latest operation of
+//! each kind is stored: whatever orders a later operation after it also orders the earlier ones of that kind.
 
 use std::ops::Range;
 
@@ -16,38 +15,38 @@ use crate::graph::ranges::RangeMap;
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
-/// A position in the stream of groups; 0 is before everything.
+/// Position in the sequence of groups; 0 is before everything.
 pub(super) type Time = u32;
 
-/// Kinds of access that write, with the stage that performs them.
+/// Kinds of write access, with the stage that performs them.
 pub(super) const WRITES: [(Accesses, Stages); 3] = [
     (Accesses::STORAGE_WRITE, Stages::COMPUTE),
     (Accesses::TRANSFER_WRITE, Stages::TRANSFER),
     (Accesses::OUTSIDE_WRITE, Stages::OUTSIDE),
 ];
 
-/// Rows of executions: the stages, and the layout transitions at the beginning and at the end of a replay.
-pub(super) const ROWS: usize = Stages::EACH.len() + 2;
-/// Rows of memory: the kinds of write, and the same transitions.
+/// Rows of executions: the stages, then the layout transitions at the beginning and end of a replay.
+pub(super) const ROWS: usize = Stages::ALL.len() + 2;
+/// Rows of memory: the kinds of write, then the same transitions.
 pub(super) const MEMORY_ROWS: usize = WRITES.len() + 2;
-/// Column of executions that a transition inside the barrier itself waits for.
-pub(super) const INSIDE: usize = Stages::EACH.len();
-/// Column of writes that a transition inside the barrier itself must find available.
-pub(super) const TRANSITION_ACCESS: usize = Accesses::EACH.len();
+/// Column of executions for a transition inside the barrier itself.
+pub(super) const INSIDE: usize = Stages::ALL.len();
+/// Column of writes that must be available to a transition inside the barrier itself.
+pub(super) const TRANSITION_ACCESS: usize = Accesses::ALL.len();
 
-/// Position of the host in [`Stages::EACH`]. Its reads leave no trace: no barrier can wait for them.
+/// Position of the host in [`Stages::ALL`]. Host reads are not tracked: no barrier can wait for them.
 const HOST: usize = 3;
 
-/// What must have happened: the latest time of each kind of earlier operation that matters.
+/// Requirements on earlier operations: the latest time of each relevant kind.
 #[derive(Clone, Copy, Default, Debug)]
 pub(super) struct Need {
-    /// By stage of an earlier operation and stage that must wait for it (positions in [`Stages::EACH`]).
+    /// By stage of an earlier operation and stage that must wait for it (positions in [`Stages::ALL`]).
     pub(super) execution: [[Time; INSIDE + 1]; ROWS],
-    /// By kind of earlier write (position in [`WRITES`]) and access that must see it (in [`Accesses::EACH`]).
+    /// By kind of earlier write (position in [`WRITES`]) and access that must see it (in [`Accesses::ALL`]).
     pub(super) memory: [[Time; TRANSITION_ACCESS + 1]; MEMORY_ROWS],
 }
 
-/// The stage of an access and what it does there.
+/// Returns the stage and access flags of an access.
 pub(super) fn scope(access: Access, used: Use) -> (Stages, Accesses) {
     match used {
         Use::Compute => {
@@ -65,39 +64,39 @@ pub(super) fn scope(access: Access, used: Use) -> (Stages, Accesses) {
     }
 }
 
-/// Position of a single stage in [`Stages::EACH`].
+/// Returns the position of a single stage in [`Stages::ALL`].
 pub(super) fn stage_index(stage: Stages) -> usize {
     stage.bits().trailing_zeros() as usize
 }
 
-/// The operations on a byte that later ones may conflict with: latest time of each kind since the last write.
+/// Accesses of a byte that later ones may conflict with: latest time of each kind since the last write.
 #[derive(Clone, Copy, Default)]
-struct Touched {
+struct AccessTimes {
     writes: [Time; MEMORY_ROWS],
-    reads: [Time; Stages::EACH.len()],
-    /// Every write counted here is an accumulation into this buffer.
+    reads: [Time; Stages::ALL.len()],
+    /// Buffer into which all tracked writes accumulate, if they do.
     accumulates: Option<u32>,
 }
 
-/// All memory that a plan touches.
+/// All memory that a plan accesses.
 pub(super) struct Memory<'p> {
     buffers: &'p [BufferInfo],
     placements: &'p [Option<u64>],
-    arena: RangeMap<Touched>,
-    /// By slot of the transient images.
-    slots: Vec<RangeMap<Touched>>,
-    /// Whether the buffers of each history have changed places.
+    arena: RangeMap<AccessTimes>,
+    /// By image slot.
+    slots: Vec<RangeMap<AccessTimes>>,
+    /// Whether the buffers of each history are swapped.
     pub(super) swapped: bool,
-    external: Vec<Option<RangeMap<Touched>>>,
+    external: Vec<Option<RangeMap<AccessTimes>>>,
 }
 
 impl<'p> Memory<'p> {
-    /// Memory that nothing has touched.
+    /// Creates memory without accesses.
     pub(super) fn new(buffers: &'p [BufferInfo], layout: &'p Layout) -> Self {
         let external = buffers
             .iter()
             .map(|info| {
-                // What no pass writes cannot conflict.
+                // Buffers that no pass writes cannot conflict.
                 let shared = info.entry == BufferState::Queue || info.exit == BufferState::Queue;
                 let changes = info.writable() || shared;
                 let tracked = match info.kind {
@@ -105,39 +104,39 @@ impl<'p> Memory<'p> {
                     BufferKind::History => true,
                     BufferKind::Transient | BufferKind::Uniform => false,
                 };
-                tracked.then(|| RangeMap::new(info.bytes, Touched::default()))
+                tracked.then(|| RangeMap::new(info.bytes, AccessTimes::default()))
             })
             .collect();
-        let arena = RangeMap::new(layout.bytes.max(1), Touched::default());
-        let slots = layout.slots.iter().map(|slot| RangeMap::new(slot.bytes(), Touched::default())).collect();
+        let arena = RangeMap::new(layout.bytes.max(1), AccessTimes::default());
+        let slots = layout.slots.iter().map(|slot| RangeMap::new(slot.bytes(), AccessTimes::default())).collect();
         Memory { buffers, placements: &layout.placements, arena, slots, swapped: false, external }
     }
 
-    /// One access at a time: what it needs is added to `need`, and it becomes part of the past.
+    /// Adds the needs of one access to `need` and records the access.
     pub(super) fn touch(&mut self, now: Time, slice: &Slice, access: Access, used: Use, need: &mut Need) {
         let (stage, accesses) = scope(access, used);
         self.touch_scope(now, slice, stage, accesses, access, need);
     }
 
-    /// Commands outside that may read and write a buffer, without anything to wait for.
-    pub(super) fn outside(&mut self, now: Time, slice: &Slice) {
+    /// Records external commands that may read and write a buffer, without needs.
+    pub(super) fn external_before(&mut self, now: Time, slice: &Slice) {
         let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
         self.touch_scope(now, slice, Stages::OUTSIDE, accesses, Access::ReadWrite, &mut Need::default());
     }
 
-    /// What commands outside need that may read and write a buffer, whatever they leave.
-    pub(super) fn leave(&mut self, slice: &Slice, need: &mut Need) {
+    /// Adds the needs of external commands that may read and write a buffer after the replay.
+    pub(super) fn external_after(&mut self, slice: &Slice, need: &mut Need) {
         let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
         let Some((map, range)) = self.find(slice) else { return };
-        map.update(range, |touched| {
-            // What others did before is their own affair.
-            let mut ours = *touched;
+        map.update(range, |times| {
+            // Earlier external commands are not ordered by the plan.
+            let mut ours = *times;
             ours.writes[2] = 0;
             ours.needs(stage_index(Stages::OUTSIDE), accesses, true, need);
         });
     }
 
-    /// A layout transition of all of an image's memory inside the barrier of `need`.
+    /// Records a layout transition of a whole image inside the barrier of `need`.
     pub(super) fn transition(&mut self, now: Time, image: ImageMemory, which: Transitions, need: &mut Need) {
         let Some((_, row)) = which.rows() else { return };
         let map = match image {
@@ -145,22 +144,22 @@ impl<'p> Memory<'p> {
             ImageMemory::External(image) => self.external[image.index()].as_mut(),
         };
         let Some(map) = map else { return };
-        map.update(0..u64::MAX, |touched| {
-            let read = touched.reads.iter().any(|&earlier| earlier > 0);
-            for (earlier, need) in touched.reads.iter().zip(&mut need.execution) {
+        map.update(0..u64::MAX, |times| {
+            let read = times.reads.iter().any(|&earlier| earlier > 0);
+            for (earlier, need) in times.reads.iter().zip(&mut need.execution) {
                 need[INSIDE] = need[INSIDE].max(*earlier);
             }
             if !read {
-                for (earlier, need) in touched.writes.iter().zip(&mut need.memory) {
+                for (earlier, need) in times.writes.iter().zip(&mut need.memory) {
                     need[TRANSITION_ACCESS] = need[TRANSITION_ACCESS].max(*earlier);
                 }
             }
-            *touched = Touched::default();
-            touched.writes[row] = now;
+            *times = AccessTimes::default();
+            times.writes[row] = now;
         });
     }
 
-    /// A read of a kind that no pass makes.
+    /// Records a read of a kind that no pass makes.
     pub(super) fn read(&mut self, now: Time, slice: &Slice, accesses: Accesses, need: &mut Need) {
         self.touch_scope(now, slice, accesses.stages(), accesses, Access::Read, need);
     }
@@ -178,24 +177,24 @@ impl<'p> Memory<'p> {
         let stage = stage_index(stage);
         let writes = writes(access);
         let accumulates = (access == Access::Accumulate).then_some(slice.buffer.0);
-        map.update(range, |touched| {
-            let commutes = accumulates.is_some() && touched.accumulates == accumulates;
-            touched.needs(stage, if commutes { Accesses::NONE } else { accesses }, writes, need);
+        map.update(range, |times| {
+            let commutes = accumulates.is_some() && times.accumulates == accumulates;
+            times.needs(stage, if commutes { Accesses::NONE } else { accesses }, writes, need);
             if writes {
                 if !commutes {
-                    *touched = Touched { accumulates, ..Touched::default() };
+                    *times = AccessTimes { accumulates, ..AccessTimes::default() };
                 }
                 let kind = WRITES.iter().position(|&(_, writer)| stage_index(writer) == stage);
-                touched.writes[kind.expect("invariant: a stage that writes")] = now;
-                touched.reads = Default::default();
+                times.writes[kind.expect("invariant: a stage that writes")] = now;
+                times.reads = Default::default();
             } else if stage != HOST {
-                touched.reads[stage] = now;
+                times.reads[stage] = now;
             }
         });
     }
 
-    /// The memory of a slice and the bytes there; nothing where nothing can conflict.
-    fn find(&mut self, slice: &Slice) -> Option<(&mut RangeMap<Touched>, Range<u64>)> {
+    /// Returns the map of a slice's memory and its range; `None` if it cannot conflict.
+    fn find(&mut self, slice: &Slice) -> Option<(&mut RangeMap<AccessTimes>, Range<u64>)> {
         let buffer = slice.buffer.index();
         let info = &self.buffers[buffer];
         if info.kind != BufferKind::Transient {
@@ -210,15 +209,15 @@ impl<'p> Memory<'p> {
     }
 }
 
-impl Touched {
-    /// Adds what an operation of a stage needs of the ones before it.
+impl AccessTimes {
+    /// Adds the needs of an operation of a stage on earlier accesses.
     fn needs(&self, stage: usize, accesses: Accesses, writes: bool, need: &mut Need) {
-        // Who has read a write has seen it; to write after such a reader, waiting for the reader is enough.
+        // A reader has seen the write before it. To write after a reader, waiting for the reader suffices.
         let read = self.reads.iter().any(|&earlier| earlier > 0);
         let stores = WRITES.iter().fold(Accesses::NONE, |all, &(access, _)| all | access);
         let accesses = if read { accesses.without(stores) } else { accesses };
         for (earlier, need) in self.writes.iter().zip(&mut need.memory) {
-            for (need, access) in need.iter_mut().zip(Accesses::EACH) {
+            for (need, access) in need.iter_mut().zip(Accesses::ALL) {
                 if accesses.contains(access) {
                     *need = (*need).max(*earlier);
                 }

@@ -1,8 +1,8 @@
-//! In which layout each image is used, and where layouts change.
+//! Layouts of images, and their transitions.
 //!
-//! An image has one layout, its *home*, from the first group to the last: the general one, or a transfer layout if
-//! nothing but copies in one direction touches it. Layouts change in two places only, in the barrier before the first
-//! group and in the one after the last, so that nothing in between waits for a transition (docs/adr/0010).
+//! An image has one layout, its *home*, from the first group to the last: the general layout, or a transfer layout if
+//! only copies in one direction use it. Layouts change only in the barrier before the first group and in the one
+//! after the last. No other barrier waits for a transition (docs/adr/0010).
 
 use super::alias::Layout;
 use super::{Group, Segment};
@@ -12,68 +12,68 @@ use crate::graph::resource::Buffer;
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState};
 use crate::shader::Access;
 
-/// An image that transients of equal make share, one after the other.
+/// Image shared by transient images of equal size, format and layout, one after the other.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 pub struct ImageSlot {
     /// Width and height.
     pub size: [u32; 2],
-    /// What a texel is.
+    /// Texel format.
     pub format: ImageFormat,
-    /// The layout that it is used in.
+    /// Layout while in use.
     pub home: ImageState,
 }
 
 impl ImageSlot {
-    /// Bytes of its packed texels.
+    /// Returns the size of its packed texels in bytes.
     pub fn bytes(&self) -> u64 {
         self.format.packed_bytes(self.size)
     }
 }
 
-/// An image that really exists when a plan runs.
+/// Physical image of a plan.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ImageMemory {
-    /// One that is bound.
+    /// Bound external image.
     External(Image),
-    /// One of [`Plan::image_slots`](super::Plan::image_slots).
+    /// Image of [`Plan::image_slots`](super::Plan::image_slots).
     Slot(u32),
 }
 
-/// A change of an image's layout, inside a barrier.
+/// Layout transition of an image inside a barrier.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 pub struct Transition {
-    /// Whose.
+    /// Image.
     pub image: ImageMemory,
-    /// From.
+    /// Old layout.
     pub from: ImageState,
-    /// To.
+    /// New layout.
     pub to: ImageState,
 }
 
-/// By buffer: the layout in which an image is used, if it is one and anything that runs uses it.
-pub(super) fn homes(buffers: &[BufferInfo], passes: &[Pass], lives: &[bool]) -> Vec<Option<ImageState>> {
+/// Returns, by buffer, the home layout of an image that a live pass uses.
+pub(super) fn homes(buffers: &[BufferInfo], passes: &[Pass], live: &[bool]) -> Vec<Option<ImageState>> {
     let mut homes = vec![None; buffers.len()];
     if buffers.iter().all(|info| info.image.is_none()) {
         return homes;
     }
-    for pass in passes.iter().zip(lives).filter(|(_, lives)| **lives).map(|(pass, _)| pass) {
+    for pass in passes.iter().zip(live).filter(|(_, live)| **live).map(|(pass, _)| pass) {
         for (slice, access, used) in &pass.accesses {
             let Some(info) = &buffers[slice.buffer.index()].image else { continue };
-            let wish = match (used, access) {
+            let required = match (used, access) {
                 _ if info.entry == ImageState::General || info.exit == ImageState::General => ImageState::General,
                 (Use::Transfer, Access::Read) => ImageState::TransferSource,
                 (Use::Transfer, _) => ImageState::TransferTarget,
                 _ => ImageState::General,
             };
             let home = &mut homes[slice.buffer.index()];
-            *home = Some(home.filter(|home| *home != wish).map_or(wish, |_| ImageState::General));
+            *home = Some(home.filter(|home| *home != required).map_or(required, |_| ImageState::General));
         }
     }
     homes
 }
 
-/// The transitions before the first group and those after the last.
+/// Returns the transitions before the first group and after the last.
 pub(super) fn transitions(
     buffers: &[BufferInfo],
     homes: &[Option<ImageState>],
@@ -98,7 +98,7 @@ pub(super) fn transitions(
     (entry, exit)
 }
 
-/// Gives a plan that runs nothing a group if something has to happen at its beginning all the same.
+/// Adds an empty group to an empty plan that needs entry transitions.
 pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>, segments: &mut [Segment]) {
     if groups.is_empty() && !entry.is_empty() {
         groups.push(Group::default());
@@ -106,12 +106,12 @@ pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>, 
     }
 }
 
-/// Whether others use a buffer on the queue before a replay.
+/// Returns whether other commands on the queue use a buffer before a replay.
 pub(super) fn enters(info: &BufferInfo) -> bool {
     info.kind == BufferKind::External && info.entry == BufferState::Queue
 }
 
-/// Whether others use a buffer on the queue after a replay.
+/// Returns whether other commands on the queue use a buffer after a replay.
 pub(super) fn leaves(info: &BufferInfo) -> bool {
     info.kind == BufferKind::External && info.exit == BufferState::Queue
 }

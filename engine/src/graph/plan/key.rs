@@ -1,7 +1,6 @@
-//! The identity of a declaration: equal declarations have equal keys, in every process and on every machine.
+//! Hash key of a declaration: equal declarations have equal keys in every process and on every machine.
 //!
-//! Every structure is taken apart by name, without `..`: a field added to a declaration does not compile until it is
-//! part of the key.
+//! All structs are destructured without `..`, so that a new field does not compile until the key includes it.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,7 +10,7 @@ use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
 use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Pair, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
-/// The key of a graph compiled in some way.
+/// Returns the key of a graph with its compile options.
 pub(in crate::graph) fn key(
     name: &str,
     buffers: &[BufferInfo],
@@ -19,7 +18,7 @@ pub(in crate::graph) fn key(
     costs: &[(String, u64)],
     options: &CompileOptions,
 ) -> u64 {
-    // Whether the result is verified does not change it.
+    // Verification does not change the plan.
     let CompileOptions { alignment, alias, reorder, verify: _, queues } = *options;
     let mut hash = Hash::default();
     hash.text(name);
@@ -67,7 +66,7 @@ pub(in crate::graph) fn key(
     hash.state
 }
 
-/// Mixes words, well enough for a cache of plans and not against an adversary.
+/// Non-cryptographic 64-bit hash.
 struct Hash {
     state: u64,
 }
@@ -113,7 +112,7 @@ impl Hash {
         });
     }
 
-    /// `shaders` remembers what each kernel, by address, hashes to: many passes share one.
+    /// Hashes a pass. `shaders` caches the hash of each kernel by address, because many passes share one.
     fn pass(&mut self, pass: &Pass, shaders: &mut HashMap<*const Shader, u64>) {
         let Pass { name, kind, accesses, condition, discards } = pass;
         self.text(name);

@@ -1,92 +1,93 @@
-//! Into which hazard group each pass goes.
+//! Assignment of passes to groups.
 //!
-//! The groups are the levels of the dependency graph, so there are as few as the longest chain allows and each is as
-//! wide as it can be. A pass with room to move is then put where its transients live shortest: a fill goes right
-//! before its first user, a last reader stays near the writer. Equal inputs give equal orders; there is no search.
+//! Groups are the levels of the dependency graph: as few as the longest chain allows, each as wide as possible. A
+//! pass with slack then moves to where its transients live shortest: a fill moves directly before its first user, a
+//! last reader stays near the writer. Equal inputs give equal orders; no search is involved.
 
 use crate::graph::pass::Pass;
 use crate::graph::resource::{BufferInfo, BufferKind};
 
-/// The living passes in groups. No two passes of one group depend on each other.
+/// Returns the live passes in groups. Passes of one group do not depend on each other.
 pub(super) fn order(
     buffers: &[BufferInfo],
     passes: &[Pass],
-    lives: &[bool],
-    follows: &[Vec<u32>],
+    live: &[bool],
+    dependencies: &[Vec<u32>],
     reorder: bool,
 ) -> Vec<Vec<usize>> {
-    let living: Vec<usize> = (0..passes.len()).filter(|&index| lives[index]).collect();
+    let live_passes: Vec<usize> = (0..passes.len()).filter(|&index| live[index]).collect();
     if !reorder {
-        return declared(&living, follows);
+        return declared(&live_passes, dependencies);
     }
     let mut level = vec![0; passes.len()];
-    for &index in &living {
-        level[index] = follows[index].iter().map(|&before| level[before as usize] + 1).max().unwrap_or(0);
+    for &index in &live_passes {
+        level[index] = dependencies[index].iter().map(|&before| level[before as usize] + 1).max().unwrap_or(0);
     }
-    let depth = living.iter().map(|&index| level[index] + 1).max().unwrap_or(0);
-    sink(buffers, passes, &living, follows, depth, &mut level);
+    let depth = live_passes.iter().map(|&index| level[index] + 1).max().unwrap_or(0);
+    sink(buffers, passes, &live_passes, dependencies, depth, &mut level);
 
     let mut groups = vec![Vec::new(); depth];
-    for &index in &living {
+    for &index in &live_passes {
         groups[level[index]].push(index);
     }
     for group in &mut groups {
-        // Kernels and transfers apart: the device switches between them once a group.
+        // Separates transfers from kernels: the device switches between them once per group.
         group.sort_by_key(|&index| (!passes[index].is_transfer(), index));
     }
     groups
 }
 
-/// The declared order, cut before each pass that depends on one since the last cut.
-fn declared(living: &[usize], follows: &[Vec<u32>]) -> Vec<Vec<usize>> {
+/// Splits the declared order before each pass that depends on one since the last split.
+fn declared(live_passes: &[usize], dependencies: &[Vec<u32>]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
-    for &index in living {
+    for &index in live_passes {
         match groups.last_mut() {
-            Some(group) if !follows[index].iter().any(|&before| before as usize >= group[0]) => group.push(index),
+            Some(group) if !dependencies[index].iter().any(|&before| before as usize >= group[0]) => group.push(index),
             _ => groups.push(vec![index]),
         }
     }
     groups
 }
 
-/// Moves passes to later groups, within what their followers allow, where that shortens transient lifetimes.
+/// Moves passes to later groups, within the limits of their dependents, where that shortens transient lifetimes.
 fn sink(
     buffers: &[BufferInfo],
     passes: &[Pass],
-    living: &[usize],
-    follows: &[Vec<u32>],
+    live_passes: &[usize],
+    dependencies: &[Vec<u32>],
     depth: usize,
     level: &mut [usize],
 ) {
     let mut latest = vec![depth.saturating_sub(1); passes.len()];
-    for &index in living.iter().rev() {
+    for &index in live_passes.iter().rev() {
         let at = latest[index];
-        bound(&mut latest, &follows[index], at);
+        limit_latest(&mut latest, &dependencies[index], at);
     }
-    let users = transient_users(buffers, passes, living);
-    // From the last pass to the first, so that followers have their final place.
-    for &index in living.iter().rev() {
-        let room = (level[index], latest[index]);
-        if room.0 < room.1 {
-            let touched = touched(buffers, &users, level, &latest, &follows[index], index, &passes[index], depth);
-            level[index] = best(&touched, room);
+    let users = transient_users(buffers, passes, live_passes);
+    // From last to first, so that dependents have their final place.
+    for &index in live_passes.iter().rev() {
+        let slack = (level[index], latest[index]);
+        if slack.0 < slack.1 {
+            let schedule = Schedule { buffers, users: &users, level: &*level, latest: &latest, depth };
+            let transient_uses = transient_uses(&schedule, &dependencies[index], index, &passes[index]);
+            level[index] = best(&transient_uses, slack);
         }
-        bound(&mut latest, &follows[index], level[index]);
+        limit_latest(&mut latest, &dependencies[index], level[index]);
     }
 }
 
-/// Keeps what a pass follows in front of it.
-fn bound(latest: &mut [usize], follows: &[u32], at: usize) {
-    for &before in follows {
+/// Limits the latest level of a pass's dependencies to before the pass.
+fn limit_latest(latest: &mut [usize], dependencies: &[u32], at: usize) {
+    for &before in dependencies {
         let latest = &mut latest[before as usize];
         *latest = (*latest).min(at - 1);
     }
 }
 
-/// By buffer: the living passes that touch it, if it is transient.
-fn transient_users(buffers: &[BufferInfo], passes: &[Pass], living: &[usize]) -> Vec<Vec<usize>> {
+/// Returns, by buffer, the live passes that access it, if it is transient.
+fn transient_users(buffers: &[BufferInfo], passes: &[Pass], live_passes: &[usize]) -> Vec<Vec<usize>> {
     let mut users = vec![Vec::new(); buffers.len()];
-    for &index in living {
+    for &index in live_passes {
         for (slice, ..) in &passes[index].accesses {
             let buffer = slice.buffer.index();
             if buffers[buffer].kind == BufferKind::Transient && users[buffer].last() != Some(&index) {
@@ -97,67 +98,73 @@ fn transient_users(buffers: &[BufferInfo], passes: &[Pass], living: &[usize]) ->
     users
 }
 
-/// A transient as the pass to be placed sees it.
-struct Touched {
-    bytes: u64,
-    /// Where it begins and ends without the pass.
-    others: Option<(usize, usize)>,
-    /// Where the passes that make it for this one end up at the latest. They have no place yet and can come along.
-    makers: Option<usize>,
+/// Partial schedule: levels of the passes placed so far, and bounds of the others.
+struct Schedule<'a> {
+    buffers: &'a [BufferInfo],
+    /// By buffer: the live passes that access it, if it is transient.
+    users: &'a [Vec<usize>],
+    /// By pass: its level, final or earliest.
+    level: &'a [usize],
+    /// By pass: its latest level.
+    latest: &'a [usize],
+    /// Number of levels.
+    depth: usize,
 }
 
-impl Touched {
-    /// How many groups it lives through, but one, if the pass is there.
+/// Lifetime of a transient, as a function of the level of one pass.
+struct TransientUse {
+    bytes: u64,
+    /// First and last level without the pass.
+    others: Option<(usize, usize)>,
+    /// Latest level of the passes that write it for this one. They are not placed yet and can move along.
+    producers: Option<usize>,
+}
+
+impl TransientUse {
+    /// Returns the number of levels it lives through, minus one, with the pass at level `at`.
     fn length(&self, at: usize) -> usize {
         let (mut first, last) = self.others.map_or((at, at), |(first, last)| (first.min(at), last.max(at)));
-        if let Some(makers) = self.makers {
-            first = first.min(makers).min(at.saturating_sub(1));
+        if let Some(producers) = self.producers {
+            first = first.min(producers).min(at.saturating_sub(1));
         }
         last - first
     }
 }
 
-/// The transients that a pass touches. Passes declared after it have their place; those before it are expected as
-/// late as they may be where they begin a lifetime, and as early where they end one.
-fn touched(
-    buffers: &[BufferInfo],
-    users: &[Vec<usize>],
-    level: &[usize],
-    latest: &[usize],
-    follows: &[u32],
-    index: usize,
-    pass: &Pass,
-    depth: usize,
-) -> Vec<Touched> {
-    let mut touched: Vec<usize> = pass.accesses.iter().map(|(slice, ..)| slice.buffer.index()).collect();
-    touched.retain(|&buffer| buffers[buffer].kind == BufferKind::Transient);
-    touched.sort_unstable();
-    touched.dedup();
-    let look = |buffer: usize| {
-        // Who wants a kept buffer after the replay is one more user.
+/// Returns the transients that a pass accesses. Passes declared later are already placed. Earlier ones are assumed as
+/// late as possible where they begin a lifetime, and as early as possible where they end one.
+fn transient_uses(schedule: &Schedule<'_>, dependencies: &[u32], index: usize, pass: &Pass) -> Vec<TransientUse> {
+    let Schedule { buffers, users, level, latest, depth } = *schedule;
+    let mut transient_uses: Vec<usize> = pass.accesses.iter().map(|(slice, ..)| slice.buffer.index()).collect();
+    transient_uses.retain(|&buffer| buffers[buffer].kind == BufferKind::Transient);
+    transient_uses.sort_unstable();
+    transient_uses.dedup();
+    let transient_use = |buffer: usize| {
+        // The reader of a kept buffer after the replay is one more user.
         let mut others = buffers[buffer].keep.then_some((depth, depth));
-        let mut makers: Option<usize> = None;
+        let mut producers: Option<usize> = None;
         for &user in users[buffer].iter().filter(|&&user| user != index) {
-            if follows.binary_search(&(user as u32)).is_ok() {
-                makers = Some(makers.map_or(latest[user], |makers| makers.min(latest[user])));
+            if dependencies.binary_search(&(user as u32)).is_ok() {
+                producers = Some(producers.map_or(latest[user], |producers| producers.min(latest[user])));
             } else {
                 let begin = if user > index { level[user] } else { latest[user] };
                 let (first, last) = others.unwrap_or((begin, level[user]));
                 others = Some((first.min(begin), last.max(level[user])));
             }
         }
-        Touched { bytes: buffers[buffer].bytes, others, makers }
+        TransientUse { bytes: buffers[buffer].bytes, others, producers }
     };
-    touched.into_iter().map(look).collect()
+    transient_uses.into_iter().map(transient_use).collect()
 }
 
-/// The place within the room at which the transients live shortest, weighted by size; the earliest of equals.
-fn best(touched: &[Touched], (first, last): (usize, usize)) -> usize {
-    let cost =
-        |at: usize| -> u128 { touched.iter().map(|life| u128::from(life.bytes) * life.length(at) as u128).sum() };
-    // The cost is linear between these.
-    let ends = touched.iter().filter_map(|life| life.others).flat_map(|(first, last)| [first, last]);
-    let makers = touched.iter().filter_map(|life| life.makers).map(|makers| makers + 1);
-    let candidates = [first, last].into_iter().chain(ends).chain(makers).filter(|at| (first..=last).contains(at));
+/// Returns the level with the smallest size-weighted lifetimes of transients; the earliest among equals.
+fn best(transient_uses: &[TransientUse], (first, last): (usize, usize)) -> usize {
+    let cost = |at: usize| -> u128 {
+        transient_uses.iter().map(|life| u128::from(life.bytes) * life.length(at) as u128).sum()
+    };
+    // The cost is linear between these levels.
+    let ends = transient_uses.iter().filter_map(|life| life.others).flat_map(|(first, last)| [first, last]);
+    let producers = transient_uses.iter().filter_map(|life| life.producers).map(|producers| producers + 1);
+    let candidates = [first, last].into_iter().chain(ends).chain(producers).filter(|at| (first..=last).contains(at));
     candidates.min_by_key(|&at| (cost(at), at)).unwrap_or(first)
 }

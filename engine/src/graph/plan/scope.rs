@@ -1,35 +1,35 @@
-//! What a barrier waits for and holds back: pipeline stages and kinds of memory access, as sets.
+//! Scopes of barriers: sets of pipeline stages and of memory accesses.
 //!
-//! Only what compute graphs need, in numbers of our own; the executor translates them. Each access belongs to exactly
-//! one stage, so a set of accesses implies its stages.
+//! Contains only what compute graphs need, with its own bit values; the executor translates them to Vulkan. Each
+//! access belongs to exactly one stage, so a set of accesses implies its stages.
 
 use std::fmt;
 
-/// A set of pipeline stages.
+/// Set of pipeline stages.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
 pub struct Stages(u32);
 
-/// A set of kinds of memory access.
+/// Set of memory access types.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
 pub struct Accesses(u32);
 
 impl Stages {
     /// No stage.
     pub const NONE: Stages = Stages(0);
-    /// Kernels.
+    /// Compute kernels.
     pub const COMPUTE: Stages = Stages(1);
-    /// The reading of group counts.
+    /// Reads of group counts.
     pub const INDIRECT: Stages = Stages(2);
     /// Fills, clears and copies: every transfer stage.
     pub const TRANSFER: Stages = Stages(4);
-    /// The host.
+    /// Host.
     pub const HOST: Stages = Stages(8);
-    /// Commands that no plan knows of, of any kind.
+    /// Commands outside the plan, of any kind.
     pub const OUTSIDE: Stages = Stages(16);
-    /// All of the above, by ascending bit.
-    pub const EACH: [Stages; 5] = [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST, Stages::OUTSIDE];
+    /// All stages, by ascending bit.
+    pub const ALL: [Stages; 5] = [Stages::COMPUTE, Stages::INDIRECT, Stages::TRANSFER, Stages::HOST, Stages::OUTSIDE];
 
-    /// The name of a set of one.
+    /// Returns the name of a set with one element.
     fn name(self) -> &'static str {
         match self {
             Stages::COMPUTE => "compute",
@@ -59,12 +59,12 @@ impl Accesses {
     pub const TRANSFER_WRITE: Accesses = Accesses(32);
     /// Loads by the host.
     pub const HOST_READ: Accesses = Accesses(64);
-    /// Reads by commands that no plan knows of.
+    /// Reads by commands outside the plan.
     pub const OUTSIDE_READ: Accesses = Accesses(128);
-    /// Writes by commands that no plan knows of.
+    /// Writes by commands outside the plan.
     pub const OUTSIDE_WRITE: Accesses = Accesses(256);
-    /// All of the above, by ascending bit.
-    pub const EACH: [Accesses; 9] = [
+    /// All accesses, by ascending bit.
+    pub const ALL: [Accesses; 9] = [
         Accesses::STORAGE_READ,
         Accesses::STORAGE_WRITE,
         Accesses::UNIFORM_READ,
@@ -76,10 +76,10 @@ impl Accesses {
         Accesses::OUTSIDE_WRITE,
     ];
 
-    /// The stages that perform these accesses.
+    /// Returns the stages that perform these accesses.
     pub fn stages(self) -> Stages {
         let mut stages = Stages::NONE;
-        for access in Accesses::EACH.into_iter().filter(|&a| self.contains(a)) {
+        for access in Accesses::ALL.into_iter().filter(|&a| self.contains(a)) {
             stages |= match access {
                 Accesses::STORAGE_READ | Accesses::STORAGE_WRITE | Accesses::UNIFORM_READ => Stages::COMPUTE,
                 Accesses::INDIRECT_READ => Stages::INDIRECT,
@@ -91,7 +91,7 @@ impl Accesses {
         stages
     }
 
-    /// The name of a set of one.
+    /// Returns the name of a set with one element.
     fn name(self) -> &'static str {
         match self {
             Accesses::STORAGE_READ => "storage_read",
@@ -111,32 +111,32 @@ impl Accesses {
 macro_rules! set {
     ($set:ident) => {
         impl $set {
-            /// The bits, for a translation table or a hash.
+            /// Returns the bits, for translation tables and hashes.
             pub fn bits(self) -> u32 {
                 self.0
             }
 
-            /// What is in either, in constants.
+            /// Returns the union of both sets, in constants.
             pub(super) const fn and(self, other: Self) -> Self {
                 $set(self.0 | other.0)
             }
 
-            /// Whether nothing is in the set.
+            /// Returns whether the set is empty.
             pub fn is_empty(self) -> bool {
                 self.0 == 0
             }
 
-            /// Whether all of `other` is in the set.
+            /// Returns whether the set contains all of `other`.
             pub fn contains(self, other: Self) -> bool {
                 self.0 & other.0 == other.0
             }
 
-            /// What is in both.
+            /// Returns the intersection of both sets.
             pub fn intersection(self, other: Self) -> Self {
                 $set(self.0 & other.0)
             }
 
-            /// What is in this and not in `other`.
+            /// Returns this set without the elements of `other`.
             pub fn without(self, other: Self) -> Self {
                 $set(self.0 & !other.0)
             }
@@ -161,14 +161,14 @@ macro_rules! set {
                 if self.is_empty() {
                     return f.write_str("none");
                 }
-                let names = $set::EACH.into_iter().filter(|&one| self.contains(one)).map(|one| one.name());
+                let names = $set::ALL.into_iter().filter(|&one| self.contains(one)).map(|one| one.name());
                 f.write_str(&names.collect::<Vec<_>>().join("|"))
             }
         }
 
         impl serde::Serialize for $set {
             fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-                to.collect_seq($set::EACH.into_iter().filter(|&one| self.contains(one)).map(|one| one.name()))
+                to.collect_seq($set::ALL.into_iter().filter(|&one| self.contains(one)).map(|one| one.name()))
             }
         }
     };
@@ -177,22 +177,21 @@ macro_rules! set {
 set!(Stages);
 set!(Accesses);
 
-/// A global memory barrier between what was recorded before it and what is recorded after it.
+/// Global memory barrier between earlier and later commands.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, serde::Serialize)]
 pub struct Barrier {
-    /// Stages that must be done.
+    /// Stages that must finish.
     pub src_stage: Stages,
-    /// Writes of theirs that become available.
+    /// Writes of those stages that become available.
     pub src_access: Accesses,
     /// Stages that wait.
     pub dst_stage: Stages,
-    /// Accesses of theirs that see what is available.
+    /// Accesses of those stages that see available writes.
     pub dst_access: Accesses,
 }
 
 impl Barrier {
-    /// Everything on the device before everything on the device after: for the seam between two plans, or between a
-    /// plan and commands that no plan knows of.
+    /// Full barrier: orders all device work. For use between two plans, or between a plan and other commands.
     pub const FULL: Barrier = Barrier {
         src_stage: Stages(7),
         src_access: Accesses(2 | 32),
@@ -200,7 +199,7 @@ impl Barrier {
         dst_access: Accesses(1 | 2 | 4 | 8 | 16 | 32),
     };
 
-    /// Does what both do, and perhaps more.
+    /// Returns a barrier that covers at least both.
     pub fn merge(&self, other: &Barrier) -> Barrier {
         Barrier {
             src_stage: self.src_stage | other.src_stage,

@@ -1,4 +1,4 @@
-//! Every way in which a declaration can be wrong, and what is said of it.
+//! Error messages of invalid declarations.
 
 use std::sync::Arc;
 
@@ -7,8 +7,8 @@ use super::*;
 use crate::shader::Access::{Accumulate, Read, ReadWrite, Write};
 use crate::shader::{BindingKind, Shader};
 
-/// A graph with one buffer of each kind, and a kernel that reads one and writes one.
-struct World {
+/// Graph with one buffer of each kind, and a kernel that reads one and writes one.
+struct Fixture {
     graph: Graph,
     out: Buffer,
     input: Buffer,
@@ -17,9 +17,9 @@ struct World {
     map: Arc<Shader>,
 }
 
-fn world() -> World {
+fn fixture() -> Fixture {
     let mut graph = Graph::new("world");
-    World {
+    Fixture {
         out: graph.external("out", 1024),
         input: graph.input("input", 1024),
         uniform: graph.uniform("uniform", 256),
@@ -29,7 +29,7 @@ fn world() -> World {
     }
 }
 
-impl World {
+impl Fixture {
     fn map(&mut self, from: impl Into<Slice>, to: impl Into<Slice>) -> String {
         let pass = self.graph.pass("p", &self.map).bind("b0", from).bind("b1", to);
         pass.dispatch([1, 1, 1]).unwrap_err().to_string()
@@ -41,8 +41,8 @@ impl World {
 }
 
 #[test]
-fn a_prefix_stands_before_what_is_declared_after_it() {
-    let mut w = world();
+fn prefix_applies_to_later_declarations() {
+    let mut w = fixture();
     w.graph.set_prefix("second.");
     let scratch = w.graph.transient("scratch", 1024);
     let external = w.graph.external("given", 64);
@@ -57,8 +57,8 @@ fn a_prefix_stands_before_what_is_declared_after_it() {
 }
 
 #[test]
-fn slices() {
-    let mut w = world();
+fn invalid_slices_are_rejected() {
+    let mut w = fixture();
     assert_eq!(
         w.map(w.input.slice(512, 1024), w.out),
         "Pass [p] uses 1024 bytes of buffer [input] at offset 512, which end after its 1024 bytes."
@@ -75,8 +75,8 @@ fn slices() {
 }
 
 #[test]
-fn bindings() {
-    let mut w = world();
+fn invalid_bindings_are_rejected() {
+    let mut w = fixture();
     let error = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).bind("c", w.out).dispatch([1, 1, 1]);
     assert_eq!(error.unwrap_err().to_string(), "Pass [p] binds [c], but kernel [map] has only the bindings [b0, b1].");
     let error = w.graph.pass("p", &w.map).bind("b0", w.input).dispatch([1, 1, 1]).unwrap_err();
@@ -93,15 +93,15 @@ fn bindings() {
 }
 
 #[test]
-fn what_could_not_be_bound_is_complained_of_once() {
-    let mut w = world();
+fn failed_binding_is_reported_once() {
+    let mut w = fixture();
     let error = w.map(w.input, w.input.slice(0, 4));
     assert_eq!(error, "Pass [p] writes buffer [input] through [b1], but it is a read-only input.");
 }
 
 #[test]
-fn constants() {
-    let mut w = world();
+fn invalid_constants_are_rejected() {
+    let mut w = fixture();
     let pass = w.graph.pass("p", &w.map).bind("b0", w.input).bind("b1", w.out).spec("width", 1);
     assert_eq!(
         pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
@@ -125,10 +125,10 @@ fn constants() {
 }
 
 #[test]
-fn kernels_run_at_the_subgroup_size_they_are_specialized_for() {
+fn subgroup_size_must_match_specialization() {
     const CAPABILITY: u32 = 2 << 16 | 17;
     let refusal = |constant: u32, requested: Option<u32>, capability: u32, promised: bool| {
-        let mut w = world();
+        let mut w = fixture();
         let shader = Arc::make_mut(&mut w.map);
         shader.specs[0].name = "SUBGROUP".into();
         shader.spirv = vec![0x0723_0203, 0, 0, 0, 0, CAPABILITY, 1, CAPABILITY, capability].into();
@@ -143,15 +143,15 @@ fn kernels_run_at_the_subgroup_size_they_are_specialized_for() {
     assert_eq!(refusal(16, Some(32), BALLOT, false).as_deref(), Some(sentence));
     let sentence = "Pass [p] specializes kernel [map] for subgroups of 16, but requests no subgroup size.";
     assert_eq!(refusal(16, None, BALLOT, false).as_deref(), Some(sentence));
-    // Without subgroup operations the constant is a number like any other.
+    // Without subgroup operations, the constant has no special meaning.
     assert_eq!(refusal(16, None, 9, false), None);
     assert_eq!(refusal(16, None, BALLOT, true), None);
 }
 
 #[test]
-fn dispatches() {
-    let mut w = world();
-    let bound = |w: &mut World| {
+fn invalid_dispatches_are_rejected() {
+    let mut w = fixture();
+    let bound = |w: &mut Fixture| {
         let map = Arc::clone(&w.map);
         let (input, out) = (w.input, w.out);
         move |graph: &mut Graph, run: &dyn Fn(PassBuilder<'_>) -> Result<(), GraphError>| {
@@ -161,7 +161,7 @@ fn dispatches() {
     let bound = bound(&mut w);
     assert_eq!(
         bound(&mut w.graph, &|pass| pass.dispatch([1, 65_536, 1])),
-        "Pass [p] dispatches 65536 groups along y, more than the 65535 that every device can."
+        "Pass [p] dispatches 65536 groups along y, more than the 65535 that every device supports."
     );
     assert_eq!(
         bound(&mut w.graph, &|pass| pass.dispatch_indirect(w.input, 514)),
@@ -187,8 +187,8 @@ fn dispatches() {
 }
 
 #[test]
-fn overlaps() {
-    let mut w = world();
+fn overlapping_writes_are_rejected() {
+    let mut w = fixture();
     assert_eq!(
         w.map(w.out.slice(0, 512), w.out.slice(256, 512)),
         "Pass [p] touches the same bytes of buffer [out] as [b0] and as [b1] and writes them."
@@ -201,9 +201,9 @@ fn overlaps() {
 }
 
 #[test]
-fn reads_of_what_nobody_wrote() {
+fn reads_of_unwritten_transients_are_rejected() {
     for access in [Read, ReadWrite, Accumulate] {
-        let mut w = world();
+        let mut w = fixture();
         let kernel = kernel("k", &[access]);
         let error = w.graph.pass("p", &kernel).bind("b0", w.scratch.slice(256, 256)).dispatch([1, 1, 1]).unwrap_err();
         assert_eq!(
@@ -211,19 +211,19 @@ fn reads_of_what_nobody_wrote() {
             "Pass [p] reads 256 bytes at offset 256 of transient buffer [scratch], which no earlier pass writes."
         );
     }
-    let mut w = world();
+    let mut w = fixture();
     w.graph.fill("f", w.scratch.slice(0, 256), 0).unwrap();
     assert!(w.map(w.scratch.slice(256, 256), w.out).contains("which no earlier pass writes"));
     assert!(w.graph.copy("c", w.scratch.slice(256, 256), w.out.slice(0, 256)).is_err());
-    // Some of it written is enough, and a kernel that discards looks at nothing.
+    // One written byte suffices, and a kernel that discards reads nothing.
     pass(&mut w.graph, "some", &[(w.scratch.slice(0, 1024), Read)]);
     let both = kernel("both", &[ReadWrite]);
     w.graph.pass("d", &both).bind_discard("b0", w.scratch.slice(512, 512)).dispatch([1, 1, 1]).unwrap();
 }
 
 #[test]
-fn writes_to_what_is_read_only() {
-    let mut w = world();
+fn writes_to_read_only_buffers_are_rejected() {
+    let mut w = fixture();
     assert_eq!(
         w.map(w.input.slice(0, 4), w.uniform),
         "Pass [p] writes buffer [uniform] through [b1], but it is a uniform."
@@ -238,14 +238,12 @@ fn writes_to_what_is_read_only() {
     );
     w.graph.keep(w.input);
     w.graph.fill("f", w.out, 0).unwrap();
-    assert!(
-        w.compile().contains("Buffer [input] is to be kept, but it is a read-only input, which no pass can write.")
-    );
+    assert!(w.compile().contains("Buffer [input] cannot be kept: it is a read-only input, which no pass can write."));
 }
 
 #[test]
-fn discards() {
-    let mut w = world();
+fn discards_of_read_bindings_are_rejected() {
+    let mut w = fixture();
     let pass = w.graph.pass("p", &w.map).bind_discard("b0", w.input).bind("b1", w.out);
     assert_eq!(
         pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
@@ -257,8 +255,8 @@ fn discards() {
 }
 
 #[test]
-fn fills_and_copies() {
-    let mut w = world();
+fn invalid_fills_and_copies_are_rejected() {
+    let mut w = fixture();
     assert_eq!(
         w.graph.fill("f", w.out.slice(2, 8), 0).unwrap_err().to_string(),
         "Pass [f] fills 8 bytes at offset 2 of buffer [out]; both must be multiples of 4."
@@ -279,18 +277,18 @@ fn fills_and_copies() {
 }
 
 #[test]
-fn a_graph_with_a_refused_pass_does_not_compile() {
-    let mut w = world();
+fn graph_with_rejected_pass_does_not_compile() {
+    let mut w = fixture();
     w.graph.fill("f", w.input, 0).unwrap_err();
     w.graph.fill("g", w.out, 0).unwrap();
     assert_eq!(w.compile(), "Pass [f] was begun in graph [world] but never dispatched without an error.");
-    let mut w = world();
+    let mut w = fixture();
     let _ = w.graph.pass("p", &w.map);
     assert!(w.compile().starts_with("Pass [p] was begun"));
 }
 
 #[test]
-fn what_only_compiling_shows() {
+fn compile_errors_are_reported() {
     let mut graph = Graph::new("g");
     graph.external("nothing", 0);
     let error = graph.compile(&CompileOptions::default()).unwrap_err();

@@ -1,23 +1,23 @@
-//! Passes that may not run, without a device.
+//! Conditional passes, without a device.
 
 use super::kernels::{gate, kernel, pass};
 use super::*;
 use crate::shader::Access::{Accumulate, Read, ReadWrite, Write};
 
-struct World {
+struct Fixture {
     graph: Graph,
     out: Buffer,
     flags: Buffer,
     scratch: Buffer,
 }
 
-fn world() -> World {
+fn fixture() -> Fixture {
     let mut graph = Graph::new("conditions");
     graph.set_gate(&gate());
     let out = graph.external("out", 256);
     let flags = graph.external("flags", 1024);
     let scratch = graph.transient("scratch", 256);
-    World { graph, out, flags, scratch }
+    Fixture { graph, out, flags, scratch }
 }
 
 fn compile(graph: Graph) -> Plan {
@@ -25,8 +25,8 @@ fn compile(graph: Graph) -> Plan {
 }
 
 #[test]
-fn a_gate_stands_before_the_pass() {
-    let mut w = world();
+fn gate_precedes_conditional_pass() {
+    let mut w = fixture();
     let update = kernel("update", &[ReadWrite]);
     pass(&mut w.graph, "find", &[(w.flags.slice(0, 1024), Write)]);
     w.graph.pass("update", &update).bind("b0", w.out).when(w.flags.slice(516, 4)).dispatch([7, 2, 1]).unwrap();
@@ -35,15 +35,15 @@ fn a_gate_stands_before_the_pass() {
     assert_eq!(names, ["find", "update.when", "update"]);
     let PassKind::Compute { push, bindings, .. } = &plan.passes[1].kind else { panic!("the gate is a kernel") };
     let words: Vec<u32> = push.chunks(4).map(|w| u32::from_ne_bytes(w.try_into().unwrap())).collect();
-    assert_eq!(words, [7, 2, 1, 0, 1, 1], "the word is the second of a slice that every device can bind");
+    assert_eq!(words, [7, 2, 1, 0, 1, 1], "the word is the second of an aligned slice");
     assert_eq!(bindings[0].1, w.flags.slice(512, 8));
     assert_eq!(plan.groups[2].barrier.unwrap().dst_access, Accesses::INDIRECT_READ);
     assert!(dump::text(&plan).contains("update: update indirect if flags [516]"), "{plan}");
 }
 
 #[test]
-fn counts_that_the_device_found_pass_through_the_gate() {
-    let mut w = world();
+fn indirect_counts_pass_through_gate() {
+    let mut w = fixture();
     let counts = w.graph.external("counts", 64);
     let update = kernel("update", &[ReadWrite]);
     let pass = w.graph.pass("update", &update).bind("b0", w.out).when(w.flags.slice(0, 4));
@@ -54,9 +54,9 @@ fn counts_that_the_device_found_pass_through_the_gate() {
 }
 
 #[test]
-fn a_pass_that_may_not_run_discards_nothing() {
+fn conditional_pass_discards_nothing() {
     let build = |conditional: bool| {
-        let mut w = world();
+        let mut w = fixture();
         let over = kernel("over", &[Write]);
         w.graph.fill("first", w.out, 1).unwrap();
         let pass = w.graph.pass("second", &over).bind_discard("b0", w.out);
@@ -69,15 +69,14 @@ fn a_pass_that_may_not_run_discards_nothing() {
     assert!(plan.culled.is_empty());
     let mut damaged = plan.clone();
     damaged.passes[2].discards.push(Buffer(0).slice(0, 256));
-    let said =
-        "Pass [second] runs on a condition, but its group counts are fixed or it promises to overwrite something.";
-    assert_eq!(verify(&damaged).unwrap_err().to_string(), said);
+    let expected = "Pass [second] runs on a condition, but its group counts are constant or it discards contents.";
+    assert_eq!(verify(&damaged).unwrap_err().to_string(), expected);
 }
 
 #[test]
-fn what_may_not_have_been_written_can_be_read_on_the_same_condition_only() {
+fn conditional_writes_are_readable_on_same_condition_only() {
     let build = |then: Option<u64>, change: bool| {
-        let mut w = world();
+        let mut w = fixture();
         let make = kernel("make", &[Write]);
         w.graph.pass("make", &make).bind("b0", w.scratch).when(w.flags.slice(0, 4)).dispatch([1, 1, 1]).unwrap();
         if change {
@@ -96,7 +95,7 @@ fn what_may_not_have_been_written_can_be_read_on_the_same_condition_only() {
 
 #[test]
 fn switches_are_conditions() {
-    let mut w = world();
+    let mut w = fixture();
     let switch = w.graph.switch("debug");
     let update = kernel("update", &[ReadWrite]);
     w.graph.pass("update", &update).bind("b0", w.out).when(switch).dispatch([1, 1, 1]).unwrap();
@@ -105,8 +104,8 @@ fn switches_are_conditions() {
 }
 
 #[test]
-fn wrong_conditions_are_named() {
-    let mut w = world();
+fn invalid_conditions_are_rejected() {
+    let mut w = fixture();
     let update = kernel("update", &[ReadWrite]);
     let pass = w.graph.pass("p", &update).bind("b0", w.out).when(w.flags.slice(4, 8));
     assert_eq!(
@@ -123,13 +122,13 @@ fn wrong_conditions_are_named() {
     let pass = graph.pass("p", &update).bind("b0", out).when(out.slice(0, 4));
     assert_eq!(
         pass.dispatch([1, 1, 1]).unwrap_err().to_string(),
-        "Pass [p] runs on a condition, but its graph was given no gate."
+        "Pass [p] runs on a condition, but its graph has no gate; call Graph::set_gate first."
     );
     let mut graph = Graph::new("g");
     graph.set_gate(&update);
     assert_eq!(
         graph.compile(&CompileOptions::default()).unwrap_err().to_string(),
-        "Graph [g] is given kernel [update] as its gate, but a gate reads [word] and [counts], writes [arguments], and has \
+        "Graph [g] cannot use kernel [update] as its gate: a gate reads [word] and [counts], writes [arguments], and has \
          24 bytes of constants."
     );
 }

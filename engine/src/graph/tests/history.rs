@@ -1,10 +1,10 @@
-//! Histories without a device.
+//! Histories, without a device.
 
 use super::kernels::pass;
 use super::*;
 use crate::shader::Access::{Read, ReadWrite, Write};
 
-/// Reads what the replay before left, and writes what the next one reads.
+/// Graph that reads the previous half of a history and writes the current one.
 fn filter() -> (Graph, History) {
     let mut graph = Graph::new("filter");
     let input = graph.input("input", 256);
@@ -19,9 +19,9 @@ fn plan() -> Plan {
 }
 
 #[test]
-fn the_next_replay_sees_what_this_one_wrote() {
+fn next_replay_sees_current_half() {
     let plan = plan();
-    // What the last replay wrote has been available since its end; what the one before the last wrote, and copies may
+    // The last replay's write has been available since its end. The half written two replays ago, which copies may
     // have read, is overwritten.
     assert_eq!(plan.groups[0].barrier.unwrap().to_string(), "transfer[none] -> compute[storage_read]");
     let mut damaged = plan.clone();
@@ -34,7 +34,7 @@ fn the_next_replay_sees_what_this_one_wrote() {
 }
 
 #[test]
-fn a_distance_of_two_replays_counts() {
+fn hazards_span_two_replays() {
     let mut graph = Graph::new("write");
     let history = graph.history("state", 256, 0);
     pass(&mut graph, "write", &[(history.current.slice(0, 256), Write)]);
@@ -46,11 +46,11 @@ fn a_distance_of_two_replays_counts() {
 }
 
 #[test]
-fn what_was_left_cannot_be_written() {
+fn previous_half_is_read_only() {
     let (mut graph, history) = filter();
     assert_eq!(
         graph.fill("fill", history.previous, 0).unwrap_err().to_string(),
-        "Pass [fill] writes buffer [state (previous)] through [fill], but it is what the replay before left."
+        "Pass [fill] writes buffer [state (previous)] through [fill], but it is the previous half of a history."
     );
     let mut graph = Graph::new("g");
     let history = graph.history("state", 256, 0);
@@ -59,10 +59,10 @@ fn what_was_left_cannot_be_written() {
 }
 
 #[test]
-fn dumps_and_keys_know_histories() {
+fn dumps_and_keys_include_histories() {
     let plan = plan();
     let text = dump::text(&plan);
-    assert!(text.contains("state history 256 bytes, 0x0 at first, changes places with state (previous)"), "{text}");
+    assert!(text.contains("state history 256 bytes, initially 0x0, swaps with state (previous)"), "{text}");
     let json: serde_json::Value = serde_json::from_str(&dump::json(&plan)).unwrap();
     assert_eq!(json["buffers"][2]["partner"], 1);
     let build = |value| {
@@ -74,7 +74,7 @@ fn dumps_and_keys_know_histories() {
 }
 
 #[test]
-fn a_broken_pair_is_named() {
+fn mismatched_pair_is_rejected() {
     let mut damaged = plan();
     damaged.buffers[1].bytes = 128;
     damaged.passes[0].accesses[1].0.bytes = 128;
@@ -83,6 +83,6 @@ fn a_broken_pair_is_named() {
     }
     assert_eq!(
         verify(&damaged).unwrap_err().to_string(),
-        "Buffer [state (previous)] belongs to a history whose other half does not fit."
+        "Buffer [state (previous)] belongs to a history whose two buffers differ."
     );
 }

@@ -1,4 +1,4 @@
-//! Images without a device: layouts, shared slots, seams with others on the queue, errors of declarations, damage.
+//! Images without a device: layouts, slot aliasing, external users, declaration errors, damaged plans.
 
 use super::kernels::{kernel, pass, with_kinds};
 use super::*;
@@ -17,7 +17,7 @@ fn whole(image: Image) -> Slice {
     image.0.slice(0, 256)
 }
 
-/// Writes a window's image by copies alone.
+/// Graph that writes a window's image by copies only.
 fn window() -> Graph {
     let mut graph = Graph::new("window");
     let texels = graph.input("texels", 64);
@@ -28,16 +28,16 @@ fn window() -> Graph {
 }
 
 #[test]
-fn copies_alone_use_the_layout_for_copies() {
+fn copy_only_image_uses_transfer_layout() {
     let plan = compile(window());
     let image = ImageMemory::External(Image(Buffer(1)));
     assert_eq!(
         plan.entry,
         [Transition { image, from: ImageState::Undefined, to: ImageState::TransferTarget }],
-        "what the host leaves in it is not kept"
+        "contents from the host are discarded"
     );
     assert_eq!(plan.exit, [Transition { image, from: ImageState::TransferTarget, to: ImageState::Present }]);
-    // The host's commands before, the copy, the host's commands after.
+    // Host commands before, the copy, host commands after.
     let entry = plan.groups[0].barrier.unwrap();
     assert_eq!(entry.to_string(), "outside[outside_write] -> transfer[transfer_write]");
     let exit = plan.final_barrier.unwrap();
@@ -54,12 +54,12 @@ fn kernels_use_the_general_layout() {
     let plan = compile(graph);
     assert_eq!(plan.homes[0], Some(ImageState::General));
     assert_eq!((plan.entry.len(), plan.exit.len()), (1, 1));
-    // Between the two a global barrier is all there is.
+    // Between the passes, a global barrier suffices.
     assert_eq!(plan.groups[1].barrier.unwrap().to_string(), "compute[storage_write] -> transfer[transfer_read]");
 }
 
 #[test]
-fn an_image_that_nothing_uses_is_handed_on_all_the_same() {
+fn unused_external_image_is_transitioned() {
     let mut graph = Graph::new("through");
     graph.external_image("image", SIZE, FLOAT, ImageState::General, ImageState::Present);
     let plan = compile(graph);
@@ -70,7 +70,7 @@ fn an_image_that_nothing_uses_is_handed_on_all_the_same() {
     );
 }
 
-/// Three transients in a row, of which two can share.
+/// Graph with a chain of three transients, of which two can alias.
 fn chain() -> Graph {
     let mut graph = Graph::new("chain");
     let out = graph.external("out", 256);
@@ -83,14 +83,14 @@ fn chain() -> Graph {
 }
 
 #[test]
-fn transients_share_images_in_turn() {
+fn transient_images_alias() {
     let plan = compile(chain());
     assert_eq!(plan.placements, [None, Some(0), Some(1), Some(0)]);
     assert_eq!(plan.image_slots.len(), 2);
     assert_eq!(plan.arena_bytes, 0);
     let apart = chain().compile(&CompileOptions { alias: false, ..Default::default() }).unwrap();
     assert_eq!(apart.image_slots.len(), 3);
-    // Nothing but the memory orders the reader of `a` before the writer of `c`.
+    // Only memory aliasing orders the reader of `a` before the writer of `c`.
     let mut damaged = plan.clone();
     damaged.groups[2].barrier = None;
     assert!(matches!(verify(&damaged), Err(VerifyError::Hazard { .. })));
@@ -111,16 +111,16 @@ fn buffers_can_be_shared_with_the_queue() {
     assert_eq!(text(queue.final_barrier), "compute[storage_write] -> outside[outside_read|outside_write]");
     let ready = build(BufferState::Ready, BufferState::Ready);
     let host = build(BufferState::Host, BufferState::Host);
-    assert_eq!(ready.groups, host.groups, "submission makes what the host wrote visible");
+    assert_eq!(ready.groups, host.groups, "submission makes host writes visible");
     assert_ne!(ready.key, host.key);
-    // Either side by itself.
+    // Each side alone.
     assert_eq!(text(build(BufferState::Queue, BufferState::Ready).final_barrier), text(ready.final_barrier));
     let mut damaged = queue.clone();
     damaged.final_barrier = None;
     assert_eq!(
         verify(&damaged).unwrap_err().to_string(),
-        "What pass [change] does to [buffer] is left to others on the queue, but no barrier makes the write visible to \
-         outside_read|outside_write."
+        "Pass [change] accesses [buffer], which other commands use after the replay, but no barrier makes the write \
+         visible to outside_read|outside_write."
     );
 }
 
@@ -149,15 +149,15 @@ fn declarations_of_images_are_checked() {
     let mut graph = Graph::new("g");
     graph.external_image("lost", SIZE, FLOAT, ImageState::General, ImageState::Undefined);
     let error = graph.compile(&CompileOptions::default()).unwrap_err();
-    assert_eq!(error.to_string(), "Image [lost] is to be left undefined, but whoever binds it wants it in some state.");
+    assert_eq!(
+        error.to_string(),
+        "Image [lost] has exit state Undefined; an external image needs a defined exit state."
+    );
     let mut graph = Graph::new("g");
     let scratch = graph.transient("scratch", 16);
     graph.shared(scratch, BufferState::Queue, BufferState::Ready);
     let error = graph.compile(&CompileOptions::default()).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "Buffer [scratch] is to be shared with others on the queue, but it is no external buffer."
-    );
+    assert_eq!(error.to_string(), "Buffer [scratch] cannot be shared with the queue: it is not an external buffer.");
 }
 
 #[test]
@@ -168,50 +168,50 @@ fn uses_of_images_are_checked() {
     let image = graph.external_image("image", SIZE, FLOAT, ImageState::Undefined, ImageState::General);
     let input = graph.input_image("input", SIZE, FLOAT, ImageState::General);
     let other = graph.transient_image("other", SIZE, ImageFormat::R32Float);
-    let said = |result: Result<(), GraphError>| result.unwrap_err().to_string();
-    assert_eq!(said(graph.fill("f", image.0, 0)), "Pass [f] uses image [image] as a buffer.");
-    assert_eq!(said(graph.clear_image("c", Image(buffer), [0.0; 4])), "Pass [c] uses buffer [buffer] as an image.");
+    let message = |result: Result<(), GraphError>| result.unwrap_err().to_string();
+    assert_eq!(message(graph.fill("f", image.0, 0)), "Pass [f] uses image [image] as a buffer.");
+    assert_eq!(message(graph.clear_image("c", Image(buffer), [0.0; 4])), "Pass [c] uses buffer [buffer] as an image.");
     assert_eq!(
-        said(graph.clear_image("c", Image(Buffer(9)), [0.0; 4])),
+        message(graph.clear_image("c", Image(Buffer(9)), [0.0; 4])),
         "Pass [c] uses buffer number 9, but its graph has 5 buffers."
     );
     assert_eq!(
-        said(graph.copy_to_image("c", buffer, image)),
+        message(graph.copy_to_image("c", buffer, image)),
         "Pass [c] copies 512 bytes of buffer [buffer] to or from image [image] of 256 bytes."
     );
     assert_eq!(
-        said(graph.copy_to_image("c", buffer.slice(4, 256), image)),
-        "Pass [c] copies texels of 16 bytes to or from buffer [buffer] at offset 4, which is no multiple of that."
+        message(graph.copy_to_image("c", buffer.slice(4, 256), image)),
+        "Pass [c] copies texels of 16 bytes to or from buffer [buffer] at offset 4, not a multiple of that."
     );
     assert_eq!(
-        said(graph.copy_to_image("c", uniform, image)),
+        message(graph.copy_to_image("c", uniform, image)),
         "Pass [c] uses uniform [uniform] as the source of a copy, but only kernels can read it."
     );
     assert_eq!(
-        said(graph.clear_image("c", input, [0.0; 4])),
+        message(graph.clear_image("c", input, [0.0; 4])),
         "Pass [c] writes buffer [input] through [clear], but it is a read-only input."
     );
     assert_eq!(
-        said(graph.copy_from_image("c", image, buffer.slice(0, 256))),
+        message(graph.copy_from_image("c", image, buffer.slice(0, 256))),
         "Pass [c] reads 256 bytes at offset 0 of transient buffer [image], which no earlier pass writes."
     );
     let float = with_kinds("k", &[(BindingKind::Image(FLOAT), Write)]);
     assert_eq!(
-        said(graph.pass("p", &float).bind("b0", buffer).dispatch([1, 1, 1])),
+        message(graph.pass("p", &float).bind("b0", buffer).dispatch([1, 1, 1])),
         "Pass [p] binds [buffer] as [b0], which the kernel declares as an image."
     );
     assert_eq!(
-        said(graph.pass("p", &float).bind_image("b0", other).dispatch([1, 1, 1])),
+        message(graph.pass("p", &float).bind_image("b0", other).dispatch([1, 1, 1])),
         "Pass [p] binds image [other] of format r32float as [b0], which the kernel declares rgba32float."
     );
     let storage = kernel("s", &[Read]);
     assert_eq!(
-        said(graph.pass("p", &storage).bind_image("b0", input).dispatch([1, 1, 1])),
+        message(graph.pass("p", &storage).bind_image("b0", input).dispatch([1, 1, 1])),
         "Pass [p] binds [input] as [b0], which the kernel declares as a buffer."
     );
 }
 
-fn refused(damage: impl FnOnce(&mut Plan)) -> String {
+fn verify_error_after(damage: impl FnOnce(&mut Plan)) -> String {
     let mut plan = compile(window());
     assert_eq!(verify(&plan), Ok(()));
     damage(&mut plan);
@@ -219,31 +219,34 @@ fn refused(damage: impl FnOnce(&mut Plan)) -> String {
 }
 
 #[test]
-fn damaged_layouts_are_named() {
+fn damaged_layouts_are_rejected() {
     assert_eq!(
-        refused(|plan| plan.entry.clear()),
+        verify_error_after(|plan| plan.entry.clear()),
         "Pass [show] uses image [image] in the layout Undefined, which does not allow it."
     );
-    assert_eq!(refused(|plan| plan.exit.clear()), "Image [image] is left TransferTarget, but is to be left Present.");
     assert_eq!(
-        refused(|plan| plan.exit[0].from = ImageState::General),
-        "The barrier at the end of the plan takes image [image] for General, but it is TransferTarget."
+        verify_error_after(|plan| plan.exit.clear()),
+        "Image [image] is left TransferTarget, but its exit state is Present."
     );
     assert_eq!(
-        refused(|plan| plan.homes[1] = Some(ImageState::General)),
-        "Image [image] is said to be General while it is TransferTarget."
+        verify_error_after(|plan| plan.exit[0].from = ImageState::General),
+        "The barrier at the end of the plan changes image [image] from General, but its layout is TransferTarget."
     );
     assert_eq!(
-        refused(|plan| plan.entry[0].image = ImageMemory::Slot(3)),
+        verify_error_after(|plan| plan.homes[1] = Some(ImageState::General)),
+        "Image [image] has home layout General, but is in TransferTarget."
+    );
+    assert_eq!(
+        verify_error_after(|plan| plan.entry[0].image = ImageMemory::Slot(3)),
         "The barrier at the beginning of the plan changes the layout of image slot 3, which does not exist."
     );
     assert_eq!(
-        refused(|plan| plan.groups[0].barrier = None),
-        "Pass [change of layout] on buffer [image] has a write after write with pass [others on the queue] on buffer \
-         [image] at byte 0 within 1 replay(s), but no barrier makes outside wait for the read."
+        verify_error_after(|plan| plan.groups[0].barrier = None),
+        "Pass [layout transition] on buffer [image] has a write after write with pass [other commands on the queue] on \
+         buffer [image] at byte 0 within 1 replay(s), but no barrier makes outside wait for the read."
     );
     let mut plan = compile(chain());
     plan.placements[1] = Some(7);
     let error = verify(&plan).unwrap_err().to_string();
-    assert_eq!(error, "Transient image [a] is placed in slot 7, which does not exist or is of another make.");
+    assert_eq!(error, "Transient image [a] is placed in slot 7, which does not exist or has another size or format.");
 }

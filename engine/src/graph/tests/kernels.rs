@@ -1,17 +1,17 @@
-//! Kernels that exist only as reflections.
+//! Test kernels that consist only of reflection data.
 
 use std::sync::Arc;
 
 use crate::graph::{Graph, Image, PassBuilder, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
-/// A kernel with storage bindings `b0`, `b1`, … of these accesses.
+/// Returns a kernel with storage bindings `b0`, `b1`, … of these accesses.
 pub(super) fn kernel(name: &str, accesses: &[Access]) -> Arc<Shader> {
     let bindings: Vec<_> = accesses.iter().map(|&access| (BindingKind::Storage, access)).collect();
     with_kinds(name, &bindings)
 }
 
-/// A kernel with bindings `b0`, `b1`, … of these kinds and accesses.
+/// Returns a kernel with bindings `b0`, `b1`, … of these kinds and accesses.
 pub(super) fn with_kinds(name: &str, bindings: &[(BindingKind, Access)]) -> Arc<Shader> {
     let bindings = bindings.iter().enumerate().map(|(index, &(kind, access))| Binding {
         name: format!("b{index}").into(),
@@ -28,7 +28,7 @@ pub(super) fn with_kinds(name: &str, bindings: &[(BindingKind, Access)]) -> Arc<
     })
 }
 
-/// Declares a pass that does this to these slices.
+/// Declares a pass with these accesses.
 pub(super) fn pass(graph: &mut Graph, name: &str, touched: &[(Slice, Access)]) {
     let kernel = with_kinds(name, &touched.iter().map(|(s, access)| (kind_of(graph, s), *access)).collect::<Vec<_>>());
     let pass = graph.pass(name, &kernel);
@@ -36,7 +36,7 @@ pub(super) fn pass(graph: &mut Graph, name: &str, touched: &[(Slice, Access)]) {
     pass.dispatch([1, 1, 1]).unwrap();
 }
 
-/// A gate for conditional passes.
+/// Returns a gate for conditional passes.
 pub(super) fn gate() -> Arc<Shader> {
     let mut gate = kernel("gate", &[Access::Read, Access::Read, Access::Write]);
     let shader = Arc::make_mut(&mut gate);
@@ -47,13 +47,13 @@ pub(super) fn gate() -> Arc<Shader> {
     gate
 }
 
-/// The kind of binding for what a slice is of.
+/// Returns the binding kind of a slice's resource.
 pub(super) fn kind_of(graph: &Graph, slice: &Slice) -> BindingKind {
     let image = graph.buffers[slice.buffer.index()].image;
     image.map_or(BindingKind::Storage, |image| BindingKind::Image(image.format))
 }
 
-/// Binds a slice of a buffer, or the image that it is of, as `b` and a number.
+/// Binds a buffer slice, or its image, as binding `b{index}`.
 pub(super) fn bind(pass: PassBuilder<'_>, index: usize, slice: Slice, discard: bool) -> PassBuilder<'_> {
     let name = format!("b{index}");
     let image = matches!(pass.shader.bindings[index].kind, BindingKind::Image(_));

@@ -1,5 +1,5 @@
-//! Graphs without a device: every phase by itself, every error, a golden plan, random graphs, and damaged plans that
-//! the verifier must refuse.
+//! Graph tests without a device: every compile step alone, every error, a golden plan, random graphs, and damaged
+//! plans that the verifier must reject.
 
 mod builder_errors;
 mod condition;

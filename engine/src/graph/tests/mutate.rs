@@ -1,13 +1,14 @@
-//! Damaged plans. The verifier is worth what it refuses: each of these changes breaks a sound plan, and each of them
-//! must be found. That every barrier bit is missed also shows that none is superfluous.
+//! Mutation tests of the verifier: each change breaks a valid plan and must be detected.
+//!
+//! Because every removed barrier bit is detected, no barrier bit is redundant.
 
 use proptest::prelude::*;
 
 use super::random::recipes;
 use super::*;
 
-/// Every plan that lacks one barrier, or one bit of one, or one stage with its accesses; and what was taken.
-fn weakened(plan: &Plan) -> Vec<(String, Plan)> {
+/// Returns every plan that lacks a barrier, one of its bits, or a stage with its accesses, with the missing part.
+fn weakened_plans(plan: &Plan) -> Vec<(String, Plan)> {
     let mut found = Vec::new();
     for at in 0..=plan.groups.len() {
         let barrier = plan.groups.get(at).map_or(plan.final_barrier, |group| group.barrier);
@@ -19,7 +20,7 @@ fn weakened(plan: &Plan) -> Vec<(String, Plan)> {
         };
         less("barrier".into(), None);
         let Barrier { src_stage, src_access, dst_stage, dst_access } = barrier;
-        for access in Accesses::EACH {
+        for access in Accesses::ALL {
             if src_access.contains(access) {
                 less(format!("source {access}"), Some(Barrier { src_access: src_access.without(access), ..barrier }));
             }
@@ -27,9 +28,9 @@ fn weakened(plan: &Plan) -> Vec<(String, Plan)> {
                 less(format!("target {access}"), Some(Barrier { dst_access: dst_access.without(access), ..barrier }));
             }
         }
-        for stage in Stages::EACH {
+        for stage in Stages::ALL {
             let others = |set: Accesses| {
-                Accesses::EACH
+                Accesses::ALL
                     .into_iter()
                     .filter(|access| access.stages() == stage)
                     .fold(set, |set, access| set.without(access))
@@ -55,15 +56,15 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_barrier_bit_can_be_missed(recipe in recipes(30)) {
+    fn verifier_detects_missing_barrier_bits(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
-        for (what, weak) in weakened(&plan) {
-            prop_assert!(verify(&weak).is_err(), "{} is not missed in\n{}", what, plan);
+        for (what, weak) in weakened_plans(&plan) {
+            prop_assert!(verify(&weak).is_err(), "{} is not detected in\n{}", what, plan);
         }
     }
 
     #[test]
-    fn no_change_of_layout_can_be_missed(recipe in recipes(25)) {
+    fn verifier_detects_damaged_transitions(recipe in recipes(25)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let lists: [fn(&mut Plan) -> &mut Vec<Transition>; 2] = [|plan| &mut plan.entry, |plan| &mut plan.exit];
         for list in lists {
@@ -72,7 +73,7 @@ proptest! {
                 let damage = |what: &str, change: &dyn Fn(&mut Vec<Transition>)| {
                     let mut copy = plan.clone();
                     change(list(&mut copy));
-                    prop_assert!(verify(&copy).is_err(), "{} {} is not missed in\n{}", what, at, plan);
+                    prop_assert!(verify(&copy).is_err(), "{} {} is not detected in\n{}", what, at, plan);
                     Ok(())
                 };
                 damage("change", &|list| _ = list.remove(at))?;
@@ -87,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn no_pass_can_be_dropped(recipe in recipes(30)) {
+    fn verifier_detects_dropped_passes(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let places = plan.groups.iter().enumerate().flat_map(|(at, group)| group.passes.iter().map(move |&p| (at, p)));
         for (group, pass) in places {
@@ -96,13 +97,13 @@ proptest! {
             let lost = matches!(verify(&less), Err(VerifyError::NotOnce { times: 0, .. }));
             prop_assert!(lost);
             less.culled.push(pass);
-            let refused = matches!(verify(&less), Err(VerifyError::NeededPassCulled { .. }));
-            prop_assert!(refused, "{} is not missed in\n{}", plan.passes[pass].name, plan);
+            let verify_error_after = matches!(verify(&less), Err(VerifyError::NeededPassCulled { .. }));
+            prop_assert!(verify_error_after, "{} is not detected in\n{}", plan.passes[pass].name, plan);
         }
     }
 
     #[test]
-    fn no_pass_can_move_past_what_it_follows(recipe in recipes(30)) {
+    fn verifier_detects_passes_before_dependencies(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let mut group_of = vec![0; plan.passes.len()];
         for (at, group) in plan.groups.iter().enumerate() {
@@ -113,14 +114,14 @@ proptest! {
                 let mut moved = plan.clone();
                 moved.groups[group_of[pass]].passes.retain(|&other| other != pass);
                 moved.groups[group_of[before as usize]].passes.push(pass);
-                let refused = matches!(verify(&moved), Err(VerifyError::Order { .. }));
-                prop_assert!(refused, "{} before {} in\n{}", plan.passes[pass].name, before, plan);
+                let verify_error_after = matches!(verify(&moved), Err(VerifyError::Order { .. }));
+                prop_assert!(verify_error_after, "{} before {} in\n{}", plan.passes[pass].name, before, plan);
             }
         }
     }
 
     #[test]
-    fn no_dependent_groups_can_be_swapped(recipe in recipes(30)) {
+    fn verifier_detects_swapped_groups(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let follows = plan.dependencies();
         for at in 1..plan.groups.len() {
@@ -136,7 +137,7 @@ proptest! {
     }
 
     #[test]
-    fn no_two_living_transients_can_overlap(recipe in recipes(30)) {
+    fn verifier_detects_overlapping_transients(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let lifetimes = plan.lifetimes();
         let living = || {
@@ -148,8 +149,8 @@ proptest! {
                 let mut plan = plan.clone();
                 plan.placements[first] = plan.placements[second];
                 plan.arena_bytes += plan.buffers[first].bytes;
-                let refused = matches!(verify(&plan), Err(VerifyError::Overlap { .. }));
-                prop_assert!(refused, "{} on {} in\n{}", first, second, plan);
+                let verify_error_after = matches!(verify(&plan), Err(VerifyError::Overlap { .. }));
+                prop_assert!(verify_error_after, "{} on {} in\n{}", first, second, plan);
             }
             let mut plan = plan.clone();
             plan.placements[first] = Some(plan.arena_bytes);
@@ -162,7 +163,7 @@ proptest! {
     }
 
     #[test]
-    fn no_two_living_images_can_share_a_slot(recipe in recipes(30)) {
+    fn verifier_detects_overlapping_images(recipe in recipes(30)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let lifetimes = plan.lifetimes();
         let living = || {
@@ -173,14 +174,14 @@ proptest! {
             for (second, _) in living().filter(|&(other, (s, e))| other != first && s <= end && start <= e) {
                 let mut plan = plan.clone();
                 plan.placements[first] = plan.placements[second];
-                let refused = matches!(
+                let verify_error_after = matches!(
                     verify(&plan),
                     Err(VerifyError::Overlap { .. }
                         | VerifyError::WrongSlot { .. }
                         | VerifyError::Layout { .. }
                         | VerifyError::Home { .. })
                 );
-                prop_assert!(refused, "{} with {} in\n{}", first, second, plan);
+                prop_assert!(verify_error_after, "{} with {} in\n{}", first, second, plan);
             }
             let mut plan = plan.clone();
             plan.placements[first] = Some(plan.image_slots.len() as u64);
@@ -193,18 +194,18 @@ proptest! {
     }
 
     #[test]
-    fn no_access_can_be_hidden(recipe in recipes(15)) {
+    fn verifier_detects_undeclared_accesses(recipe in recipes(15)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         for (pass, at) in (0..plan.passes.len()).flat_map(|p| (0..plan.passes[p].accesses.len()).map(move |a| (p, a))) {
             let mut less = plan.clone();
             less.passes[pass].accesses.remove(at);
-            let refused = matches!(verify(&less), Err(VerifyError::Undeclared { .. }));
-            prop_assert!(refused);
+            let verify_error_after = matches!(verify(&less), Err(VerifyError::Undeclared { .. }));
+            prop_assert!(verify_error_after);
             let mut other = plan.clone();
             let used = &mut other.passes[pass].accesses[at].2;
             *used = if *used == Use::Transfer { Use::Compute } else { Use::Transfer };
-            let refused = matches!(verify(&other), Err(VerifyError::Undeclared { .. }));
-            prop_assert!(refused);
+            let verify_error_after = matches!(verify(&other), Err(VerifyError::Undeclared { .. }));
+            prop_assert!(verify_error_after);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The HTML page: well-formed, complete, escaped, self-contained.
+//! HTML page: well-formed, complete, escaped, self-contained.
 
 use proptest::prelude::*;
 use roxmltree::{Document, Node, ParsingOptions};
@@ -10,7 +10,7 @@ use super::*;
 use crate::graph::exec::PassTime;
 use crate::shader::Access::{Read, ReadWrite, Write};
 
-/// Parses as XML, which is stricter than HTML: every element closed, every attribute quoted, every name escaped.
+/// Parses as XML, which is stricter than HTML: closed elements, quoted attributes, escaped names.
 fn parse(page: &str) -> Result<Document<'_>, roxmltree::Error> {
     Document::parse_with_options(page, ParsingOptions { allow_dtd: true, ..ParsingOptions::default() })
 }
@@ -23,8 +23,8 @@ fn words(node: Node<'_, '_>) -> String {
     node.descendants().filter(Node::is_text).filter_map(|node| node.text()).collect::<Vec<_>>().join(" ")
 }
 
-/// What a page lacks of its plan, one sentence each.
-fn lacks(page: &str, plan: &Plan) -> Vec<String> {
+/// Lists the plan elements missing from a page.
+fn missing_elements(page: &str, plan: &Plan) -> Vec<String> {
     let page = match parse(page) {
         Ok(page) => page,
         Err(error) => return vec![error.to_string()],
@@ -73,19 +73,19 @@ fn lacks(page: &str, plan: &Plan) -> Vec<String> {
 }
 
 #[test]
-fn the_page_has_everything() {
+fn page_contains_whole_plan() {
     let plan = step().compile(&CompileOptions::default()).unwrap();
     let page = dump::html(&plan, &[]);
-    assert_eq!(lacks(&page, &plan), [""; 0]);
-    // Nothing is fetched from anywhere.
+    assert_eq!(missing_elements(&page, &plan), [""; 0]);
+    // The page loads no external resource.
     for word in ["http:", "https:", "src=", "@import", "url("] {
-        assert!(!page.contains(word), "the page mentions {word}");
+        assert!(!page.contains(word), "the page contains {word}");
     }
     assert_eq!(page, dump::html(&plan, &[]));
 }
 
 #[test]
-fn what_is_missing_is_noticed() {
+fn missing_elements_are_detected() {
     let plan = step().compile(&CompileOptions::default()).unwrap();
     let page = dump::html(&plan, &[]);
     for (what, damaged) in [
@@ -97,10 +97,10 @@ fn what_is_missing_is_noticed() {
         ("expected 'div' tag", page.replacen("</article>", "", 1)),
     ] {
         assert_ne!(page, damaged, "{what}: nothing was damaged");
-        let lacks = lacks(&damaged, &plan);
-        assert!(!lacks.is_empty(), "{what} is not missed");
+        let missing_elements = missing_elements(&damaged, &plan);
+        assert!(!missing_elements.is_empty(), "{what} is not detected");
         if !what.starts_with("expected") {
-            assert!(lacks.iter().any(|l| l.starts_with(what)), "{what}: {lacks:?}");
+            assert!(missing_elements.iter().any(|l| l.starts_with(what)), "{what}: {missing_elements:?}");
         }
     }
 }
@@ -108,7 +108,7 @@ fn what_is_missing_is_noticed() {
 #[test]
 fn names_are_escaped() {
     let evil = "</script><b title=\"x\" class='y'>&amp; ]]> \u{1}\u{202e}";
-    let shown = evil.replace('\u{1}', "\u{fffd}");
+    let escaped = evil.replace('\u{1}', "\u{fffd}");
     let mut graph = Graph::new(evil);
     let made = graph.transient(format!("{evil} transient"), 256);
     let out = graph.external(format!("{evil} out"), 256);
@@ -117,8 +117,8 @@ fn names_are_escaped() {
     let plan = graph.compile(&CompileOptions::default()).unwrap();
     let page = dump::html(&plan, &[]);
     let parsed = parse(&page).unwrap();
-    assert!(words(with_id(&parsed, "p0").unwrap()).contains(&shown));
-    assert!(words(with_id(&parsed, "b0").unwrap()).contains(&shown));
+    assert!(words(with_id(&parsed, "p0").unwrap()).contains(&escaped));
+    assert!(words(with_id(&parsed, "b0").unwrap()).contains(&escaped));
     assert_eq!(with_id(&parsed, "p0").unwrap().attribute("data-pass"), Some("0"));
     assert_eq!(page.matches("</script>").count(), 1);
     assert!(!page.contains("<b title"), "a name became markup");
@@ -145,17 +145,17 @@ fn measured_times_are_shown_at_their_passes() {
 }
 
 #[test]
-fn plans_without_anything_have_a_page() {
+fn empty_plans_have_a_page() {
     let mut graph = Graph::new("nothing");
     let plan = graph.clone().compile(&CompileOptions::default()).unwrap();
-    assert_eq!(lacks(&dump::html(&plan, &[]), &plan), [""; 0]);
+    assert_eq!(missing_elements(&dump::html(&plan, &[]), &plan), [""; 0]);
     graph.transient("unused", 16);
     let plan = graph.compile(&CompileOptions::default()).unwrap();
-    assert_eq!(lacks(&dump::html(&plan, &[]), &plan), [""; 0]);
+    assert_eq!(missing_elements(&dump::html(&plan, &[]), &plan), [""; 0]);
 }
 
 #[test]
-fn a_barrier_names_what_it_is_for() {
+fn barriers_list_their_hazards() {
     let plan = step().compile(&CompileOptions::default()).unwrap();
     let page = dump::html(&plan, &[]);
     let parsed = parse(&page).unwrap();
@@ -164,7 +164,7 @@ fn a_barrier_names_what_it_is_for() {
     let group = words(with_id(&parsed, &format!("g{at}")).unwrap());
     assert!(group.contains("read after write") && group.contains("arguments") && group.contains("scan"), "{group}");
     let first = words(with_id(&parsed, "g0").unwrap());
-    assert!(first.contains("from the replay before"), "{first}");
+    assert!(first.contains("from the previous replay"), "{first}");
 }
 
 proptest! {
@@ -173,7 +173,7 @@ proptest! {
     #[test]
     fn every_plan_has_a_complete_page(recipe in recipes(40)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
-        let lacks = lacks(&dump::html(&plan, &[]), &plan);
-        prop_assert!(lacks.is_empty(), "{:?}\n{}", lacks, plan);
+        let missing_elements = missing_elements(&dump::html(&plan, &[]), &plan);
+        prop_assert!(missing_elements.is_empty(), "{:?}\n{}", missing_elements, plan);
     }
 }

@@ -1,4 +1,4 @@
-//! Each step of compilation by what it does to small graphs.
+//! Compile steps, tested on small graphs.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ fn barrier(src_stage: Stages, src_access: Accesses, dst_stage: Stages, dst_acces
     Some(Barrier { src_stage, src_access, dst_stage, dst_access })
 }
 
-/// A graph that writes `middle` in one way and reads it in another, into `out`.
+/// Builds a plan that writes `middle` in one way, and reads it in another into `out`.
 fn pair(write: impl FnOnce(&mut Graph, Buffer), read: impl FnOnce(&mut Graph, Buffer, Buffer)) -> Plan {
     let mut graph = Graph::new("pair");
     let middle = graph.transient("middle", 256);
@@ -34,7 +34,7 @@ fn pair(write: impl FnOnce(&mut Graph, Buffer), read: impl FnOnce(&mut Graph, Bu
 }
 
 #[test]
-fn culling_drops_what_no_output_needs() {
+fn culling_drops_unneeded_passes() {
     let mut graph = Graph::new("cull");
     let [used, unused] = ["used", "unused"].map(|name| graph.transient(name, 256));
     let out = graph.external("out", 256);
@@ -48,7 +48,7 @@ fn culling_drops_what_no_output_needs() {
 }
 
 #[test]
-fn culling_keeps_what_a_write_may_leave_and_drops_what_it_discards() {
+fn culling_respects_partial_writes_and_discards() {
     let build = |discard: bool| {
         let mut graph = Graph::new("partial");
         let out = graph.external("out", 256);
@@ -64,7 +64,7 @@ fn culling_keeps_what_a_write_may_leave_and_drops_what_it_discards() {
 }
 
 #[test]
-fn culling_goes_by_bytes() {
+fn culling_is_per_byte() {
     let mut graph = Graph::new("ranges");
     let out = graph.external("out", 512);
     graph.fill("low", out.slice(0, 256), 1).unwrap();
@@ -75,7 +75,7 @@ fn culling_goes_by_bytes() {
 }
 
 #[test]
-fn accumulating_for_nobody_needs_no_start() {
+fn unread_accumulation_needs_no_initial_value() {
     let mut graph = Graph::new("accumulate");
     let sum = graph.transient("sum", 256);
     let out = graph.external("out", 256);
@@ -88,11 +88,11 @@ fn accumulating_for_nobody_needs_no_start() {
 #[test]
 fn kept_transients_are_outputs() {
     let mut graph = Graph::new("keep");
-    let [kept, other] = ["kept", "other"].map(|name| graph.transient(name, 256));
+    let [retained, other] = ["kept", "other"].map(|name| graph.transient(name, 256));
     let out = graph.external("out", 512);
-    graph.keep(kept);
-    graph.fill("fill_kept", kept, 1).unwrap();
-    graph.copy("use", kept, out.slice(0, 256)).unwrap();
+    graph.keep(retained);
+    graph.fill("fill_kept", retained, 1).unwrap();
+    graph.copy("use", retained, out.slice(0, 256)).unwrap();
     pass(&mut graph, "fill_other", &[(other.slice(0, 256), Write), (out.slice(0, 256), Read)]);
     graph.copy("use_other", other, out.slice(256, 256)).unwrap();
     let plan = compile(graph);
@@ -117,7 +117,7 @@ fn groups_are_levels() {
 }
 
 #[test]
-fn accumulations_share_a_group_and_reads_part_them() {
+fn accumulations_share_a_group_unless_read_between() {
     let mut graph = Graph::new("sums");
     let sum = graph.external("sum", 256);
     let out = graph.external("out", 256);
@@ -138,12 +138,12 @@ fn accumulations_into_one_buffer_need_no_barrier_between_replays() {
     let sum = graph.external("sum", 256);
     pass(&mut graph, "add", &[(sum.slice(0, 256), Accumulate)]);
     let plan = compile(graph);
-    // Only the copies that may have read the sum in between are waited for.
+    // Waits only for copies that may have read the sum in between.
     assert_eq!(plan.groups[0].barrier, barrier(Stages::TRANSFER, Accesses::NONE, Stages::COMPUTE, Accesses::NONE));
 }
 
 #[test]
-fn a_fill_goes_right_before_its_first_user() {
+fn fill_is_scheduled_before_its_first_user() {
     let mut graph = Graph::new("late");
     let chain = graph.external("chain", 256);
     let sum = graph.transient("sum", 4096);
@@ -157,7 +157,7 @@ fn a_fill_goes_right_before_its_first_user() {
     assert_eq!(
         groups(&plan),
         [vec!["one"], vec!["two"], vec!["zero", "three"], vec!["add"], vec!["end"]],
-        "the fill is last to go and in front of its group"
+        "the fill is scheduled as late as possible, first in its group"
     );
 }
 
@@ -172,9 +172,8 @@ fn dispatch_to_dispatch() {
     let after = Stages::TRANSFER | Stages::HOST;
     let seen = Accesses::TRANSFER_READ | Accesses::HOST_READ;
     assert_eq!(plan.final_barrier, barrier(compute, write, after, seen));
-    // The next replay writes over what kernels, and copies from the outputs, have read: it only has to wait. That the
-    // barrier after the last group waited for the kernels suffices: who waits for copies waits for what these waited
-    // for.
+    // The next replay overwrites data that kernels, and copies from the outputs, have read, so it only has to wait.
+    // Waiting for the copies suffices: the final barrier made those wait for the kernels.
     let none = Accesses::NONE;
     assert_eq!(plan.groups[0].barrier, barrier(Stages::TRANSFER, none, compute, none));
 }
@@ -229,7 +228,7 @@ fn fill_to_copy_and_dispatch_to_uniform() {
 }
 
 #[test]
-fn a_read_before_a_write_needs_execution_only() {
+fn read_before_write_needs_execution_barrier_only() {
     let mut graph = Graph::new("war");
     let state = graph.external("state", 256);
     let out = graph.external("out", 256);
@@ -241,7 +240,7 @@ fn a_read_before_a_write_needs_execution_only() {
 }
 
 #[test]
-fn what_is_visible_stays_so() {
+fn visibility_persists() {
     let mut graph = Graph::new("visible");
     let made = graph.transient("made", 256);
     let chain = graph.external("chain", 256);
@@ -252,13 +251,13 @@ fn what_is_visible_stays_so() {
     graph.fill("three", late, 0).unwrap();
     pass(&mut graph, "four", &[(made.slice(0, 256), Read), (late.slice(0, 256), ReadWrite)]);
     let plan = graph.compile(&CompileOptions { reorder: false, ..Default::default() }).unwrap();
-    // `four` waits for the fill alone; `made` has been visible to kernels since `one`.
+    // `four` waits only for the fill; `made` has been visible to kernels since `one`.
     let last = plan.groups.last().unwrap().barrier.unwrap();
     assert_eq!((last.src_stage, last.src_access), (Stages::TRANSFER, Accesses::TRANSFER_WRITE));
 }
 
 #[test]
-fn separate_ranges_do_not_meet() {
+fn disjoint_ranges_do_not_conflict() {
     let mut graph = Graph::new("ranges");
     let both = graph.external("both", 512);
     pass(&mut graph, "low", &[(both.slice(0, 256), ReadWrite)]);
@@ -266,7 +265,7 @@ fn separate_ranges_do_not_meet() {
     assert_eq!(compile(graph).groups.len(), 1);
 }
 
-/// Two chains, one after the other, each through a transient of its own.
+/// Graph with two chains in sequence, each through its own transient.
 fn two_chains() -> Graph {
     let mut graph = Graph::new("hand-off");
     let [first, second] = ["first", "second"].map(|name| graph.transient(name, 1000));
@@ -279,10 +278,10 @@ fn two_chains() -> Graph {
 }
 
 #[test]
-fn transients_share_memory_and_hand_it_over() {
+fn aliased_transients_are_separated_by_barriers() {
     let options = CompileOptions { reorder: false, ..Default::default() };
     let mut plan = two_chains().compile(&options).unwrap();
-    // `make2` depends on nothing and joins `use1`, where `first` is still alive.
+    // `make2` has no dependency and joins `use1`, where `first` is still alive.
     assert_eq!(groups(&plan), [vec!["make1"], vec!["use1", "make2"], vec!["use2"]]);
     assert_eq!((plan.arena_bytes, plan.arena_unaliased_bytes), (2048, 2048));
 
@@ -294,9 +293,9 @@ fn transients_share_memory_and_hand_it_over() {
     plan = graph.compile(&options).unwrap();
     assert_eq!((plan.arena_bytes, plan.arena_unaliased_bytes), (2048, 3072));
     let group = plan.groups.iter().position(|g| names(&plan, &g.passes).contains(&"make3".to_owned())).unwrap();
-    assert_eq!(plan.placements[third.index()], plan.placements[0], "make3 takes over what use1 left");
+    assert_eq!(plan.placements[third.index()], plan.placements[0], "make3 aliases the memory of use1");
 
-    // Nothing but the memory orders `use1` before `make3`.
+    // Only memory aliasing orders `use1` before `make3`.
     let barrier = plan.groups[group].barrier.as_mut().unwrap();
     barrier.dst_stage = barrier.dst_stage.without(Stages::TRANSFER);
     barrier.dst_access = barrier.dst_access.without(Accesses::TRANSFER_WRITE);
@@ -309,20 +308,20 @@ fn transients_share_memory_and_hand_it_over() {
 }
 
 #[test]
-fn without_sharing_every_transient_has_its_own_place() {
+fn transients_are_disjoint_without_aliasing() {
     let plan = two_chains().compile(&CompileOptions { alias: false, ..Default::default() }).unwrap();
     assert_eq!(plan.arena_bytes, plan.arena_unaliased_bytes);
     assert_eq!(plan.placements, [Some(0), Some(1024), None]);
 }
 
 #[test]
-fn an_empty_graph_is_a_plan() {
+fn empty_graph_compiles() {
     let plan = compile(Graph::new("empty"));
     assert!(plan.groups.is_empty() && plan.final_barrier.is_none() && plan.arena_bytes == 0);
 }
 
 #[test]
-fn a_graph_that_changes_nothing_runs_nothing() {
+fn graph_without_outputs_runs_nothing() {
     let mut graph = Graph::new("idle");
     let input = graph.input("input", 256);
     let scratch = graph.transient("scratch", 256);
@@ -333,7 +332,7 @@ fn a_graph_that_changes_nothing_runs_nothing() {
 }
 
 #[test]
-fn the_key_is_that_of_the_declaration() {
+fn key_depends_on_declaration_and_options() {
     fn graph(change: usize) -> Graph {
         let mut graph = Graph::new(if change == 1 { "other" } else { "same" });
         let out = graph.external("out", if change == 2 { 512 } else { 256 });

@@ -1,4 +1,4 @@
-//! Two queues without a device: which passes leave the main lane, what they pay, what the verifier makes of damage.
+//! Two-queue plans without a device: lane assignment, gain, and damaged waits.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use super::random::recipes;
 use super::*;
 use crate::shader::Access::{Read, ReadWrite, Write};
 
-/// A long chain and a short one that meet at the end, with scratch on both sides.
+/// Graph with a long and a short chain that join at the end, each with a transient.
 fn two_chains() -> Graph {
     let mut graph = Graph::new("chains");
     let input = graph.input("input", 4096);
@@ -40,7 +40,7 @@ fn lanes(plan: &Plan) -> Vec<(Lane, Vec<String>, Vec<usize>)> {
 }
 
 #[test]
-fn the_shorter_chain_leaves_the_main_lane() {
+fn shorter_chain_runs_on_side_lane() {
     let plan = compile(two_chains(), Queues::Forced);
     let expected = [
         (Lane::Main, vec!["begin"], vec![]),
@@ -54,8 +54,8 @@ fn the_shorter_chain_leaves_the_main_lane() {
         assert_eq!((lane, waits), (expected_lane, expected_waits));
         assert_eq!(names, expected_names);
     }
-    // What the side needs barriers for is its own affair.
-    assert_eq!(plan.groups[1].barrier, None, "the first group of a side segment has waited");
+    // The side lane places its own barriers.
+    assert_eq!(plan.groups[1].barrier, None, "a wait precedes the first group of a side segment");
     assert!(plan.groups[2].barrier.is_some());
 }
 
@@ -66,7 +66,7 @@ fn one_queue_is_the_default() {
 }
 
 #[test]
-fn a_second_queue_has_to_pay() {
+fn second_queue_requires_minimum_gain() {
     let two = |gain_percent, wait_nanoseconds| Queues::Two { gain_percent, wait_nanoseconds };
     let costs = |left: u64, right: u64| {
         let mut graph = two_chains();
@@ -74,15 +74,15 @@ fn a_second_queue_has_to_pay() {
         graph.set_costs(chains.chain((0..3).map(move |at| (format!("r{at}"), right * (2 - at % 2)))));
         graph
     };
-    // Groups of 1 + 2, 2 + 1, ... take 2 each on one queue; on two, each chain goes at its own pace.
+    // Groups of 1 + 2, 2 + 1, ... take 2 each on one queue; on two queues, the chains run independently.
     assert_eq!(compile(costs(100_000, 100_000), two(5, 1_000)).segments.len(), 4);
-    assert_eq!(compile(costs(100_000, 100_000), two(40, 1_000)).segments.len(), 1, "less than was asked for");
-    assert_eq!(compile(costs(100_000, 100_000), two(5, 400_000)).segments.len(), 1, "waiting costs more");
-    assert_eq!(compile(costs(100_000, 1_000), two(5, 1_000)).segments.len(), 1, "there is nothing to gain");
+    assert_eq!(compile(costs(100_000, 100_000), two(40, 1_000)).segments.len(), 1, "below the requested gain");
+    assert_eq!(compile(costs(100_000, 100_000), two(5, 400_000)).segments.len(), 1, "waits cost more");
+    assert_eq!(compile(costs(100_000, 1_000), two(5, 1_000)).segments.len(), 1, "no gain");
 }
 
 #[test]
-fn what_may_run_together_shares_no_memory() {
+fn concurrent_passes_do_not_alias() {
     let plan = compile(two_chains(), Queues::Forced);
     let lives = plan.lifetimes();
     let right = plan.buffers.iter().position(|info| info.name == "right").unwrap();
@@ -94,7 +94,7 @@ fn what_may_run_together_shares_no_memory() {
     assert!(matches!(verify(&damaged), Err(VerifyError::Overlap { .. })));
 }
 
-fn refused(damage: impl FnOnce(&mut Plan)) -> String {
+fn verify_error_after(damage: impl FnOnce(&mut Plan)) -> String {
     let mut plan = compile(two_chains(), Queues::Forced);
     assert_eq!(verify(&plan), Ok(()));
     damage(&mut plan);
@@ -102,37 +102,37 @@ fn refused(damage: impl FnOnce(&mut Plan)) -> String {
 }
 
 #[test]
-fn damaged_waits_are_named() {
+fn damaged_waits_are_rejected() {
     assert_eq!(
-        refused(|plan| plan.segments[1].waits.clear()),
+        verify_error_after(|plan| plan.segments[1].waits.clear()),
         "Pass [r0] on buffer [start] has a read after write with pass [begin] on buffer [start] at byte 4096 within \
          1 replay(s), but no barrier between the queues comes before it."
     );
     assert_eq!(
-        refused(|plan| plan.segments[3].waits.clear()),
+        verify_error_after(|plan| plan.segments[3].waits.clear()),
         "Segment 3 of the plan does not wait for all of the second lane."
     );
     assert_eq!(
-        refused(|plan| plan.segments[1].waits.push(3)),
-        "Segment 1 of the plan waits for one that is submitted after it."
+        verify_error_after(|plan| plan.segments[1].waits.push(3)),
+        "Segment 1 of the plan waits for a later segment."
     );
     assert_eq!(
-        refused(|plan| plan.segments[2].groups.end -= 1),
-        "Segment 3 of the plan does not begin where the one before it ends."
+        verify_error_after(|plan| plan.segments[2].groups.end -= 1),
+        "Segment 3 of the plan does not begin where the previous segment ends."
     );
     assert_eq!(
-        refused(|plan| plan.segments.truncate(3)),
-        "Segment 4 of the plan is missing: some groups are in none.".replace("Segment 4", "Segment 3")
+        verify_error_after(|plan| plan.segments.truncate(3)),
+        "Segment 4 of the plan is missing: some groups are in no segment.".replace("Segment 4", "Segment 3")
     );
     assert_eq!(
-        refused(|plan| plan.segments[0].lane = Lane::Side),
-        "Segment 0 of the plan is not the main lane's, as the first and the last have to be."
+        verify_error_after(|plan| plan.segments[0].lane = Lane::Side),
+        "Segment 0 of the plan is not on the main lane; the first and the last must be."
     );
-    assert!(refused(|plan| plan.groups[2].barrier = None).contains("Pass [r1] on buffer [right] has a"));
+    assert!(verify_error_after(|plan| plan.groups[2].barrier = None).contains("Pass [r1] on buffer [right] has a"));
 }
 
 #[test]
-fn the_host_sees_what_the_second_queue_leaves() {
+fn second_queue_outputs_are_host_visible() {
     let mut graph = two_chains();
     let seen = graph.external("seen", 4096);
     let right = Buffer(2);
@@ -164,20 +164,20 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_wait_of_the_main_lane_can_be_missed(mut recipe in recipes(40)) {
+    fn verifier_detects_missing_main_lane_waits(mut recipe in recipes(40)) {
         recipe.options.queues = Queues::Forced;
         let plan = recipe.build().compile(&recipe.options).unwrap();
         for (at, segment) in plan.segments.iter().enumerate() {
             if segment.lane == Lane::Main && !segment.waits.is_empty() {
                 let mut damaged = plan.clone();
                 damaged.segments[at].waits.clear();
-                prop_assert!(verify(&damaged).is_err(), "the waits of segment {} are not missed in\n{}", at, plan);
+                prop_assert!(verify(&damaged).is_err(), "the waits of segment {} are not detected in\n{}", at, plan);
             }
         }
     }
 }
 
-/// What the properties above are worth: random graphs must have excursions.
+/// Guards the properties above: random graphs must contain excursions.
 #[test]
 fn random_graphs_use_both_queues() {
     use proptest::strategy::{Strategy, ValueTree};

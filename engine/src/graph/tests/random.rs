@@ -1,5 +1,5 @@
-//! Random graphs: the verifier accepts what the compiler makes of them, and running the plan gives what running the
-//! declaration gives.
+//! Random graphs: the verifier accepts every compiled plan, and running the plan gives the same results as running
+//! the declaration.
 
 use proptest::prelude::*;
 
@@ -8,10 +8,10 @@ use super::*;
 use crate::format::ImageFormat;
 use crate::shader::Access;
 
-/// Everything is a multiple of this.
+/// Size and alignment unit of all ranges in bytes.
 const CELL: u64 = 16;
 
-/// How buffers and passes are drawn. Numbers are reduced to what exists when the graph is built.
+/// Random buffers and passes. Values are reduced to valid ranges when the graph is built.
 #[derive(Clone, Debug)]
 pub(super) struct Recipe {
     buffers: Vec<(u8, u64, bool)>,
@@ -41,11 +41,11 @@ pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
 }
 
 impl Recipe {
-    /// The graph. What would be an error is left out.
+    /// Builds the graph. Omits passes that would be errors.
     pub(super) fn build(&self) -> Graph {
         let mut graph = Graph::new("random");
         graph.set_gate(&gate());
-        // At least one output, so that not everything is dropped.
+        // At least one output, so that some passes are live.
         graph.external("e", 8 * CELL);
         for (index, &(kind, cells, keep)) in self.buffers.iter().enumerate() {
             let (name, bytes) = (format!("b{index}"), cells * CELL);
@@ -76,7 +76,7 @@ impl Recipe {
                 graph = before;
             }
         }
-        // Somebody wants some of the transients in the end.
+        // Reads some of the transients at the end.
         let made = (0..graph.buffers.len())
             .filter(|index| index % 3 == 0)
             .map(|index| Slice { bytes: graph.buffers[index].bytes, ..Slice::from(Buffer(index as u32)) });
@@ -90,7 +90,7 @@ impl Recipe {
         graph
     }
 
-    /// An image of some kind, in some states.
+    /// Declares an image of a kind, in varying states.
     fn image(&self, graph: &mut Graph, name: String, kind: u8, cells: u64, keep: bool) -> Image {
         const STATES: [ImageState; 6] = [
             ImageState::General,
@@ -100,7 +100,7 @@ impl Recipe {
             ImageState::Present,
             ImageState::Undefined,
         ];
-        // A texel a cell.
+        // One texel per cell.
         let (size, format) = ([cells as u32, 1], ImageFormat::Rgba32Float);
         match kind {
             12 => {
@@ -148,8 +148,8 @@ impl Recipe {
                 graph.copy(name, Slice { bytes, ..*source }, Slice { bytes, ..*target })
             }
             _ => {
-                // What was drawn is bent to what is allowed, so that most passes survive: the first of overlapping
-                // slices stays, inputs are read, and a transient that nobody wrote is written.
+                // Invalid choices are corrected, so that most passes remain: of overlapping slices the first stays,
+                // inputs are read, and unwritten transients are written.
                 let keep = |at: &usize| !slices[..*at].iter().any(|slice| slice.overlaps(&slices[*at]));
                 let (touches, slices): (Vec<_>, Vec<_>) =
                     (0..slices.len()).filter(keep).map(|at| (&touches[at], slices[at])).unzip();
@@ -168,7 +168,7 @@ impl Recipe {
                     slices.iter().zip(&accesses).map(|(s, access)| (kind_of(graph, s), *access)).collect();
                 let indirect = slices.first().copied().filter(|first| kind == 2 && !is_image(graph, first));
                 let kernel = with_kinds("k", &kinds);
-                // On a word of some buffer, sometimes of one that the pass touches.
+                // Condition word in some buffer, sometimes in one that the pass accesses.
                 let word = touches.last().map(|touch| slice(touch)).filter(|_| matches!(kind, 3 | 4));
                 let word = word.filter(|word| !is_image(graph, word)).map(|word| word.buffer.slice(word.offset, 4));
                 let mut pass = graph.pass(name, &kernel);
@@ -188,21 +188,21 @@ impl Recipe {
     }
 }
 
-/// The contents of memory after some replays, one number a cell: each pass mixes what it reads into what it writes.
+/// Simulated memory after some replays, one number per cell: each pass mixes its inputs into its outputs.
 struct Machine<'p> {
     plan: &'p Plan,
-    /// By space (a buffer, or the arena last) and cell: whose contents they are, and what.
+    /// By space (buffers, then the arena and image slots) and cell: owner and value.
     cells: Vec<Vec<(usize, u64)>>,
-    /// Whether transients live in the arena.
+    /// Whether transients use the arena.
     arena: bool,
 }
 
-/// Whether a slice is of an image.
+/// Returns whether a slice belongs to an image.
 fn is_image(graph: &Graph, slice: &Slice) -> bool {
     graph.buffers[slice.buffer.index()].image.is_some()
 }
 
-/// The groups of a plan in an order in which two queues may run them: the second one as late as the waits allow.
+/// Returns the latest group order that two queues may execute: the side lane runs as late as the waits allow.
 fn late(plan: &Plan) -> Vec<usize> {
     let (mut order, mut pending) = (Vec::new(), std::collections::VecDeque::new());
     for (at, segment) in plan.segments.iter().enumerate() {
@@ -217,11 +217,11 @@ fn late(plan: &Plan) -> Vec<usize> {
         }
         order.extend(segment.groups.clone());
     }
-    assert!(pending.is_empty(), "nobody waits for the last of {plan}");
+    assert!(pending.is_empty(), "no segment waits for the last of {plan}");
     order
 }
 
-/// The owner of a cell that nobody wrote.
+/// Owner of an unwritten cell.
 const NOBODY: usize = usize::MAX;
 
 impl<'p> Machine<'p> {
@@ -248,15 +248,15 @@ impl<'p> Machine<'p> {
         &mut self.cells[space][(first + cell) as usize]
     }
 
-    /// What is there; the same undefined thing whatever else is in its place.
+    /// Returns the value of a cell; a fixed value if another buffer owns it.
     fn load(&mut self, buffer: usize, cell: u64) -> u64 {
         let (owner, value) = *self.cell(buffer, cell);
         let history = self.plan.buffers[buffer].kind == BufferKind::History;
         if owner == buffer || history { value } else { 0xdead }
     }
 
-    /// What the beginning of a replay does to memory: nobody knows what is in transients and in images that arrive
-    /// undefined, and a change of layout from undefined loses what was there.
+    /// Simulates the beginning of a replay: swaps histories, and invalidates transients and images with undefined
+    /// contents.
     fn begin(&mut self) {
         for (buffer, info) in self.plan.buffers() {
             if let Some(pair) = info.pair.filter(|_| info.keep) {
@@ -276,7 +276,7 @@ impl<'p> Machine<'p> {
         let pass = &self.plan.passes[index];
         let cells = |slice: &Slice| slice.offset / CELL..(slice.offset + slice.bytes).div_ceil(CELL);
         if pass.condition.is_some() {
-            // What the gate wrote says whether the pass runs.
+            // The gate's output decides whether the pass runs.
             let counts = pass.accesses.iter().find(|(_, _, used)| *used == Use::Indirect).unwrap().0;
             if self.load(counts.buffer.index(), 0).is_multiple_of(3) {
                 return;
@@ -294,7 +294,7 @@ impl<'p> Machine<'p> {
             let buffer = slice.buffer.index();
             for cell in cells(slice) {
                 let value = mix(read, cell);
-                // A kernel that only writes may leave cells as they are, if it has not promised otherwise.
+                // A kernel that only writes may preserve cells, unless it discards.
                 let leaves = *access == Access::Write && !pass.discards(slice) && value.is_multiple_of(3);
                 let old = self.load(buffer, cell);
                 let new = match access {
@@ -309,11 +309,12 @@ impl<'p> Machine<'p> {
 
     fn outputs(&mut self) -> Vec<u64> {
         let plan = self.plan;
-        // A kept transient that nothing uses has neither place nor contents.
-        let kept = plan.buffers().filter(|(buffer, info)| {
+        // An unused kept transient has neither memory nor contents.
+        let retained = plan.buffers().filter(|(buffer, info)| {
             info.keep && (info.kind != BufferKind::Transient || plan.placements[buffer.index()].is_some())
         });
-        kept.flat_map(|(buffer, info)| (0..info.bytes / CELL).map(move |cell| (buffer.index(), cell)))
+        retained
+            .flat_map(|(buffer, info)| (0..info.bytes / CELL).map(move |cell| (buffer.index(), cell)))
             .map(|(index, cell)| self.load(index, cell))
             .collect()
     }
@@ -327,7 +328,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn the_verifier_accepts_every_plan(recipe in recipes(40)) {
+    fn verifier_accepts_every_plan(recipe in recipes(40)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         if let Err(error) = verify(&plan) {
             return Err(TestCaseError::fail(format!("{error}\n{plan}")));
@@ -342,7 +343,7 @@ proptest! {
     }
 
     #[test]
-    fn the_plan_computes_what_was_declared(recipe in recipes(40)) {
+    fn plan_matches_declared_order(recipe in recipes(40)) {
         let plan = recipe.build().compile(&recipe.options).unwrap();
         let mut declared = Machine::new(&plan, false);
         let mut planned = Machine::new(&plan, true);
@@ -350,7 +351,7 @@ proptest! {
             declared.begin();
             planned.begin();
             (0..plan.passes.len()).for_each(|pass| declared.run(pass));
-            // Within a group any order will do, the opposite one too.
+            // Passes of a group may run in any order, here in reverse.
             plan.groups.iter().for_each(|group| group.passes.iter().rev().for_each(|&pass| planned.run(pass)));
             prop_assert_eq!(declared.outputs(), planned.outputs(), "{}", plan);
         }
@@ -360,7 +361,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 700, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn two_queues_compute_what_one_does(mut recipe in recipes(40)) {
+    fn two_queues_match_declared_order(mut recipe in recipes(40)) {
         recipe.options.queues = Queues::Forced;
         let plan = recipe.build().compile(&recipe.options).unwrap();
         if let Err(error) = verify(&plan) {
@@ -380,9 +381,9 @@ proptest! {
     }
 }
 
-/// The comparison above is worth something: an order that breaks the data flow gives other outputs.
+/// Guards the comparison above: an order that violates the data flow changes the outputs.
 #[test]
-fn the_machine_notices_a_wrong_order() {
+fn machine_detects_wrong_order() {
     let mut graph = Graph::new("order");
     let out = graph.external("out", 4 * CELL);
     graph.fill("fill", out, 1).unwrap();
@@ -396,7 +397,7 @@ fn the_machine_notices_a_wrong_order() {
     assert_ne!(outputs([0, 1]), outputs([1, 0]));
 }
 
-/// What the properties above are worth: random graphs must have plenty of everything.
+/// Guards the properties above: random graphs must cover every feature.
 #[test]
 fn random_graphs_are_not_trivial() {
     use proptest::strategy::{Strategy, ValueTree};

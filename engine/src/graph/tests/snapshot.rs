@@ -1,11 +1,11 @@
-//! A plan as text, JSON and DOT. The text is a golden file: when it changes, a reader should see why.
+//! Text, JSON and DOT output of a plan. The text is a golden file; every change needs a reason.
 
 use super::kernels::{kernel, pass, with_kinds};
 use super::*;
 use crate::shader::Access::{Accumulate, Read, ReadWrite, Write};
 use crate::shader::BindingKind;
 
-/// A small training step: project, count, scan, draw indirectly, go back, update.
+/// Builds a small training step: project, count, scan, blend indirectly, backward pass, update.
 pub(super) fn step() -> Graph {
     let mut graph = Graph::new("step");
     let camera = graph.uniform("camera", 256);
@@ -62,14 +62,14 @@ fn plan() -> Plan {
 }
 
 #[test]
-fn text_is_the_golden_text() {
+fn text_matches_golden_file() {
     let golden = include_str!("step.txt");
     let text = dump::text(&plan());
     assert!(text == golden, "the plan of the golden step is now\n{text}");
 }
 
 #[test]
-fn json_says_what_the_plan_says() {
+fn json_matches_plan() {
     let plan = plan();
     let json: serde_json::Value = serde_json::from_str(&dump::json(&plan)).unwrap();
     assert_eq!(json["name"], "step");
@@ -88,7 +88,7 @@ fn json_says_what_the_plan_says() {
 }
 
 #[test]
-fn dot_has_every_pass_and_closes_what_it_opens() {
+fn dot_contains_every_pass_and_is_balanced() {
     let plan = plan();
     let dot = dump::dot(&plan);
     for index in 0..plan.passes.len() {

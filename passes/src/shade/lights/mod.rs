@@ -3,7 +3,7 @@
 //! A light at p shines on a point x from direction w = (p - x) / |p - x| with `sum_k mu_k exp(lambda_k (w . b_k - 1))`, mu in
 //! red, green, blue, divided by `max(|p - x|^2, 1e-3)` (SGS-Intrinsic, section 3.2; spherical Gaussians: Wang et al. 2009).
 //! Radiance is the sum over the lights times a normalizer that never changes, so that a light can be switched off, or one
-//! added, without the others changing. The surface is Lambert's and GGX (`brdf.glsl`); see docs/MATH.md.
+//! added, without the others changing. The surface is Lambert's and GGX (`brdf.glsl`); see docs/how/mathematics.md.
 //!
 //! The way of a step:
 //! 1. [`lights_prepare`]: raw parameters to what shading reads, and the list of lights that are on;

@@ -11,7 +11,7 @@
 //!
 //! Promises: the same bits every time. Weights are summed by workgroup and then over workgroups in order; tables as whole
 //! numbers of 64 bits, in units of a power of two that follows from the step's own largest gradient, so that nothing
-//! saturates and a gradient 2^-15 of the largest still has 24 bits at two million pixels. That takes 32-bit atomics only; see ADR 0020.
+//! saturates and a gradient 2^-15 of the largest still has 24 bits at two million pixels. That takes 32-bit atomics only; see ADR 0017.
 //! Gradients of lights' places are exact: direction and distance both move with the light, in or on the box alike, but not
 //! where it is held at the faces.
 //!

@@ -17,7 +17,7 @@ fn encoded(width: u32, height: u32, color: ExtendedColorType) -> Vec<u8> {
     out
 }
 
-/// A color picture.
+/// A color image.
 pub(crate) fn png(width: u32, height: u32) -> Vec<u8> {
     encoded(width, height, ExtendedColorType::Rgb8)
 }

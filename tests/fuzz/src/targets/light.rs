@@ -51,7 +51,7 @@ pub(crate) fn environment(bytes: &[u8]) -> String {
         })
 }
 
-/// An edit, as a file and as text, and what it makes of three lamps and of surroundings.
+/// An edit, as a file and as text, and what it makes of three lamps and of an environment map.
 pub(crate) fn edit(bytes: &[u8]) -> String {
     let place = Place::of("edit", |place| {
         place.put("lights.json", seeds::LIGHTS.as_bytes());

@@ -32,8 +32,8 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
         Err(error) => return error.to_string(),
     };
     let image = Image::new(12, 9, 3);
-    let picture = Picture::srgb(&image);
-    let frames = [picture.clone(), picture.clone(), picture.clone()];
+    let rendered = Picture::srgb(&image);
+    let frames = [rendered.clone(), rendered.clone(), rendered.clone()];
     let fits = |image: &Image| image.check().expect("answers have the size of the question");
     let mut words = provider.about().list();
     // Twice, so that what follows an answer is heard.
@@ -43,15 +43,15 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
                 assert!(masks.frames.iter().all(|f| f.len() == 12 * 9), "masks fit");
                 "masks".into()
             }),
-            1 => said(provider.regions(&picture), |r| {
+            1 => said(provider.regions(&rendered), |r| {
                 assert_eq!(r.ids.len(), r.size[0] as usize * r.size[1] as usize, "regions fit");
                 "regions".into()
             }),
-            2 => said(provider.normals(&picture), |n| {
+            2 => said(provider.normals(&rendered), |n| {
                 fits(&n.image);
                 "normals".into()
             }),
-            3 => said(provider.semantics(&picture), |f| {
+            3 => said(provider.semantics(&rendered), |f| {
                 assert_eq!(f.data.len(), f.shape.iter().product::<usize>(), "features fit");
                 "features".into()
             }),
@@ -59,8 +59,8 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
                 assert_eq!(all.len(), 2 * width, "embeddings fit");
                 "text".into()
             }),
-            5 => said(provider.classes(std::slice::from_ref(&picture)), |names| format!("{}", names.len().min(3))),
-            _ => said(provider.materials(&picture, &["albedo", "roughness", "metallic"]), |m| {
+            5 => said(provider.classes(std::slice::from_ref(&rendered)), |names| format!("{}", names.len().min(3))),
+            _ => said(provider.materials(&rendered, &["albedo", "roughness", "metallic"]), |m| {
                 [&m.albedo, &m.roughness, &m.metallic].into_iter().flatten().for_each(fits);
                 "materials".into()
             }),

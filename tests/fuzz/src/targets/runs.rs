@@ -48,8 +48,8 @@ pub(crate) fn settings_of_run(bytes: &[u8]) -> String {
 
 /// How far a run is, by its files.
 fn state(run: &RunDirectory) -> String {
-    let asked = run.settings().unwrap_or_default();
-    let of = |materials| State::of(run.root(), &asked, &Goal { materials, lpips: None });
+    let requested = run.settings().unwrap_or_default();
+    let of = |materials| State::of(run.root(), &requested, &Goal { materials, lpips: None });
     let measures = Measures::read(run).and_then(|m| serde_json::to_string(&m).ok()).unwrap_or_default();
     format!("{:?} {:?} {measures}", of(false), of(true))
 }
@@ -88,10 +88,11 @@ pub(crate) fn log(bytes: &[u8]) -> String {
     place.put("log.jsonl", bytes);
     let curves = chart::log(&String::from_utf8_lossy(bytes));
     assert!(!curves.contains('\u{1b}'), "what files say is escaped");
-    let kept = |log: Result<std::fs::File, RunError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
-    let words = kept(run.open_log(StageKind::Geometry, 3));
+    let retained =
+        |log: Result<std::fs::File, RunError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
+    let words = retained(run.open_log(StageKind::Geometry, 3));
     place.put("log.jsonl", bytes);
-    words + &kept(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()
+    words + &retained(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()
 }
 
 /// Sizes of memory on the command line.

@@ -3,7 +3,7 @@
 //! What other programs read is what the extensions say: scales, unit quaternions and opacities after activation,
 //! harmonics by coefficient. Beside it stand attributes whose names begin with an underscore, as glTF asks of those of
 //! applications: materials, normals, and the stored numbers before activation, from which this reader gets every bit
-//! back (docs/EXCHANGE.md). Lights are points with their mean intensity; what they are more than that is the caller's to
+//! back (docs/reference/exchange.md). Lights are points with their mean intensity; what they are more than that is the caller's to
 //! put into `extras`.
 
 mod buffer;

@@ -1,7 +1,7 @@
 //! JPEG files.
 //!
 //! Not by the decoder of the crate `image`: in version 0.25 that takes a file which was cut off for whole, its rest gray, and components in scans of
-//! their own for others, without a word (`docs/adr/0024-jpeg.md`).
+//! their own for others, without a word (`docs/adr/0021-jpeg.md`).
 
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Result as IoResult, Seek, SeekFrom};

@@ -2,7 +2,7 @@
 //!
 //! All agree on positions, harmonics, opacities, scales and rotations, which are stored before activation. They differ
 //! in the names of normals and materials, and in the function that makes a material of a stored number. What is known of
-//! each is in docs/EXCHANGE.md. Reading and writing are left to the files beside this one.
+//! each is in docs/reference/exchange.md. Reading and writing are left to the files beside this one.
 
 use super::{SH_C0, Splats};
 use crate::image::{linear_to_srgb, srgb_to_linear};

@@ -14,7 +14,7 @@ pub struct Args {
     /// File to write. What it cannot hold of lights and surroundings is put beside it.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Format; by default that which the name ends in (see docs/EXCHANGE.md).
+    /// Format; by default that which the name ends in (see docs/reference/exchange.md).
     #[arg(long, value_enum)]
     format: Option<Format>,
 }

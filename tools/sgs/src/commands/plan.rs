@@ -329,7 +329,7 @@ pub fn counted(number: f64) -> String {
 /// Where a budget comes from.
 pub fn source_of(budget: &Budget) -> &'static str {
     match budget.source {
-        BudgetSource::Given => "as set",
+        BudgetSource::Configured => "as set",
         BudgetSource::Driver => "by the driver",
         BudgetSource::Heap => "the device's heap",
     }

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Command line of the provider, for instance "tools/priors/serve stable-normal=WEIGHTS" (see docs/PRIORS.md).
+    /// Command line of the provider, for instance "tools/priors/serve stable-normal=WEIGHTS" (see docs/guide/priors.md).
     #[arg(long, value_name = "CMD")]
     provider: String,
     /// Only these kinds: normal, semantic, masks, albedo, roughness, metallic; by default all that it offers.

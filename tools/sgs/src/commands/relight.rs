@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory, or a PLY or glTF file with materials.
     source: PathBuf,
-    /// What changes: see docs/RELIGHT.md. Nothing by default.
+    /// What changes: see docs/guide/relight.md. Nothing by default.
     #[arg(long, value_name = "FILE.json")]
     edit: Option<PathBuf>,
     #[command(flatten)]

@@ -68,7 +68,7 @@ pub struct Options {
     /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
-    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/TRADEOFF.md); sets all of accuracy.*, and how
+    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/how/accuracy.md); sets all of accuracy.*, and how
     /// often surroundings move and visibility is taught.
     #[arg(long, value_name = "NAME", value_parser = Names(|| vec!["exact", "balanced", "fast"]))]
     pub accuracy: Option<String>,

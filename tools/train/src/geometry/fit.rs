@@ -188,7 +188,7 @@ mod tests {
     fn what_nobody_promised_is_not_used_up() {
         let b = |source, budget| Budget { heap: 1000, budget, used: 100, source };
         assert_eq!(allowance(&b(BudgetSource::Heap, 1000)), 800);
-        assert_eq!(allowance(&b(BudgetSource::Given, 1000)), 900);
+        assert_eq!(allowance(&b(BudgetSource::Configured, 1000)), 900);
         assert_eq!(allowance(&b(BudgetSource::Driver, 50)), 0);
     }
 }

@@ -1,26 +1,26 @@
-//! The arena as a picture: offsets downwards, groups to the right, a rectangle a transient.
+//! Diagram of the arena: offsets downward, groups to the right, one rectangle per transient.
 
 use std::fmt::{self, Write};
 
 use super::{Page, Text, bytes, hue};
 
-/// Size of the picture, in its own pixels, and of the margins.
+/// Size of the diagram and of its margins in pixels.
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 420.0;
 const LEFT: f64 = 74.0;
 const TOP: f64 = 78.0;
 const BOTTOM: f64 = 24.0;
-/// Height of the curve above it.
+/// Height of the live-bytes curve above the diagram.
 const LIVE: f64 = 56.0;
 
-/// Writes the picture and its explanation.
+/// Writes the diagram and its explanation.
 pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let plan = page.plan;
     if plan.arena_bytes == 0 {
         return Ok(());
     }
     let groups = plan.groups.len();
-    // A kept transient lives past the last group: one column more.
+    // A kept transient lives past the last group, which takes one more column.
     let columns = groups + usize::from(page.lifetimes.iter().flatten().any(|&(_, last)| last == groups));
     let arena = plan.arena_bytes as f64;
     let x = |group: usize| LEFT + (WIDTH - LEFT) * group as f64 / columns.max(1) as f64;
@@ -65,7 +65,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     axes(out, columns, plan.arena_bytes, x, y)?;
     for (index, info) in plan.buffers.iter().enumerate() {
         let (Some(offset), Some((first, last))) = (plan.placements[index], page.lifetimes[index]) else { continue };
-        // Images have slots of their own.
+        // Images have their own slots.
         if info.image.is_some() {
             continue;
         }
@@ -84,7 +84,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
             if info.keep { ", kept" } else { "" },
             (right - left).max(1.0),
         )?;
-        // A label only where it fits.
+        // Labels are drawn only where they fit.
         let fits = (info.name.chars().count() as f64) * 6.4 + 8.0 < right - left && height > 12.0;
         if fits {
             writeln!(out, "<text x=\"{:.1}\" y=\"{:.1}\">{name}</text>", left + 4.0, top + height / 2.0 + 3.5)?;
@@ -94,7 +94,7 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     writeln!(out, "</svg></section>")
 }
 
-/// Ticks of groups below and of offsets at the left.
+/// Writes ticks for groups (below) and offsets (left).
 fn axes(out: &mut String, columns: usize, arena: u64, x: impl Fn(usize) -> f64, y: impl Fn(u64) -> f64) -> fmt::Result {
     let step = columns.div_ceil(24).max(1);
     for at in (0..columns).step_by(step) {

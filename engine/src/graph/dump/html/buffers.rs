@@ -1,4 +1,4 @@
-//! Every buffer: kind, size, place, when it lives, and who touches it.
+//! Table of buffers: kind, size, offset, lifetime, and users.
 
 use std::fmt::{self, Write};
 
@@ -40,10 +40,12 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
                 (to.min(100.0) - from).max(0.4)
             );
         }
-        let by = |wanted: &dyn Fn(Access) -> bool| {
+        let by = |matches_access: &dyn Fn(Access) -> bool| {
             let passes = plan.groups.iter().flat_map(|group| &group.passes);
             passes
-                .filter(|&&pass| plan.passes[pass].accesses.iter().any(|a| a.0.buffer.index() == index && wanted(a.1)))
+                .filter(|&&pass| {
+                    plan.passes[pass].accesses.iter().any(|a| a.0.buffer.index() == index && matches_access(a.1))
+                })
                 .count()
         };
         let place = plan.placements[index].map_or_else(String::new, |place| match info.image {

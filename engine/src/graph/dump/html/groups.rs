@@ -1,4 +1,4 @@
-//! The groups in order: the barrier before each with what it is for, and the passes with what they touch.
+//! List of groups: barriers with their hazards, and passes with their accesses.
 
 use std::fmt::{self, Write};
 
@@ -9,7 +9,7 @@ use crate::graph::plan::Barrier;
 use crate::graph::plan::verify::Hazard;
 use crate::graph::resource::BufferState;
 
-/// Writes every group, the end, and what was dropped.
+/// Writes all groups, the final barrier, and dropped passes.
 pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let plan = page.plan;
     writeln!(out, "<section id=\"groups\"><h2>groups</h2>")?;
@@ -52,21 +52,21 @@ fn barrier(page: &Page<'_>, at: usize, barrier: Option<Barrier>, out: &mut Strin
     let from = half(barrier.src_stage.to_string(), barrier.src_access.to_string());
     let to = half(barrier.dst_stage.to_string(), barrier.dst_access.to_string());
     writeln!(out, "<details class=\"barrier\"><summary><span class=\"scope\">{from} <span>→</span> {to}</span>")?;
-    // Each buffer once, in the order of the causes.
-    let mut shown: Vec<usize> = Vec::new();
+    // Each buffer once, in hazard order.
+    let mut listed: Vec<usize> = Vec::new();
     for cause in causes {
         for buffer in [cause.first.1, cause.second.1] {
-            if !shown.contains(&buffer) {
-                shown.push(buffer);
+            if !listed.contains(&buffer) {
+                listed.push(buffer);
             }
         }
     }
     write!(out, "<span class=\"chips\">")?;
-    for &buffer in shown.iter().take(6) {
+    for &buffer in listed.iter().take(6) {
         chip(page, buffer, "", "", out)?;
     }
-    if shown.len() > 6 {
-        write!(out, "<small>+ {}</small>", shown.len() - 6)?;
+    if listed.len() > 6 {
+        write!(out, "<small>+ {}</small>", listed.len() - 6)?;
     }
     let (count, s) = (causes.len(), if causes.len() == 1 { "" } else { "s" });
     writeln!(out, "</span><small class=\"count\">{count} hazard{s}</small></summary><ul>")?;
@@ -77,8 +77,7 @@ fn barrier(page: &Page<'_>, at: usize, barrier: Option<Barrier>, out: &mut Strin
     writeln!(out, "</ul></details>")
 }
 
-/// What the first and the last barrier are there for besides: changes of layout, and those who use buffers between
-/// replays.
+/// Writes the other reasons of the first and last barrier: layout transitions, and external users between replays.
 fn outside(page: &Page<'_>, at: usize, out: &mut String) -> fmt::Result {
     let plan = page.plan;
     let (first, last) = (at == 0, at == plan.groups.len());
@@ -105,15 +104,15 @@ fn line(page: &Page<'_>, cause: &Cause, out: &mut String) -> fmt::Result {
         Hazard::WriteAfterWrite => ("write after write", "waw"),
     };
     write!(out, "<li><span class=\"hazard {class}\">{short}</span> ")?;
-    let hands = cause.first.1 != cause.second.1;
-    side(page, cause.first, hands, out)?;
+    let aliased = cause.first.1 != cause.second.1;
+    side(page, cause.first, aliased, out)?;
     write!(out, " → ")?;
     side(page, cause.second, true, out)?;
-    if hands {
-        write!(out, " <small>memory changes hands</small>")?;
+    if aliased {
+        write!(out, " <small>aliased memory</small>")?;
     }
     if cause.across {
-        write!(out, " <small>from the replay before</small>")?;
+        write!(out, " <small>from the previous replay</small>")?;
     }
     if cause.chained {
         write!(out, " <small>together with other barriers</small>")?;
@@ -121,7 +120,7 @@ fn line(page: &Page<'_>, cause: &Cause, out: &mut String) -> fmt::Result {
     writeln!(out, "</li>")
 }
 
-/// One side of a hazard, with its buffer if asked for.
+/// Writes one side of a hazard, optionally with its buffer.
 fn side(page: &Page<'_>, side: (Option<usize>, usize), buffer: bool, out: &mut String) -> fmt::Result {
     match side.0 {
         Some(pass) => write!(out, "<a href=\"#p{pass}\">{}</a> ", Text(&page.plan.passes[pass].name))?,
@@ -150,8 +149,8 @@ fn pass(page: &Page<'_>, index: usize, out: &mut String) -> fmt::Result {
         out,
         "<article class=\"pass\" id=\"p{index}\" data-pass=\"{index}\" data-in=\"{}\" data-out=\"{}\" \
          data-find=\"{name} {does} {}\"><h4>{name}</h4><p class=\"does\">{does}</p>{time}<div class=\"chips\">",
-        list(&page.follows[index]),
-        list(&page.followed[index]),
+        list(&page.dependencies[index]),
+        list(&page.dependents[index]),
         Text(&find),
     )?;
     for ((slice, access, used), label) in pass.accesses.iter().zip(labels(pass)) {
@@ -169,7 +168,7 @@ fn pass(page: &Page<'_>, index: usize, out: &mut String) -> fmt::Result {
     writeln!(out, "</div></article>")
 }
 
-/// A buffer's name in its color, with what is done to it.
+/// Writes a buffer's name in its color, with its access.
 fn chip(page: &Page<'_>, buffer: usize, verb: &str, note: &str, out: &mut String) -> fmt::Result {
     let info = &page.plan.buffers[buffer];
     let (name, hue) = (Text(&info.name), hue(buffer));

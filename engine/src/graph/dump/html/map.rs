@@ -1,12 +1,12 @@
-//! The map: every pass on a line, groups apart, an arc a dependency, a bar the measured time.
+//! Map of passes: one line per pass, an arc per dependency, a bar for measured time.
 
 use std::fmt::{self, Write};
 
 use super::{Page, Text, duration, list};
 
-/// Pixels of a line.
+/// Height of a line in pixels.
 const LINE: usize = 20;
-/// Pixels left of the names, for the arcs.
+/// Width of the arc area in pixels.
 const GUTTER: usize = 92;
 
 /// Writes the map.
@@ -20,12 +20,12 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let height = LINE * page.running();
     writeln!(out, "<nav id=\"map\" aria-label=\"passes\"><h2>passes</h2><div class=\"lines\">")?;
     writeln!(out, "<svg class=\"arcs\" width=\"{GUTTER}\" height=\"{height}\" aria-hidden=\"true\">")?;
-    for (pass, follows) in page.follows.iter().enumerate() {
+    for (pass, dependencies) in page.dependencies.iter().enumerate() {
         let Some(to) = line_of[pass] else { continue };
-        for &before in follows {
+        for &before in dependencies {
             let Some(from) = line_of[before as usize] else { continue };
             let middle = |line: usize| LINE * line + LINE / 2;
-            // Farther is wider, but never out of the gutter.
+            // Longer dependencies get wider arcs, clamped to the gutter.
             let span = to.abs_diff(from) as f64;
             let reach = (GUTTER as f64 - 4.0) * (1.0 - (-span / 9.0).exp()).max(0.12);
             let (x, y0, y1) = (GUTTER as f64, middle(from), middle(to));
@@ -56,14 +56,14 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
                 out,
                 "<li class=\"{edge}\" data-pass=\"{pass}\" data-find=\"{name}\"{style}><a href=\"#p{pass}\" \
                  data-in=\"{}\" data-out=\"{}\"><span>{name}</span>{time}<b>{at}</b></a></li>",
-                list(&page.follows[pass]),
-                list(&page.followed[pass]),
+                list(&page.dependencies[pass]),
+                list(&page.dependents[pass]),
             )?;
         }
     }
     writeln!(
         out,
-        "</ol></div><p class=\"legend\">Point at a pass: <em class=\"in\">what it follows</em>, \
-         <em class=\"out\">what follows it</em>. A line stands for a barrier; the number is the group.</p></nav>"
+        "</ol></div><p class=\"legend\">Hover over a pass: <em class=\"in\">its dependencies</em>, \
+         <em class=\"out\">its dependents</em>. A line stands for a barrier; the number is the group.</p></nav>"
     )
 }

@@ -1,8 +1,7 @@
-//! A plan as one page that can be looked at: a map of the passes with their dependencies, the arena as a picture,
-//! groups with what their barriers are for, and every buffer with its lifetime.
+//! HTML page of a plan: map of passes and dependencies, arena diagram, groups with barrier hazards, and buffers.
 //!
-//! Promises: one file that loads nothing, well-formed as XML and as HTML, all facts in the markup itself (the script
-//! only highlights and filters), names escaped. Leaves judgment of the plan to the verifier.
+//! Promises: one self-contained file, well-formed as XML and HTML. All facts are in the markup; the script only
+//! highlights and filters. Names are escaped. The verifier judges correctness.
 
 mod arena;
 mod buffers;
@@ -16,8 +15,9 @@ use crate::graph::exec::PassTime;
 use crate::graph::plan::Plan;
 use crate::graph::resource::BufferKind;
 
-/// The plan as an HTML page. `times`: what [`Executor::take_times`](crate::graph::exec::Executor::take_times) returned
-/// for this plan, or nothing.
+/// Returns the plan as an HTML page.
+///
+/// `times`: the result of [`Executor::take_times`](crate::graph::exec::Executor::take_times) for this plan, or empty.
 pub fn html(plan: &Plan, times: &[PassTime]) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
@@ -25,29 +25,29 @@ pub fn html(plan: &Plan, times: &[PassTime]) -> String {
     out
 }
 
-/// What the parts of the page draw from.
+/// Data of the page.
 struct Page<'p> {
     plan: &'p Plan,
-    follows: Vec<Vec<u32>>,
-    /// By pass: who follows it.
-    followed: Vec<Vec<u32>>,
+    dependencies: Vec<Vec<u32>>,
+    /// By pass: passes that depend on it.
+    dependents: Vec<Vec<u32>>,
     lifetimes: Vec<Option<(usize, usize)>>,
-    /// By group, and last for the end: what the barrier before it is for.
+    /// By group, and last for the end: hazards of its barrier.
     causes: Vec<Vec<Cause>>,
-    /// By pass: median nanoseconds, where measured.
+    /// By pass: median nanoseconds, if measured.
     times: Vec<Option<f64>>,
-    /// By buffer: first and last group that touch it.
+    /// By buffer: first and last group that access it.
     used: Vec<Option<(usize, usize)>>,
 }
 
 impl<'p> Page<'p> {
     fn new(plan: &'p Plan, measured: &[PassTime]) -> Self {
-        let follows = plan.dependencies();
-        let mut followed = vec![Vec::new(); plan.passes.len()];
-        for (pass, before) in follows.iter().enumerate() {
-            before.iter().for_each(|&b| followed[b as usize].push(pass as u32));
+        let dependencies = plan.dependencies();
+        let mut dependents = vec![Vec::new(); plan.passes.len()];
+        for (pass, before) in dependencies.iter().enumerate() {
+            before.iter().for_each(|&b| dependents[b as usize].push(pass as u32));
         }
-        // Times come in the order of the groups.
+        // Times are in group order.
         let mut times = vec![None; plan.passes.len()];
         let running = plan.groups.iter().flat_map(|group| group.passes.iter().copied());
         for (pass, time) in running.zip(measured) {
@@ -62,15 +62,15 @@ impl<'p> Page<'p> {
                 *used = Some((used.map_or(at, |(first, _)| first), at));
             }
         }
-        Page { plan, follows, followed, lifetimes: plan.lifetimes(), causes: causes(plan), times, used }
+        Page { plan, dependencies, dependents, lifetimes: plan.lifetimes(), causes: causes(plan), times, used }
     }
 
-    /// Nanoseconds of all passes together; none if nothing was measured.
+    /// Returns the summed nanoseconds of all passes; `None` if nothing was measured.
     fn total(&self) -> Option<f64> {
         self.times.iter().flatten().copied().reduce(|a, b| a + b)
     }
 
-    /// Nanoseconds of the slowest pass.
+    /// Returns the nanoseconds of the slowest pass.
     fn longest(&self) -> f64 {
         self.times.iter().flatten().copied().fold(0.0, f64::max)
     }
@@ -116,7 +116,7 @@ fn totals(page: &Page<'_>, out: &mut String) -> fmt::Result {
     let saved = plan.arena_unaliased_bytes.saturating_sub(plan.arena_bytes);
     let share = 100.0 * saved as f64 / plan.arena_unaliased_bytes.max(1) as f64;
     let exact = |bytes: u64| format!("{bytes} bytes");
-    let edges = page.follows.iter().map(Vec::len).sum::<usize>();
+    let edges = page.dependencies.iter().map(Vec::len).sum::<usize>();
     tile(page.running().to_string(), "passes", "passes that run".into())?;
     tile(plan.culled.len().to_string(), "dropped", "declared passes that no output needs".into())?;
     tile(plan.groups.len().to_string(), "groups", "sets of passes that may run at once".into())?;
@@ -141,7 +141,7 @@ fn totals(page: &Page<'_>, out: &mut String) -> fmt::Result {
     writeln!(out, "</div>")
 }
 
-/// Text with everything escaped that means something in markup.
+/// Text with all markup characters escaped.
 struct Text<'t>(&'t str);
 
 impl fmt::Display for Text<'_> {
@@ -153,7 +153,7 @@ impl fmt::Display for Text<'_> {
                 '>' => f.write_str("&gt;")?,
                 '"' => f.write_str("&quot;")?,
                 '\'' => f.write_str("&#39;")?,
-                // Neither XML nor a reader can do anything with these.
+                // Invalid in XML, and not printable.
                 c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => f.write_char('\u{fffd}')?,
                 c => f.write_char(c)?,
             }
@@ -162,7 +162,7 @@ impl fmt::Display for Text<'_> {
     }
 }
 
-/// A number of bytes for people.
+/// Formats a number of bytes with a unit.
 fn bytes(bytes: u64) -> String {
     let mut value = bytes as f64;
     for unit in ["B", "KiB", "MiB"] {
@@ -175,7 +175,7 @@ fn bytes(bytes: u64) -> String {
     format!("{value:.2} GiB")
 }
 
-/// A time for people.
+/// Formats a duration with a unit.
 fn duration(nanoseconds: f64) -> String {
     if nanoseconds < 1e3 {
         format!("{nanoseconds:.0} ns")
@@ -186,7 +186,7 @@ fn duration(nanoseconds: f64) -> String {
     }
 }
 
-/// A buffer's color, as far apart as possible from its neighbors'.
+/// Returns a buffer's hue; neighboring buffers differ strongly.
 fn hue(buffer: usize) -> u64 {
     (buffer as u64 * 137_508) / 1000 % 360
 }
@@ -197,7 +197,7 @@ fn median(samples: &[f64]) -> Option<f64> {
     sorted.get(sorted.len() / 2).copied()
 }
 
-/// Numbers with spaces between them.
+/// Joins numbers with spaces.
 fn list(numbers: &[u32]) -> String {
     numbers.iter().map(u32::to_string).collect::<Vec<_>>().join(" ")
 }

@@ -5,7 +5,7 @@ const clear = (...names) => names.forEach((name) => all("." + name).forEach((e) 
 }));
 const mark = (query, name) => all(query).forEach((e) => e.classList.add(name));
 
-// A pass: what it follows, and what follows it.
+// Highlights a pass, its dependencies and its dependents.
 function showPass(element) {
   const pass = element.dataset.pass || element.parentElement.dataset.pass;
   mark(`[data-pass="${pass}"]`, "hot");
@@ -16,7 +16,7 @@ function showPass(element) {
   numbers(element.dataset.out).forEach((n) => mark(`[data-pass="${n}"]`, "after"));
 }
 
-// A buffer: wherever it is named, and every pass that touches it.
+// Highlights a buffer wherever it appears, and every pass that accesses it.
 function showBuffer(element) {
   const buffer = element.dataset.buffer;
   mark(`[data-buffer="${buffer}"]`, "hot");
@@ -46,7 +46,7 @@ search.addEventListener("input", () => {
     if (hit && e.tagName === "ARTICLE") passes += 1;
     if (hit && e.tagName === "TR") buffers += 1;
   });
-  // The map goes by what the cards found, buffers included.
+  // The map follows the matches of the cards, buffer names included.
   all("#map li").forEach((line) => {
     const card = document.getElementById("p" + line.dataset.pass);
     line.classList.toggle("miss", card !== null && card.classList.contains("miss"));

@@ -1,4 +1,4 @@
-//! Whether the data arrives: nothing needed was dropped, and what depends on each other keeps its declared order.
+//! Data-flow verification: no needed pass is culled, and dependent passes keep their declared order.
 
 use super::cells::Cells;
 use super::{Hazard, VerifyError, buffer_name, pass_name};
@@ -7,17 +7,17 @@ use crate::graph::plan::Plan;
 use crate::graph::resource::Slice;
 use crate::shader::Access;
 
-/// What a cell holds after a write.
+/// Contents of a cell after a write.
 struct Version {
     writer: usize,
     buffer: usize,
-    /// What it held before, if part of that may remain.
+    /// Version before the write, if part of it may remain.
     before: Option<usize>,
 }
 
-/// Who wants a version.
+/// User of a version.
 #[derive(Clone, Copy)]
-enum Wanted {
+enum VersionUser {
     Output,
     Pass(usize),
 }
@@ -27,9 +27,9 @@ fn cells(plan: &Plan) -> Cells {
     Cells::new(plan.buffers.len(), slices.map(|(slice, ..)| (slice.buffer.index(), slice.range())))
 }
 
-/// Whether nothing of what the slice held survives the pass, or matters to it.
+/// Returns whether the pass neither preserves nor reads earlier contents of the slice.
 fn overwrites(pass: &Pass, slice: &Slice) -> bool {
-    // Who may not run at all overwrites nothing.
+    // A pass that may not run overwrites nothing.
     if pass.condition.is_some() {
         return false;
     }
@@ -41,33 +41,33 @@ fn overwrites(pass: &Pass, slice: &Slice) -> bool {
     }
 }
 
-/// Names every version of every cell, then walks from the outputs back to whatever they are made of.
+/// Numbers all versions of all cells, then walks from the outputs back to the versions that they depend on.
 pub(super) fn check_needed(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
     let cells = cells(plan);
-    let mut held: Vec<Vec<Option<usize>>> = cells.table();
+    let mut current: Vec<Vec<Option<usize>>> = cells.table();
     let mut versions: Vec<Version> = Vec::new();
     let mut reads: Vec<Vec<usize>> = vec![Vec::new(); plan.passes.len()];
     for (index, pass) in plan.passes.iter().enumerate() {
         for (slice, access, _) in &pass.accesses {
             let buffer = slice.buffer.index();
             let overwrites = overwrites(pass, slice);
-            for held in &mut held[buffer][cells.of(buffer, &slice.range())] {
+            for current in &mut current[buffer][cells.of(buffer, &slice.range())] {
                 match access {
-                    Access::Read => reads[index].extend(*held),
-                    Access::ReadWrite if !overwrites => reads[index].extend(*held),
+                    Access::Read => reads[index].extend(*current),
+                    Access::ReadWrite if !overwrites => reads[index].extend(*current),
                     Access::ReadWrite | Access::Write | Access::Accumulate => {}
                 }
                 if *access != Access::Read {
-                    let before = if overwrites { None } else { *held };
-                    *held = Some(versions.len());
+                    let before = if overwrites { None } else { *current };
+                    *current = Some(versions.len());
                     versions.push(Version { writer: index, buffer, before });
                 }
             }
         }
     }
 
-    let outputs = plan.buffers.iter().zip(held).filter(|(info, _)| info.keep).flat_map(|(_, held)| held);
-    let mut todo: Vec<(usize, Wanted)> = outputs.flatten().map(|version| (version, Wanted::Output)).collect();
+    let outputs = plan.buffers.iter().zip(current).filter(|(info, _)| info.keep).flat_map(|(_, current)| current);
+    let mut todo: Vec<(usize, VersionUser)> = outputs.flatten().map(|version| (version, VersionUser::Output)).collect();
     let mut seen = vec![false; versions.len()];
     let mut needed = vec![false; plan.passes.len()];
     while let Some((version, by)) = todo.pop() {
@@ -77,41 +77,41 @@ pub(super) fn check_needed(plan: &Plan, group_of: &[Option<usize>]) -> Result<()
         let Version { writer, buffer, before } = versions[version];
         if group_of[writer].is_none() {
             let by = match by {
-                Wanted::Output => "the output".to_owned(),
-                Wanted::Pass(pass) => format!("pass [{}]", plan.passes[pass].name),
+                VersionUser::Output => "the output".to_owned(),
+                VersionUser::Pass(pass) => format!("pass [{}]", plan.passes[pass].name),
             };
             let (pass, buffer) = (pass_name(plan, writer), buffer_name(plan, buffer));
             return Err(VerifyError::NeededPassCulled { pass, buffer, by });
         }
         todo.extend(before.map(|before| (before, by)));
         if !std::mem::replace(&mut needed[writer], true) {
-            todo.extend(reads[writer].iter().map(|&version| (version, Wanted::Pass(writer))));
+            todo.extend(reads[writer].iter().map(|&version| (version, VersionUser::Pass(writer))));
         }
     }
     Ok(())
 }
 
-/// The latest pass of some kind that touched a cell: its group and its number.
+/// Latest pass of some kind that accessed a cell: its group and index.
 type Latest = Option<(usize, usize)>;
 
-/// Who touched a cell since its last write that commutes with nothing.
+/// Accesses of a cell since its last non-commuting write.
 #[derive(Clone, Copy, Default)]
-struct Since {
-    /// That write.
+struct RecentAccesses {
+    /// Last non-commuting write.
     base: Latest,
     accumulations: Latest,
     reads: Latest,
 }
 
-/// Compares the groups of conflicting passes.
+/// Checks that conflicting passes are in ordered groups.
 pub(super) fn check_order(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
     let cells = cells(plan);
-    let mut state: Vec<Vec<Since>> = cells.table();
+    let mut state: Vec<Vec<RecentAccesses>> = cells.table();
     for (index, pass) in plan.passes.iter().enumerate() {
         let Some(group) = group_of[index] else { continue };
         for (slice, access, _) in &pass.accesses {
             let buffer = slice.buffer.index();
-            let behind = |latest: Latest, hazard| match latest {
+            let check_after = |latest: Latest, hazard| match latest {
                 Some((first_group, first)) if first_group >= group && first != index => Err(VerifyError::Order {
                     hazard,
                     buffer: buffer_name(plan, buffer),
@@ -123,23 +123,23 @@ pub(super) fn check_order(plan: &Plan, group_of: &[Option<usize>]) -> Result<(),
                 _ => Ok(()),
             };
             let here = Some((group, index));
-            for since in &mut state[buffer][cells.of(buffer, &slice.range())] {
+            for recent in &mut state[buffer][cells.of(buffer, &slice.range())] {
                 match access {
                     Access::Read => {
-                        behind(since.base, Hazard::ReadAfterWrite)?;
-                        behind(since.accumulations, Hazard::ReadAfterWrite)?;
-                        since.reads = since.reads.max(here);
+                        check_after(recent.base, Hazard::ReadAfterWrite)?;
+                        check_after(recent.accumulations, Hazard::ReadAfterWrite)?;
+                        recent.reads = recent.reads.max(here);
                     }
                     Access::Accumulate => {
-                        behind(since.base, Hazard::WriteAfterWrite)?;
-                        behind(since.reads, Hazard::WriteAfterRead)?;
-                        since.accumulations = since.accumulations.max(here);
+                        check_after(recent.base, Hazard::WriteAfterWrite)?;
+                        check_after(recent.reads, Hazard::WriteAfterRead)?;
+                        recent.accumulations = recent.accumulations.max(here);
                     }
                     Access::Write | Access::ReadWrite => {
-                        behind(since.base, Hazard::WriteAfterWrite)?;
-                        behind(since.accumulations, Hazard::WriteAfterWrite)?;
-                        behind(since.reads, Hazard::WriteAfterRead)?;
-                        *since = Since { base: here, ..Since::default() };
+                        check_after(recent.base, Hazard::WriteAfterWrite)?;
+                        check_after(recent.accumulations, Hazard::WriteAfterWrite)?;
+                        check_after(recent.reads, Hazard::WriteAfterRead)?;
+                        *recent = RecentAccesses { base: here, ..RecentAccesses::default() };
                     }
                 }
             }

@@ -1,5 +1,5 @@
-//! Whether every image is in a layout that its users can use, from the state in which it is found to the one in which
-//! it has to be left, and keeps what it holds wherever somebody wants that.
+//! Layout verification: every image is in a layout that its users allow, from entry to exit state, and keeps needed
+//! contents.
 
 use super::{VerifyError, buffer_name, pass_name};
 use crate::graph::pass::Use;
@@ -7,17 +7,18 @@ use crate::graph::plan::{ImageMemory, Plan, Transition};
 use crate::graph::resource::{BufferKind, ImageState};
 use crate::shader::Access;
 
-/// Checks.
+/// Checks the layouts of all images.
 pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
-    // By buffer, then by slot: the state now, and whether its contents may be lost now.
+    // By buffer, then by slot: current state, and whether the contents may be discarded now.
     let mut states: Vec<Option<(ImageState, bool)>> = plan.buffers.iter().map(|_| None).collect();
     for (index, info) in plan.buffers.iter().enumerate() {
         let Some(image) = &info.image else { continue };
         if info.kind == BufferKind::External {
             states[index] = Some((image.entry, image.entry == ImageState::Undefined));
         } else if let Some(slot) = plan.placements[index] {
-            let make = usize::try_from(slot).ok().and_then(|slot| plan.image_slots.get(slot));
-            if !make.is_some_and(|make| make.size == image.size && make.format == image.format) {
+            let image_slot = usize::try_from(slot).ok().and_then(|slot| plan.image_slots.get(slot));
+            if !image_slot.is_some_and(|image_slot| image_slot.size == image.size && image_slot.format == image.format)
+            {
                 return Err(VerifyError::WrongSlot { image: info.name.clone(), slot });
             }
         }
@@ -36,7 +37,7 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
             let at = match (info.kind, plan.placements[index]) {
                 (BufferKind::External, _) => index,
                 (_, Some(slot)) => plan.buffers.len() + slot as usize,
-                // The check of the memory says so.
+                // The memory check reports this.
                 (_, None) => continue,
             };
             let state = states[at].map_or(ImageState::Undefined, |(state, _)| state);
@@ -58,8 +59,8 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
             }
         }
     }
-    // From here on nothing may be lost.
-    states.iter_mut().flatten().for_each(|(_, loose)| *loose = false);
+    // From here on, contents must be preserved.
+    states.iter_mut().flatten().for_each(|(_, discardable)| *discardable = false);
     change(plan, "end", &plan.exit, &mut states)?;
     for (index, info) in plan.buffers.iter().enumerate().filter(|(_, info)| info.kind == BufferKind::External) {
         if let (Some(image), Some((is, _))) = (&info.image, states[index])
@@ -71,7 +72,7 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     Ok(())
 }
 
-/// Changes layouts.
+/// Applies transitions to the states.
 fn change(
     plan: &Plan,
     at: &'static str,
@@ -88,21 +89,21 @@ fn change(
             ImageMemory::Slot(slot) => (plan.buffers.len() + *slot as usize, format!("image slot {slot}")),
         };
         let wrong = |what| Err(VerifyError::Transition { at, image: name.clone(), what });
-        let Some(Some((state, loose))) = states.get_mut(index) else { return wrong("does not exist") };
+        let Some(Some((state, discardable))) = states.get_mut(index) else { return wrong("does not exist") };
         if std::mem::replace(&mut changed[index], true) {
             return wrong("changes twice there");
         }
         if *to == ImageState::Undefined {
             return wrong("nothing can become undefined");
         }
-        if from != state && !(*loose && *from == ImageState::Undefined) {
+        if from != state && !(*discardable && *from == ImageState::Undefined) {
             return Err(VerifyError::TransitionFrom { at, image: name, from: *from, is: *state });
         }
-        (*state, *loose) = (*to, false);
+        (*state, *discardable) = (*to, false);
     }
-    // No replay may start in what a plan without groups does not do.
+    // A plan without groups has no barrier for transitions.
     if plan.groups.is_empty() && !transitions.is_empty() {
-        return Err(VerifyError::Transition { at, image: "some image".into(), what: "no barrier is there for" });
+        return Err(VerifyError::Transition { at, image: "an image".into(), what: "has no barrier" });
     }
     Ok(())
 }

@@ -1,45 +1,46 @@
-//! Whether every transient that runs has memory of its own for as long as it is alive.
+//! Memory verification: every used transient has exclusive memory during its lifetime.
 
 use super::lanes::Lanes;
 use super::{VerifyError, buffer_name};
 use crate::graph::plan::Plan;
 use crate::graph::resource::BufferKind;
 
-struct Stay {
+struct Occupancy {
     buffer: usize,
     start: u64,
     end: u64,
-    lives: (usize, usize),
+    lifetime: (usize, usize),
 }
 
-/// Checks.
+/// Checks the placement of all transients.
 pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
-    // What may run together on two queues counts as one.
+    // Groups that may run concurrently on two queues count as one.
     let together = Lanes::new(plan, 1).together(plan);
-    let mut lives: Vec<Option<(usize, usize)>> = vec![None; plan.buffers.len()];
+    let mut lifetime: Vec<Option<(usize, usize)>> = vec![None; plan.buffers.len()];
     for (pass, group) in plan.passes.iter().zip(group_of) {
         let Some(group) = *group else { continue };
         for (slice, ..) in &pass.accesses {
             let (begin, end) = together[group];
-            let (first, last) = lives[slice.buffer.index()].unwrap_or((begin, end));
-            lives[slice.buffer.index()] = Some((first.min(begin), last.max(end)));
+            let (first, last) = lifetime[slice.buffer.index()].unwrap_or((begin, end));
+            lifetime[slice.buffer.index()] = Some((first.min(begin), last.max(end)));
         }
     }
-    let mut stays = Vec::new();
-    let mut in_slots: Vec<Stay> = Vec::new();
+    let mut occupancies = Vec::new();
+    let mut in_slots: Vec<Occupancy> = Vec::new();
     for (buffer, info) in plan.buffers.iter().enumerate() {
-        let (BufferKind::Transient, Some((first, last))) = (info.kind, lives[buffer]) else { continue };
+        let (BufferKind::Transient, Some((first, last))) = (info.kind, lifetime[buffer]) else { continue };
         let Some(start) = plan.placements[buffer] else {
             return Err(VerifyError::Unplaced { buffer: buffer_name(plan, buffer) });
         };
         if info.image.is_some() {
             let last = if info.keep { plan.groups.len() } else { last };
-            let stay = Stay { buffer, start, end: start + 1, lives: (first, last) };
-            let meets = |other: &&Stay| other.start == start && other.lives.0 <= last && first <= other.lives.1;
+            let occupancy = Occupancy { buffer, start, end: start + 1, lifetime: (first, last) };
+            let meets =
+                |other: &&Occupancy| other.start == start && other.lifetime.0 <= last && first <= other.lifetime.1;
             if let Some(other) = in_slots.iter().find(meets) {
-                return Err(overlap(plan, other, &stay));
+                return Err(overlap(plan, other, &occupancy));
             }
-            in_slots.push(stay);
+            in_slots.push(occupancy);
             continue;
         }
         let end = start.saturating_add(info.bytes);
@@ -48,12 +49,12 @@ pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), Verif
             return Err(VerifyError::OutOfArena { buffer, start, end, arena: plan.arena_bytes });
         }
         let last = if info.keep { plan.groups.len() } else { last };
-        stays.push(Stay { buffer, start, end, lives: (first, last) });
+        occupancies.push(Occupancy { buffer, start, end, lifetime: (first, last) });
     }
-    stays.sort_by_key(|stay| (stay.start, stay.buffer));
-    for (at, first) in stays.iter().enumerate() {
-        for second in stays[at + 1..].iter().take_while(|second| second.start < first.end) {
-            if first.lives.0 <= second.lives.1 && second.lives.0 <= first.lives.1 {
+    occupancies.sort_by_key(|occupancy| (occupancy.start, occupancy.buffer));
+    for (at, first) in occupancies.iter().enumerate() {
+        for second in occupancies[at + 1..].iter().take_while(|second| second.start < first.end) {
+            if first.lifetime.0 <= second.lifetime.1 && second.lifetime.0 <= first.lifetime.1 {
                 return Err(overlap(plan, first, second));
             }
         }
@@ -61,12 +62,12 @@ pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), Verif
     Ok(())
 }
 
-fn overlap(plan: &Plan, first: &Stay, second: &Stay) -> VerifyError {
+fn overlap(plan: &Plan, first: &Occupancy, second: &Occupancy) -> VerifyError {
     VerifyError::Overlap {
         first: buffer_name(plan, first.buffer),
-        first_lives: first.lives,
+        first_lives: first.lifetime,
         second: buffer_name(plan, second.buffer),
-        second_lives: second.lives,
+        second_lives: second.lifetime,
         byte: second.start,
     }
 }

@@ -1,4 +1,4 @@
-//! Whether the plan's parts fit each other: indices, slices, accesses that say what the passes do, sound barriers.
+//! Shape verification: indices, slices, accesses that match the passes, valid barriers.
 
 use super::{VerifyError, buffer_name, pass_name};
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
@@ -7,7 +7,7 @@ use crate::graph::plan::scope::{Accesses, Stages};
 use crate::graph::resource::{Buffer, BufferKind, Image, Pair, Slice};
 use crate::shader::{Access, BindingKind};
 
-/// Checks; returns the group of each pass that runs.
+/// Checks the shape; returns the group of each pass that runs.
 pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
     let count = |what, found, expected| {
         if found == expected { Ok(()) } else { Err(VerifyError::Count { what, found, expected }) }
@@ -47,7 +47,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
     for (group, barrier) in barriers.enumerate() {
         let Some(barrier) = barrier else { continue };
         for (accesses, stages) in [(barrier.src_access, barrier.src_stage), (barrier.dst_access, barrier.dst_stage)] {
-            for access in Accesses::EACH.into_iter().filter(|&access| accesses.contains(access)) {
+            for access in Accesses::ALL.into_iter().filter(|&access| accesses.contains(access)) {
                 let stage = performs(access);
                 if !stages.contains(stage) {
                     return Err(VerifyError::AccessWithoutStage { group, access, stage });
@@ -58,7 +58,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
     Ok(group_of)
 }
 
-/// The stage that performs a single access.
+/// Returns the stage that performs a single access.
 pub(super) fn performs(access: Accesses) -> Stages {
     if access == Accesses::OUTSIDE_READ || access == Accesses::OUTSIDE_WRITE {
         Stages::OUTSIDE
@@ -103,7 +103,7 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
     Ok(())
 }
 
-/// Works out from its kind what a pass must have declared, and compares.
+/// Derives the accesses of a pass from its kind and compares them with the declared ones.
 fn check_accesses(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
     let indirect = matches!(pass.kind, PassKind::Compute { dispatch: Dispatch::Indirect { .. }, .. });
     if pass.condition.is_some() && (!indirect || !pass.discards.is_empty()) {
@@ -145,7 +145,7 @@ fn check_accesses(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
             }
         }
     }
-    // Each declared access answers for one thing that the pass does: two bindings of one slice are two accesses.
+    // Each declared access matches one expected access: two bindings of one slice are two accesses.
     let mut declared = pass.accesses.clone();
     for (slice, access, used, what) in expected {
         match declared.iter().position(|declared| *declared == (slice, access, used)) {

@@ -1,12 +1,12 @@
-//! Whether conflicting memory operations are kept apart by barriers, through two replays in a row.
+//! Visibility verification: barriers separate conflicting memory operations, through two consecutive replays.
 //!
-//! Two suffice where each replay does the same to the same bytes: what the third meets is what the second met. The
-//! buffers of a history change places each time, so a plan with histories is taken through four.
+//! Two replays suffice if each does the same to the same bytes: the third meets the same state as the second. The
+//! buffers of a history swap at each replay, so plans with histories are checked through four.
 
 use super::cells::Cells;
 use super::lanes::{self, Lanes};
+use super::ordering::{Operation, OrderingStates};
 use super::shape::performs;
-use super::story::{Operation, Stories};
 use super::{Hazard, Missing, VerifyError, buffer_name, pass_name};
 use crate::graph::pass::Use;
 use crate::graph::plan::scope::{Accesses, Barrier, Stages};
@@ -14,7 +14,7 @@ use crate::graph::plan::{ImageMemory, ImageSlot, Lane, Plan, Transition};
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
-/// Something that touched a cell.
+/// Access of a cell.
 #[derive(Clone, Copy)]
 struct Event {
     operation: Operation,
@@ -23,24 +23,24 @@ struct Event {
     replay: usize,
     access: Access,
     lane: Lane,
-    /// Counted through all replays.
+    /// Counted over all replays.
     segment: usize,
 }
 
-/// What touched a cell, beginning with its last write that commutes with nothing, in the order of the groups.
-type Since = Vec<Event>;
+/// Accesses of a cell in group order, starting with its last non-commuting write.
+type RecentAccesses = Vec<Event>;
 
-/// Checks.
+/// Checks the visibility of all conflicting operations.
 pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     let mut walk = Walk::new(plan);
     let points = plan.groups.len() + 1;
     for replay in 0..replays(plan) {
         walk.replay = replay;
         walk.time.segment = walk.time.lanes.first(replay);
-        walk.enter();
+        walk.external_before();
         for (at, group) in plan.groups.iter().enumerate() {
             let segment = walk.time.lanes.segment(replay, at);
-            walk.go(plan.segments[segment % plan.segments.len()].lane, segment, replay * points + at);
+            walk.move_to(plan.segments[segment % plan.segments.len()].lane, segment, replay * points + at);
             if at == 0 {
                 walk.transitions(&plan.entry, group.barrier)?;
             }
@@ -50,23 +50,23 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
                 }
             }
         }
-        walk.go(Lane::Main, walk.time.lanes.last(replay), replay * points + plan.groups.len());
+        walk.move_to(Lane::Main, walk.time.lanes.last(replay), replay * points + plan.groups.len());
         walk.transitions(&plan.exit, plan.final_barrier)?;
         walk.read_outputs(replay)?;
-        walk.leave()?;
+        walk.external_after()?;
     }
     Ok(())
 }
 
-/// A pass number for the copies that read outputs between replays.
+/// Pass number of the copies that read outputs between replays.
 const OUTSIDE: usize = usize::MAX;
-/// For commands on the queue that no plan knows of.
+/// Pass number of other commands on the queue.
 const OTHERS: usize = usize::MAX - 1;
-/// For changes of layout.
+/// Pass number of layout transitions.
 const TRANSITION: usize = usize::MAX - 2;
 
-/// Which accesses of the device an access is.
-fn performed(access: Access, used: Use) -> Accesses {
+/// Returns the device accesses of an access.
+fn device_accesses(access: Access, used: Use) -> Accesses {
     match (used, access) {
         (Use::Compute, Access::Read) => Accesses::STORAGE_READ,
         (Use::Compute, Access::Write) => Accesses::STORAGE_WRITE,
@@ -78,65 +78,65 @@ fn performed(access: Access, used: Use) -> Accesses {
     }
 }
 
-/// Where in the two streams of barriers something happens, and what is known of the past there.
+/// Position in the barrier sequences of both lanes, with the knowledge of the past there.
 struct Time {
-    /// By lane.
-    stories: [Stories; 2],
+    /// Ordering states, by lane.
+    states: [OrderingStates; 2],
     lanes: Lanes,
     lane: Lane,
     segment: usize,
-    /// How many barriers of the lane came so far.
+    /// Number of earlier barriers of the lane.
     now: usize,
 }
 
 impl Time {
-    /// An operation that happens now.
+    /// Returns an operation at the current position.
     fn operation(&mut self, accesses: Accesses) -> Operation {
-        self.stories[lanes::index(self.lane)].operation(self.now, accesses)
+        self.states[lanes::index(self.lane)].operation(self.now, accesses)
     }
 
-    /// Whether something ended before this segment began, or else what orders it on this lane.
-    fn past(&mut self, event: &Event) -> Result<Option<&mut Stories>, Missing> {
-        if self.lanes.knows(self.segment, event.lane, event.segment) {
+    /// Returns `None` if an event ended before this segment began, or else the states that order it on this lane.
+    fn past(&mut self, event: &Event) -> Result<Option<&mut OrderingStates>, Missing> {
+        if self.lanes.has_ended(self.segment, event.lane, event.segment) {
             return Ok(None);
         }
         if event.lane != self.lane {
             return Err(Missing::Wait);
         }
-        Ok(Some(&mut self.stories[lanes::index(self.lane)]))
+        Ok(Some(&mut self.states[lanes::index(self.lane)]))
     }
 
-    /// Why stages do not wait for something, if they do not.
+    /// Returns why stages are not ordered after an event; `None` if they are.
     fn unordered(&mut self, event: &Event, stages: Stages) -> Option<Missing> {
         let now = self.now;
         match self.past(event) {
             Ok(None) => None,
-            Ok(Some(stories)) => {
-                let unordered = stories.unordered(event.operation, now, stages);
+            Ok(Some(states)) => {
+                let unordered = states.unordered(event.operation, now, stages);
                 (!unordered.is_empty()).then_some(Missing::Order(unordered))
             }
             Err(missing) => Some(missing),
         }
     }
 
-    /// Why accesses do not see a write, if they do not.
+    /// Returns why accesses do not see a write; `None` if they do.
     fn hidden(&mut self, event: &Event, accesses: Accesses) -> Option<Missing> {
         let now = self.now;
         match self.past(event) {
             Ok(None) => None,
-            Ok(Some(stories)) => {
-                let hidden = stories.hidden(event.operation, now, accesses);
+            Ok(Some(states)) => {
+                let hidden = states.hidden(event.operation, now, accesses);
                 (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
             }
             Err(missing) => Some(missing),
         }
     }
 
-    /// Why a change of layout inside a barrier does not come after something, if it does not.
-    fn outside(&mut self, event: &Event, before: usize, barrier: &Barrier) -> Option<Missing> {
+    /// Returns why a layout transition inside a barrier is not ordered after an event; `None` if it is.
+    fn unordered_transition(&mut self, event: &Event, before: usize, barrier: &Barrier) -> Option<Missing> {
         match self.past(event) {
             Ok(None) => None,
-            Ok(Some(stories)) => stories.outside(event.operation, before, barrier),
+            Ok(Some(states)) => states.unordered_transition(event.operation, before, barrier),
             Err(missing) => Some(missing),
         }
     }
@@ -145,15 +145,15 @@ impl Time {
 struct Walk<'p> {
     plan: &'p Plan,
     time: Time,
-    /// How many barriers of its lane come before each group, and of the main lane before the end, of each replay.
+    /// By group, and for the end of the main lane, of each replay: number of earlier barriers of the lane.
     before: Vec<usize>,
-    /// By replay: how many barriers of the second lane come before its end.
+    /// By replay: number of barriers of the second lane before its end.
     side_ends: Vec<usize>,
     replay: usize,
-    /// Memory spaces: one an external buffer, the arena, and one a slot of the transient images.
+    /// Memory spaces: one per external buffer, the arena, and one per image slot.
     cells: Cells,
-    since: Vec<Vec<Since>>,
-    /// By buffer: whether anything that runs writes it.
+    recent: Vec<Vec<RecentAccesses>>,
+    /// By buffer: whether a live pass writes it.
     written: Vec<bool>,
 }
 
@@ -184,22 +184,22 @@ impl<'p> Walk<'p> {
         let shared = shared(plan);
         let slices = running().map(|(slice, ..)| slice).chain(&outputs).chain(&shared);
         let whole = |(slot, make): (usize, &ImageSlot)| (plan.buffers.len() + 1 + slot, 0..make.bytes());
-        // Both halves of a history are cut where either is touched.
+        // Both halves of a history are split where either is accessed.
         let both = |slice| [place(plan, slice, 0), place(plan, slice, 1)];
         let ranges = slices.flat_map(both).flatten().chain(plan.image_slots.iter().enumerate().map(whole));
         let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
-        let since = cells.table();
+        let recent = cells.table();
         let lanes = Lanes::new(plan, replays(plan));
-        let time = Time { stories: barriers.map(Stories::new), lanes, lane: Lane::Main, segment: 0, now: 0 };
-        Walk { plan, time, before, side_ends, replay: 0, cells, since, written }
+        let time = Time { states: barriers.map(OrderingStates::new), lanes, lane: Lane::Main, segment: 0, now: 0 };
+        Walk { plan, time, before, side_ends, replay: 0, cells, recent, written }
     }
 
-    /// Goes on to a point of some lane.
-    fn go(&mut self, lane: Lane, segment: usize, point: usize) {
+    /// Moves to a point of a lane.
+    fn move_to(&mut self, lane: Lane, segment: usize, point: usize) {
         (self.time.lane, self.time.segment, self.time.now) = (lane, segment, self.before[point]);
     }
 
-    /// Something that happens now.
+    /// Creates an event at the current position.
     fn event(&self, operation: Operation, pass: usize, buffer: usize, access: Access) -> Event {
         let (lane, segment) = (self.time.lane, self.time.segment);
         Event { operation, pass, buffer, replay: self.replay, access, lane, segment }
@@ -221,16 +221,16 @@ impl<'p> Walk<'p> {
             return Ok(()); // Nothing to conflict with.
         }
         let Some((space, range)) = place(self.plan, slice, self.replay) else { return Ok(()) };
-        let accesses = performed(access, used);
+        let accesses = device_accesses(access, used);
         let operation = self.time.operation(accesses);
         let event = self.event(operation, pass, buffer, access);
         let stores = accesses.intersection(Accesses::STORAGE_WRITE | Accesses::TRANSFER_WRITE);
-        let stage = Accesses::EACH.into_iter().find(|&one| accesses.contains(one)).map(performs).unwrap_or_default();
+        let stage = Accesses::ALL.into_iter().find(|&one| accesses.contains(one)).map(performs).unwrap_or_default();
         for cell in self.cells.of(space, &range) {
             let byte = self.cells.byte(space, cell);
-            let since = &mut self.since[space][cell];
+            let recent = &mut self.recent[space][cell];
             let mut read_since = false;
-            for earlier in since.iter().rev() {
+            for earlier in recent.iter().rev() {
                 if earlier.access == Access::Read {
                     read_since = true;
                     if access != Access::Read
@@ -242,8 +242,8 @@ impl<'p> Walk<'p> {
                     && earlier.access == Access::Accumulate
                     && earlier.buffer == buffer)
                 {
-                    // Whoever read in between has the write behind it, and the write before us waits for the reader:
-                    // only to load what was written we have to see it.
+                    // An intermediate reader has seen the write, and this write waits for the reader. Only a load
+                    // needs visibility of the earlier write.
                     let needed = if read_since { accesses.without(stores) } else { accesses };
                     if let Some(missing) = self.time.hidden(earlier, needed) {
                         let reads = access == Access::Read;
@@ -252,24 +252,24 @@ impl<'p> Walk<'p> {
                     }
                 }
             }
-            // A run of accumulations keeps what it began on: each of its members has to follow that.
+            // Accumulations keep the access they started from: each must be ordered after it.
             if matches!(access, Access::Write | Access::ReadWrite) {
-                since.clear();
+                recent.clear();
             }
             let alike = |last: &Event| {
                 let when = (last.operation, last.replay, last.segment, last.lane);
                 when == (operation, replay, event.segment, event.lane) && last.buffer == buffer && last.access == access
             };
-            if !since.last().is_some_and(alike) {
-                since.push(event);
+            if !recent.last().is_some_and(alike) {
+                recent.push(event);
             }
         }
         Ok(())
     }
 
-    /// Commands of others, before a replay, on whatever is shared with them. They come after the last replay's end, as
-    /// far as that is declared, and leave something to wait for.
-    fn enter(&mut self) {
+    /// Records other commands on the queue before a replay, on shared resources. They follow the end of the last
+    /// replay, as far as declared.
+    fn external_before(&mut self) {
         let operation = self.time.operation(Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
@@ -277,13 +277,13 @@ impl<'p> Walk<'p> {
             if self.plan.buffers[buffer].entry == BufferState::Queue {
                 for cell in self.cells.of(space, &range) {
                     let event = self.event(operation, OTHERS, buffer, Access::ReadWrite);
-                    self.since[space][cell] = vec![event];
+                    self.recent[space][cell] = vec![event];
                 }
             }
         }
     }
 
-    /// Changes of layout inside a barrier that has just been counted, if it exists.
+    /// Records layout transitions inside the barrier that was just counted, if any.
     fn transitions(&mut self, transitions: &[Transition], barrier: Option<Barrier>) -> Result<(), VerifyError> {
         let before = self.time.now - usize::from(barrier.is_some());
         let barrier = barrier.unwrap_or_default();
@@ -300,16 +300,16 @@ impl<'p> Walk<'p> {
                 }
             };
             let now = self.time.now;
-            let operation = self.time.stories[0].transition(now, &barrier);
+            let operation = self.time.states[0].transition(now, &barrier);
             let event = self.event(operation, TRANSITION, buffer, Access::Write);
             for cell in self.cells.of(space, &(0..bytes)) {
                 let byte = self.cells.byte(space, cell);
-                let since = std::mem::replace(&mut self.since[space][cell], vec![event]);
+                let recent = std::mem::replace(&mut self.recent[space][cell], vec![event]);
                 let mut read_since = false;
-                for earlier in since.iter().rev() {
+                for earlier in recent.iter().rev() {
                     let reads = earlier.access == Access::Read;
                     if (reads || !read_since)
-                        && let Some(missing) = self.time.outside(earlier, before, &barrier)
+                        && let Some(missing) = self.time.unordered_transition(earlier, before, &barrier)
                     {
                         let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
                         return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
@@ -321,8 +321,8 @@ impl<'p> Walk<'p> {
         Ok(())
     }
 
-    /// Commands of others, after a replay: they may do anything to what is left to them.
-    fn leave(&mut self) -> Result<(), VerifyError> {
+    /// Checks that other commands on the queue may access shared resources after a replay.
+    fn external_after(&mut self) -> Result<(), VerifyError> {
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
             let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
@@ -331,7 +331,7 @@ impl<'p> Walk<'p> {
             }
             for cell in self.cells.of(space, &range) {
                 let mut accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
-                for event in self.since[space][cell].iter().rev() {
+                for event in self.recent[space][cell].iter().rev() {
                     let missing = if event.access == Access::Read {
                         accesses = Accesses::OUTSIDE_READ;
                         self.time.unordered(event, Stages::OUTSIDE)
@@ -341,7 +341,7 @@ impl<'p> Walk<'p> {
                         self.time.hidden(event, accesses)
                     };
                     if let Some(missing) = missing {
-                        let (pass, buffer) = (who(self.plan, event.pass), buffer_name(self.plan, buffer));
+                        let (pass, buffer) = (pass_label(self.plan, event.pass), buffer_name(self.plan, buffer));
                         return Err(VerifyError::LeftOpen { pass, buffer, missing });
                     }
                 }
@@ -350,9 +350,9 @@ impl<'p> Walk<'p> {
         Ok(())
     }
 
-    /// The host and copies, after a replay.
+    /// Checks that the host and copies see the outputs after a replay.
     fn read_outputs(&mut self, replay: usize) -> Result<(), VerifyError> {
-        let wanted = Accesses::TRANSFER_READ | Accesses::HOST_READ;
+        let reader_accesses = Accesses::TRANSFER_READ | Accesses::HOST_READ;
         let operation = self.time.operation(Accesses::TRANSFER_READ);
         for slice in outputs(self.plan) {
             let buffer = slice.buffer.index();
@@ -361,12 +361,12 @@ impl<'p> Walk<'p> {
             };
             let event = self.event(operation, OUTSIDE, buffer, Access::Read);
             for cell in self.cells.of(space, &range) {
-                let since = &mut self.since[space][cell];
-                for write in since.iter().filter(|event| event.access != Access::Read) {
-                    let [main, side] = &mut self.time.stories;
+                let recent = &mut self.recent[space][cell];
+                for write in recent.iter().filter(|event| event.access != Access::Read) {
+                    let [main, side] = &mut self.time.states;
                     let access = match write.lane {
-                        Lane::Main => main.hidden(write.operation, self.time.now, wanted),
-                        // That the main lane has waited is enough for copies, but not for the host.
+                        Lane::Main => main.hidden(write.operation, self.time.now, reader_accesses),
+                        // The main lane's wait suffices for copies, but not for the host.
                         Lane::Side => side.hidden(write.operation, self.side_ends[replay], Accesses::HOST_READ),
                     };
                     if !access.is_empty() {
@@ -374,32 +374,32 @@ impl<'p> Walk<'p> {
                         return Err(VerifyError::OutputHidden { pass, buffer, access });
                     }
                 }
-                since.push(event);
+                recent.push(event);
             }
         }
         Ok(())
     }
 }
 
-/// Who touched a buffer.
-fn who(plan: &Plan, pass: usize) -> String {
+/// Returns the name of the user of a buffer.
+fn pass_label(plan: &Plan, pass: usize) -> String {
     match pass {
-        OUTSIDE => "whoever copies from the outputs".to_owned(),
-        OTHERS => "others on the queue".to_owned(),
-        TRANSITION => "change of layout".to_owned(),
+        OUTSIDE => "copies from outputs".to_owned(),
+        OTHERS => "other commands on the queue".to_owned(),
+        TRANSITION => "layout transition".to_owned(),
         pass => pass_name(plan, pass),
     }
 }
 
-/// Buffers that others on the queue use before or after a replay, as a whole.
+/// Returns the buffers that other commands on the queue use before or after a replay, as whole slices.
 fn shared(plan: &Plan) -> Vec<Slice> {
     let queue = |info: &BufferInfo| info.entry == BufferState::Queue || info.exit == BufferState::Queue;
     let external = plan.buffers().filter(|(_, info)| info.kind == BufferKind::External && queue(info));
     external.map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
 }
 
-/// Buffers whose contents the host and copies want after a replay, as a whole. Who leaves them to all commands of the
-/// queue leaves them to copies too.
+/// Returns the buffers that the host and copies read after a replay, as whole slices. Buffers left to the queue are
+/// excluded: their barrier covers copies too.
 fn outputs(plan: &Plan) -> Vec<Slice> {
     let left = |info: &BufferInfo| info.kind == BufferKind::External && info.exit == BufferState::Queue;
     plan.buffers()
@@ -408,12 +408,12 @@ fn outputs(plan: &Plan) -> Vec<Slice> {
         .collect()
 }
 
-/// How many replays in a row show everything.
+/// Returns the number of consecutive replays to check.
 fn replays(plan: &Plan) -> usize {
     if plan.buffers.iter().any(|info| info.kind == BufferKind::History) { 4 } else { 2 }
 }
 
-/// The memory of a slice in a replay: its space and the bytes there. Nothing for a transient without a place.
+/// Returns the memory space and range of a slice in a replay; `None` for an unplaced transient.
 fn place(plan: &Plan, slice: &Slice, replay: usize) -> Option<(usize, std::ops::Range<u64>)> {
     let buffer = slice.buffer.index();
     match plan.buffers[buffer].kind {
@@ -443,9 +443,9 @@ fn hazard_error(
 ) -> VerifyError {
     VerifyError::Hazard {
         hazard,
-        first: who(plan, first.pass),
+        first: pass_label(plan, first.pass),
         first_buffer: buffer_name(plan, first.buffer),
-        second: who(plan, second.pass),
+        second: pass_label(plan, second.pass),
         second_buffer: buffer_name(plan, second.buffer),
         byte,
         replays: 1 + second.replay - first.replay,
