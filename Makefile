@@ -52,6 +52,7 @@ lint: check
 	$(CARGO) test --locked -p sgs-tests --test layers
 
 check: setup
+	tools/language
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked

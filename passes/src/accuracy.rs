@@ -5,46 +5,39 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Choices that buy speed with accuracy: `[accuracy]` of a run's settings.
+/// Accuracy traded for speed (docs/how/accuracy.md).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Accuracy {
-    /// Bits of the keys that splats are sorted by along the view: 31, 24 or 16. Each eight bits less save one pass of the
-    /// sort. Shorter keys leave splats in the order of their numbers whose depths differ by less than one part in 2^19 (24
-    /// bits) or 2^11 (16 bits) of a power of two.
+    /// Bits of the depth sort keys: 31, 24 or 16. 8 bits less save one pass of the sort. 24 and 16 bits do not sort splats
+    /// whose depths agree to 1 part in 2^19 and 2^11 of a power of two.
     pub depth_bits: u32,
-    /// Smallest opacity of a splat at a pixel that counts: it bounds splats' footprints. 1/255 in 3D Gaussian splatting.
-    /// A color channel of a pixel is off by at most this times the largest color, for each splat that is left out.
+    /// Smallest opacity of a splat at a pixel; it bounds footprints. 1/255 in 3D Gaussian splatting. Each omitted splat
+    /// changes a color by at most this times the largest color.
     pub alpha_min: f32,
-    /// A pixel stops where less than this would be left to be seen behind it: 1e-4 in 3D Gaussian splatting.
+    /// Transmittance at which a pixel stops; 1e-4 in 3D Gaussian splatting.
     pub transmittance_min: f32,
-    /// Whether the splat with which a pixel stops is blended. If it is, whatever is left out changes the pixel by at most
-    /// `transmittance_min` times the largest color; if not, as in 3D Gaussian splatting, by up to a hundred times as much,
-    /// since that splat may hide 99 % of what is behind it.
+    /// Blends the splat at which a pixel stops. This bounds the omitted light by `transmittance_min` times the largest
+    /// color; otherwise, as in 3D Gaussian splatting, by 100 times that.
     pub keep_last: bool,
-    /// Whether a cubic stands in for the exponential in splats' opacities: 1.3e-4 off, relatively. For processors where exponentials
-    /// are slow; GPUs have them in hardware. No level has it, since no device has been found where a step gains by it.
+    /// Uses a cubic for the exponential of opacities, with a relative error of 1.3e-4. No accuracy level uses it, because no
+    /// measured step became faster.
     pub fast_exp: bool,
-    /// Bits of the numbers that the visibility field's second layer multiplies, 32 or 16. With 16 matrix units do it where there are
-    /// any ([`Matrices`](crate::Matrices)), and where there are none nothing changes. Sums and everything else keep 32 bits, and
-    /// gradients are those of 32. Visibility is off by 2e-4 at most with layers as they start, by 2e-3 with such four times as large.
+    /// Bits of the operands of the visibility field's second layer: 32 or 16. 16 uses matrix units where the device has them
+    /// (see `Matrices`). Visibility changes by at most 2e-4 with initial layers, by 2e-3 with layers four times as large.
+    /// Gradients are those of 32 bits.
     pub visibility_operands: u32,
-    /// Bits of a channel of splats' colors between projection and blending, 32 or 16. With 16 each is rounded to half precision,
-    /// to nearest: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14, and never above 65504. A picture is off by no
-    /// more than that of its brightest splat. Gradients are those at the rounded colors, passed on as if nothing had been rounded.
+    /// Bits of a color channel of a splat between projection and blending: 32 or 16. 16 rounds to half precision: a relative
+    /// error of 2^-11, or 2^-25 below 2^-14; at most 65504. Gradients are taken at the rounded colors.
     pub color_bits: u32,
-    /// Bits of a number of the visibility field's tables where they are looked up, 32 or 16, in training. With 16 a copy of the tables
-    /// is read, rounded to half precision: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14. Visibility is off by less than
-    /// 1e-3 with features of the size of one. Gradients are those at the rounded numbers; tables and moments keep 32 bits.
+    /// Bits of a table entry of the visibility field when training reads it: 32 or 16. 16 reads a copy in half precision.
+    /// Visibility changes by less than 1e-3 with features of size one. Tables, moments and gradients keep 32 bits.
     pub table_bits: u32,
-    /// Bits of the weights with which Gaussians show at the pixels of the intrinsic stage's views, 32 or 16. With 16 they are kept in
-    /// parts of 65535, each off by no more than one of them, in 12 bytes an entry instead of 16; a row adds up to one within half a
-    /// part. A material of a pixel is off by at most n + 1 times 7.6e-6 of the difference between the materials of n Gaussians there.
+    /// Bits of the blending weights of the intrinsic stage: 32 or 16. 16 stores multiples of 1/65535, in 12 bytes per entry
+    /// instead of 16. A pixel's material changes by at most (n + 1) * 7.6e-6 for n contributing Gaussians.
     pub weight_bits: u32,
-    /// Bits of a semantic feature of a Gaussian where blending reads it, 32 or 16. With 16 a copy is made at the beginning of a step,
-    /// rounded to half precision: off by 2^-11 of itself at most, by 2^-25 where it is below 2^-14; a pixel's is off by no more than
-    /// that of the largest. It takes 64 bytes a Gaussian while a step runs. Gradients are those at the rounded features, passed on as
-    /// if nothing had been rounded; features and moments keep 32 bits.
+    /// Bits of a semantic feature when blending reads it: 32 or 16. 16 reads a copy in half precision, which takes 64 bytes
+    /// per Gaussian during a step. Features, moments and gradients keep 32 bits.
     pub feature_bits: u32,
 }
 

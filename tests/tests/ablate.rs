@@ -1,4 +1,4 @@
-//! `sgs ablate`: variants over seeds, their table, and going on after whatever stopped it.
+//! `sgs ablate`: variants over seeds, their table, and resuming.
 
 use serde_json::Value;
 use sgs_tests::Place;
@@ -7,7 +7,7 @@ use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::{Room, write_json};
 use std::time::SystemTime;
 
-/// The runs of two seeds that a room with priors of normals has.
+/// Runs of two seeds for a room with normal priors.
 const RUNS: [&str; 6] = ["rgb_seed5", "depth_seed5", "normal_seed5", "rgb_seed6", "depth_seed6", "normal_seed6"];
 
 fn room() -> Place {
@@ -28,7 +28,7 @@ fn json(place: &Place, name: &str) -> Value {
     serde_json::from_slice(&place.read(name)).unwrap()
 }
 
-/// When the splats of each run were written.
+/// Returns the times when the splats of each run were written.
 fn trained(place: &Place) -> Vec<SystemTime> {
     RUNS.iter()
         .map(|run| place.path(&format!("table/{run}/scene.ply")).metadata().unwrap().modified().unwrap())
@@ -36,7 +36,7 @@ fn trained(place: &Place) -> Vec<SystemTime> {
 }
 
 #[test]
-fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
+fn ablation_table_holds_means_and_spreads() {
     let place = room();
     let said = ablate(&place, &["-q"]).ok().stdout;
     assert_eq!(said.as_bytes(), place.read("table/ablation.md"));
@@ -62,7 +62,7 @@ fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
         assert_eq!(row["runs"][1]["folder"], format!("{variant}_seed6"));
         assert!(said.lines().any(|l| l.starts_with(&format!("| {variant}: ")) && l.contains(" ± ")), "{said}");
     }
-    // The variants differ by what they use, and are what training alone would give.
+    // The variants differ in their inputs and equal separate trainings.
     let rgb = place.read("table/rgb_seed5/scene.ply");
     assert_ne!(rgb, place.read("table/normal_seed5/scene.ply"));
     assert_ne!(rgb, place.read("table/depth_seed5/scene.ply"));
@@ -73,17 +73,18 @@ fn a_table_holds_means_and_spreads_of_what_the_runs_came_to() {
     assert!(rgb == place.read("alone/scene.ply"), "the run is not that of the same settings");
 }
 
-/// On a room with all priors every term is added once and left out once. Variants of the same settings share a run; the
-/// others differ. Classes are measured.
+/// Every term is added once and left out once on a room with all priors.
+///
+/// Variants with the same settings share a run; the others differ. Classes are measured.
 #[test]
-fn every_part_of_the_method_is_a_variant() {
+fn every_term_is_a_variant() {
     let room = Room { priors: true, truth: true, ..Room::default() };
     let place = Place::new(room);
     Meaning::default().write(&room, &place.path("scene"));
     let (scene, out) = (place.text("scene"), place.text("table"));
     let fixed = ["ablate", &scene, "-o", &out, "--seeds", "1", "--geometry-steps", "6", "--no-densify", "-q"];
     let from = |step: u32| format!("geometry.correspondence_from={step}");
-    // Never begun, it would be the variant before it.
+    // A term that never starts would equal the variant before it.
     let said = sgs(&[&fixed[..8], &["--no-densify", "--set", &from(7)]].concat()).ok();
     assert!(said.stderr.contains("\"correspondence\" is left out: it begins at step 7 of 6"), "{}", said.stderr);
     let only = ["--only", "correspondence", "--set", &from(7)];
@@ -109,7 +110,7 @@ fn every_part_of_the_method_is_a_variant() {
 }
 
 #[test]
-fn what_is_done_is_not_done_again() {
+fn finished_runs_are_not_repeated() {
     let place = room();
     ablate(&place, &["-q"]).ok();
     let table = place.read("table/ablation.json");
@@ -117,7 +118,7 @@ fn what_is_done_is_not_done_again() {
     let said = ablate(&place, &[]).ok().stderr;
     assert!(!said.contains(", seed "), "something was done again: {said}");
     assert!(trained(&place) == first && place.read("table/ablation.json") == table);
-    // Not measured: only that is made up for. Another file of settings or none: that run is trained again.
+    // A run that is not measured is only measured. A run whose settings file is missing or changed is trained again.
     std::fs::remove_file(place.path("table/rgb_seed5/metrics.json")).unwrap();
     ablate(&place, &["-q"]).ok();
     assert!(trained(&place) == first && place.read("table/ablation.json") == table);
@@ -125,7 +126,7 @@ fn what_is_done_is_not_done_again() {
     ablate(&place, &["-q"]).ok();
     let again: Vec<bool> = trained(&place).iter().zip(&first).map(|(a, b)| a != b).collect();
     assert_eq!(again, [false, false, true, false, false, false]);
-    // A variant alone leaves the others in the table; other settings leave nothing.
+    // A single variant keeps the other rows of the table; other settings keep none.
     ablate(&place, &["-q", "--only", "rgb"]).ok();
     assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 3);
     ablate(&place, &["-q", "--force", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
@@ -137,7 +138,7 @@ fn what_is_done_is_not_done_again() {
 }
 
 #[test]
-fn an_interrupted_table_is_gone_on_with() {
+fn interrupted_ablation_resumes() {
     let place = room();
     let more = ["--seeds", "1", "--no-densify", "--set", "geometry.checkpoint_interval=10"];
     let long: Vec<String> =
@@ -162,14 +163,14 @@ fn an_interrupted_table_is_gone_on_with() {
 }
 
 #[test]
-fn tables_that_make_no_sense_are_refused() {
+fn invalid_ablations_are_refused() {
     let place = Place::new(Room::default());
     ablate(&place, &["--only", "rgb,magic"]).refused(&["no variant \"magic\"", "there are rgb, depth, normal"]);
     ablate(&place, &["--only", "normal"]).refused(&["\"normal\" would differ from no other", "no priors/normal"]);
     ablate(&place, &["--set", "geometry.stepz=1"]).refused(&["geometry.steps"]);
     assert!(!place.path("table").exists(), "a refused table leaves nothing");
     assert_eq!(sgs(&arguments(&place, "3", &["--seeds", "0"])).status, Some(2));
-    // Without priors photographs and depth terms remain.
+    // Without priors, photographs and depth terms remain.
     let left = ablate(&place, &["--seed", "7"]);
     assert_eq!(left.status, Some(2), "a seed twice");
     let left = ablate(&place, &[]).ok();

@@ -1,4 +1,4 @@
-//! `sgs ablate --stage intrinsic|all`: variants of materials on geometry that they have in common.
+//! `sgs ablate --stage intrinsic|all`: material variants on shared geometry.
 
 use serde_json::Value;
 use sgs_scene::Splats;
@@ -45,14 +45,14 @@ fn names(table: &Value) -> Vec<&str> {
     table["variants"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect()
 }
 
-/// What a run has of geometry.
+/// Returns the geometry of a run.
 fn geometry(place: &Place, run: &str) -> Splats {
     let splats = Splats::read_ply(&place.path(&format!("{run}/scene.ply"))).unwrap();
     Splats { albedo: None, roughness: None, metallic: None, ..splats }
 }
 
 #[test]
-fn variants_of_materials_lie_on_the_same_geometry() {
+fn material_variants_share_geometry() {
     let place = room();
     let some = ["--stage", "intrinsic", "--intrinsic-steps", "3", "--seeds", "1", "--only", "full,no_lights,no_priors"];
     let said = ablate(&place, &some).ok().stdout;
@@ -71,7 +71,7 @@ fn variants_of_materials_lie_on_the_same_geometry() {
     }
     let value = |i: usize| table["variants"][i]["mean"]["pbr_psnr"].as_f64().unwrap();
     assert!(value(0) != value(1) && value(0) != value(2), "what is left out makes no difference");
-    // They have the geometry in common, and materials of their own.
+    // They share the geometry and have their own materials.
     let common = geometry(&place, "table/geometry_seed5");
     for name in ["full", "no_lights", "no_priors"] {
         let own = geometry(&place, &format!("table/{name}_seed5"));
@@ -79,7 +79,7 @@ fn variants_of_materials_lie_on_the_same_geometry() {
     }
     assert!(place.read("table/full_seed5/scene.ply") != place.read("table/no_priors_seed5/scene.ply"));
 
-    // What is done is not done again, but for what is asked otherwise.
+    // Finished runs are not repeated unless their settings changed.
     let files = ["table/geometry_seed5/scene.ply", "table/full_seed5/lights.json", "table/no_lights_seed5/scene.ply"];
     let times = files.map(|f| written(&place, f));
     ablate(&place, &some).ok();
@@ -94,7 +94,7 @@ fn variants_of_materials_lie_on_the_same_geometry() {
 }
 
 #[test]
-fn geometry_may_be_given() {
+fn ablation_accepts_existing_geometry() {
     let place = room();
     let scene = place.text("scene");
     for (run, steps) in [("a", "2"), ("b", "4")] {
@@ -114,13 +114,13 @@ fn geometry_may_be_given() {
     let first = written(&place, "table/full_seed5/scene.ply");
     on("a");
     assert!(written(&place, "table/full_seed5/scene.ply") == first, "it was trained twice");
-    // Materials on other geometry are others.
+    // Materials on other geometry differ.
     on("b");
     assert!(!place.path("table/geometry_seed5").exists());
 }
 
 #[test]
-fn the_whole_method_is_compared_and_gone_on_with() {
+fn ablation_of_both_stages_resumes() {
     let place = room();
     let more = ["--stage", "all", "--intrinsic-steps", "40", "--only", "rgb,no_visibility", "--seeds", "1"];
     let more = [&more[..], &["--set", "intrinsic.checkpoint_interval=4"]].concat();
@@ -142,11 +142,11 @@ fn the_whole_method_is_compared_and_gone_on_with() {
     assert_eq!(names(&table), ["rgb", "no_visibility"]);
     let timed = [0, 1].map(|i| table["variants"][i]["mean"]["intrinsic_seconds_per_step"].is_f64());
     assert_eq!(timed, [true, false], "what was interrupted has no time of its own");
-    // Materials lie on the geometry that uses most of what the scene has, though nobody asked for its row.
+    // Materials use the geometry that uses most of the scene's priors, even if its row was not requested.
     assert!(geometry(&place, "table/no_visibility_seed5").means == geometry(&place, "table/normal_seed5").means);
     assert!(written(&place, "table/normal_seed5/scene.ply") == formed);
     assert!(geometry(&place, "table/rgb_seed5").means != geometry(&place, "table/normal_seed5").means);
-    // Not interrupted, it comes to the same.
+    // Without an interruption the result is the same.
     let alone = more.iter().map(|m| if m.starts_with("rgb") { "no_visibility" } else { m }).collect::<Vec<_>>();
     sgs(&arguments(&place, "again", &alone)).ok();
     for file in ["scene.ply", "lights.json"] {
@@ -156,7 +156,7 @@ fn the_whole_method_is_compared_and_gone_on_with() {
 }
 
 #[test]
-fn variants_of_materials_that_make_no_sense_are_refused() {
+fn invalid_material_variants_are_refused() {
     let place = room();
     let intrinsic = |more: &[&str]| ablate(&place, &[&["--stage", "intrinsic"], more].concat());
     intrinsic(&["--only", "rgb"]).refused(&["no variant \"rgb\"", "there are full, gray_start, no_lights"]);
@@ -168,7 +168,7 @@ fn variants_of_materials_that_make_no_sense_are_refused() {
     intrinsic(&["--start", "nothing.ply"]).refused(&["no file \"nothing.ply\""]);
     ablate(&place, &["--start", &place.text("scene/x.ply")]).refused(&["--start", "--stage intrinsic"]);
     assert!(!place.path("table").exists(), "a refused table leaves nothing");
-    // A room without priors of materials.
+    // A room without material priors.
     std::fs::remove_dir_all(place.path("scene/priors")).unwrap();
     intrinsic(&["--only", "no_priors"]).refused(&["would differ from no other", "no priors of materials"]);
 }

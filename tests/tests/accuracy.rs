@@ -1,4 +1,6 @@
-//! What is traded for speed, against the double-precision twin of the same choice; and how far each choice is from none.
+//! Approximations against the double-precision reference of the same choice.
+//!
+//! Each choice is also compared with the exact result.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_engine::graph::Graph;
@@ -33,7 +35,7 @@ fn choices() -> Vec<(&'static str, Accuracy)> {
     ]
 }
 
-fn picture(gpu: &Gpu, g: &Gaussians, camera: &Camera, a: Accuracy) -> Vec<f32> {
+fn render_image(gpu: &Gpu, g: &Gaussians, camera: &Camera, a: Accuracy) -> Vec<f32> {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
     let model = Model { sh_degree: degree, ..Default::default() };
     let device = gpu.device();
@@ -45,7 +47,7 @@ fn picture(gpu: &Gpu, g: &Gaussians, camera: &Camera, a: Accuracy) -> Vec<f32> {
     renderer.render(&gaussians, &scenes::gpu_camera(camera), degree, background).unwrap().image
 }
 
-/// Largest difference where the twin is sure, and the share of pixels where it is not.
+/// Returns the largest difference at certain pixels and the share of the others.
 fn difference(image: &[f32], truth: &Blended) -> (f64, f64) {
     let mut largest = 0.0_f64;
     for (p, pixel) in image.chunks_exact(3).enumerate().filter(|(p, _)| !truth.doubtful[*p]) {
@@ -58,16 +60,16 @@ fn difference(image: &[f32], truth: &Blended) -> (f64, f64) {
 }
 
 #[test]
-fn every_choice_agrees_with_its_twin() {
+fn every_approximation_matches_reference() {
     let gpu = Gpu::new();
     for (name, a) in choices() {
         for seed in 1..3 {
             for g in [scenes::ordinary(300, 2, false, seed), scenes::hard(seed)] {
                 let camera = scenes::camera([80, 60]);
                 let truth = render_at(&g, &camera, 3, false, BACKGROUND, &a);
-                let (largest, doubtful) = difference(&picture(&gpu, &g, &camera, a), &truth);
+                let (largest, doubtful) = difference(&render_image(&gpu, &g, &camera, a), &truth);
                 println!("{name}, seed {seed}: largest {largest:.2e}, doubtful {doubtful:.3}");
-                // The twin's exponential is exact.
+                // The reference's exponential is exact.
                 let most = if a.fast_exp { 2e-4 } else { 5e-6 };
                 assert!(largest < most, "{name}, seed {seed}: largest difference {largest}");
                 assert!(doubtful < 0.5, "{name}, seed {seed}: {doubtful} of the pixels are doubtful");
@@ -76,22 +78,24 @@ fn every_choice_agrees_with_its_twin() {
     }
 }
 
-/// Choices that do nothing would be cheap and exact: each must be seen in the picture of the twin, and so in ours.
+/// Every choice changes the image of the reference, and so ours.
+///
+/// A choice without effect would pass the comparison.
 #[test]
-fn every_choice_makes_a_difference() {
+fn every_approximation_changes_the_image() {
     let gpu = Gpu::new();
     let camera = scenes::camera([80, 60]);
     let mut g = scenes::ordinary(3000, 0, false, 5);
-    // All at about one distance, so that short keys meet.
+    // All at about one distance, so short keys collide.
     g.means.chunks_exact_mut(3).for_each(|m| m[2] = 4.0 + 1e-3 * m[2]);
-    let exact = picture(&gpu, &g, &camera, EXACT);
+    let exact = render_image(&gpu, &g, &camera, EXACT);
     for (name, a) in choices().into_iter().skip(1) {
-        let found = picture(&gpu, &g, &camera, a);
+        let found = render_image(&gpu, &g, &camera, a);
         assert!(found != exact, "{name} changes nothing");
     }
 }
 
-/// Splats whose keys are the same stay in the order of their numbers, whichever is nearer.
+/// Splats with equal short keys keep their index order, whichever is nearer.
 #[test]
 fn short_keys_keep_the_order_of_numbers() {
     let gpu = Gpu::new();
@@ -105,15 +109,17 @@ fn short_keys_keep_the_order_of_numbers() {
         g.sh[0].extend(if i == 0 { [1.0, -1.0, -1.0] } else { [-1.0, 1.0, -1.0] });
     }
     let middle = 3 * (8 * 16 + 8);
-    let exact = picture(&gpu, &g, &camera, EXACT);
+    let exact = render_image(&gpu, &g, &camera, EXACT);
     assert!(exact[middle + 1] > exact[middle], "the second is nearer");
-    let short = picture(&gpu, &g, &camera, Accuracy { depth_bits: 16, ..EXACT });
+    let short = render_image(&gpu, &g, &camera, Accuracy { depth_bits: 16, ..EXACT });
     assert!(short[middle] > short[middle + 1], "the first comes first");
     let truth = render_at(&g, &camera, 0, false, BACKGROUND, &Accuracy { depth_bits: 16, ..EXACT });
     assert!(truth.image[middle] > truth.image[middle + 1], "the twin agrees");
 }
 
-/// What `Accuracy` promises of thresholds, on splats whose colors are at most one.
+/// Checks the bounds of `Accuracy` for thresholds.
+///
+/// Colors of the splats are at most one.
 #[test]
 fn thresholds_keep_their_bounds() {
     let gpu = Gpu::new();
@@ -124,15 +130,16 @@ fn thresholds_keep_their_bounds() {
     let truth = render_at(&g, &camera, 0, false, BACKGROUND, &Accuracy { transmittance_min: 1e-12, ..EXACT });
     for (transmittance_min, keep_last) in [(1e-4, false), (1e-3, false), (1e-4, true), (1e-3, true), (1e-2, true)] {
         let a = Accuracy { transmittance_min, keep_last, ..EXACT };
-        let (largest, _) = difference(&picture(&gpu, &g, &camera, a), &truth);
+        let (largest, _) = difference(&render_image(&gpu, &g, &camera, a), &truth);
         let bound = f64::from(transmittance_min) * largest_color * if keep_last { 1.0 } else { 100.0 };
         println!("{transmittance_min}, {keep_last}: {largest:.2e} of {bound:.2e}");
         assert!(largest > 1e-2 * bound && largest <= bound + 1e-5, "{largest:.2e} of {bound:.2e}");
     }
 }
 
-/// What is promised of pictures with a preset, against double precision that stops at no transmittance, of splats whose depths the
-/// shortest keys tell apart: see the table of presets in docs/how/accuracy.md.
+/// Checks the bounds of images with a preset, as in docs/how/accuracy.md.
+///
+/// The double-precision result has no transmittance threshold. The shortest keys distinguish the depths of the splats.
 #[test]
 fn presets_keep_their_bounds() {
     let gpu = Gpu::new();
@@ -140,7 +147,7 @@ fn presets_keep_their_bounds() {
     let count = 2000;
     let mut g = scenes::ordinary(count, 0, false, 9);
     for (i, mean) in g.means.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-        // In the order of no number.
+        // In shuffled order.
         let z = 6.0_f64.powf((i * 227 % count) as f64 / count as f64);
         *mean = mean.map(|m| f64::from((m * z / mean[2]) as f32));
     }
@@ -157,15 +164,15 @@ fn presets_keep_their_bounds() {
         let seen = keys.len();
         keys.dedup();
         assert_eq!(keys.len(), seen, "{name}: two keys are the same");
-        // Of the whole picture, then of each splat that is left out at a pixel.
+        // Bounds of the whole image, then of each splat that is skipped at a pixel.
         let behind = if a.keep_last { 1.0 } else { 100.0 } * f64::from(a.transmittance_min);
         let cubic = if a.fast_exp { 1.3e-4 } else { 0.0 };
         let rounded = if a.color_bits == 16 { 2.0_f64.powi(-11) } else { 0.0 };
-        let image = picture(&gpu, &g, &camera, a);
+        let image = render_image(&gpu, &g, &camera, a);
         let (mut share, mut left_out) = (0.0_f64, 0);
         for (p, pixel) in image.chunks_exact(3).enumerate() {
             let at = DVec2::new((p % 80) as f64 + 0.5, (p / 80) as f64 + 0.5);
-            // A rounding away from either threshold.
+            // Away from either threshold by more than rounding.
             let faint = |s: &&Projected| (0.99 / 255.0..1.01 * f64::from(a.alpha_min)).contains(&s.alpha(at));
             let faint = splats.iter().filter(faint).count();
             let bound = color * (behind + cubic + rounded + faint as f64 * f64::from(a.alpha_min)) + 5e-6;
@@ -181,7 +188,7 @@ fn presets_keep_their_bounds() {
     }
 }
 
-/// The records of visible splats, words, and how many there are.
+/// Returns the records of visible splats in words, and their number.
 fn records(gpu: &Gpu, g: &Gaussians, color_bits: u32) -> (Vec<u32>, usize) {
     let camera = scenes::camera([80, 60]);
     let t = gpu.tuning().with(Accuracy { color_bits, ..EXACT });
@@ -207,7 +214,9 @@ fn records(gpu: &Gpu, g: &Gaussians, color_bits: u32) -> (Vec<u32>, usize) {
     (out.get::<u32>(records), count)
 }
 
-/// Colors of every size, and none: what is kept in 16 bits is what is kept in 32, rounded, bit for bit; all else is what it was.
+/// Stored 16-bit colors are the 32-bit ones, rounded bit for bit.
+///
+/// Colors have all sizes, including zero. All else is unchanged.
 #[test]
 fn colors_are_rounded_to_nearest_on_every_device() {
     let gpu = Gpu::new();
@@ -235,18 +244,18 @@ fn colors_are_rounded_to_nearest_on_every_device() {
         largest += u32::from([red, green, blue].contains(&0x7bff));
     }
     assert!(ties > 20 && largest > 20, "{ties} small ones, {largest} large ones");
-    // What is beyond the visible is not written.
+    // Nothing is written past the visible splats.
     assert!(narrow[7 * count..].iter().all(|w| *w == u32::MAX));
 }
 
-/// What `Accuracy` promises of colors in 16 bits.
+/// Checks the bound of `Accuracy` for colors in 16 bits.
 #[test]
 fn colors_in_16_bits_keep_their_bound() {
     let gpu = Gpu::new();
     let camera = scenes::camera([80, 60]);
     let g = scenes::ordinary(2000, 0, false, 9);
     let brightest = g.sh[0].iter().fold(0.0_f64, |m, c| m.max(0.5 + 0.282_094_8 * c));
-    let [wide, narrow] = [32, 16].map(|color_bits| picture(&gpu, &g, &camera, Accuracy { color_bits, ..EXACT }));
+    let [wide, narrow] = [32, 16].map(|color_bits| render_image(&gpu, &g, &camera, Accuracy { color_bits, ..EXACT }));
     let off = wide.iter().zip(&narrow).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
     let bound = brightest * 2.0_f64.powi(-11);
     println!("{off:.2e} of {bound:.2e}");
@@ -255,11 +264,12 @@ fn colors_in_16_bits_keep_their_bound() {
 
 #[test]
 #[should_panic(expected = "largest difference")]
-fn a_wrong_twin_is_noticed() {
+fn wrong_reference_is_detected() {
     let gpu = Gpu::new();
     let camera = scenes::camera([80, 60]);
     let g = scenes::ordinary(300, 2, false, 1);
     let truth = render(&g, &camera, 3, false, BACKGROUND);
-    let (largest, _) = difference(&picture(&gpu, &g, &camera, Accuracy { alpha_min: 1.0 / 64.0, ..EXACT }), &truth);
+    let (largest, _) =
+        difference(&render_image(&gpu, &g, &camera, Accuracy { alpha_min: 1.0 / 64.0, ..EXACT }), &truth);
     assert!(largest < 2e-3, "largest difference {largest}");
 }

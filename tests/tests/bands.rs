@@ -1,5 +1,6 @@
-//! As many bands of spherical harmonics as the pictures ask for: a band comes, is measured, and stays or goes; every decision is
-//! written down; and an interrupted training decides as one that was not.
+//! Automatic number of spherical-harmonics bands.
+//!
+//! A band is added, measured, and retained or removed. Every decision is recorded. Interruptions do not change decisions.
 
 use sgs_config::{Settings, ShDegree};
 use sgs_scene::{Scene, SceneOptions};
@@ -19,28 +20,28 @@ fn settings(gain: f64) -> Settings {
     s
 }
 
-/// A training, the steps that it reported, and what it decided.
+/// Returns a training, its reported steps, and its decisions.
 fn train(gpu: &Gpu, scene: &Scene, s: &Settings) -> (Geometry, Vec<u32>, Vec<Decision>) {
     let mut training = Geometry::new(gpu.device(), scene, s, None).unwrap();
     let (mut degrees, mut decided) = (Vec::new(), Vec::new());
     for step in 1..=STEPS {
-        let heard = |p: &Progress| {
+        let progress = |p: &Progress| {
             if let Progress::Decided(d) = p {
                 decided.push(d.clone());
             }
         };
-        training.train(step, heard, || true).unwrap();
+        training.train(step, progress, || true).unwrap();
         degrees.push(training.gaussians().model.sh_degree);
     }
     (training, degrees, decided)
 }
 
 #[test]
-fn bands_come_and_stay_or_go() {
+fn bands_are_added_and_retained_or_removed() {
     let place = Place::new(Room { views: 8, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::new();
-    // Everything is worth it.
+    // Every band is retained.
     let (all, degrees, decided) = train(&gpu, &scene, &settings(-1e9));
     let steps = |d: u32| degrees.iter().filter(|x| **x == d).count();
     assert_eq!([steps(0), steps(3)], [1, 39], "{degrees:?}");
@@ -52,7 +53,7 @@ fn bands_come_and_stay_or_go() {
     assert!(all.needs().bands > 0);
     drop(all);
 
-    // Nothing is: bands are tried, and go with all their memory.
+    // No band is retained: each is tried, and removed with all its memory.
     let (none, degrees, decided) = train(&gpu, &scene, &settings(1e9));
     assert_eq!(degrees.iter().filter(|d| **d == 3).count(), 4, "{degrees:?}");
     assert!(degrees[5..].iter().all(|d| *d == 0), "{degrees:?}");
@@ -77,11 +78,11 @@ fn bands_come_and_stay_or_go() {
 }
 
 #[test]
-fn what_is_interrupted_decides_alike() {
+fn interruption_does_not_change_band_decisions() {
     let place = Place::new(Room { views: 8, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::new();
-    // 0.0 is decided by what is measured.
+    // A gain of 0.0 leaves the decision to the measurement.
     for gain in [-1e9, 0.0] {
         let s = settings(gain);
         let (straight, _, decided) = train(&gpu, &scene, &s);
@@ -105,7 +106,7 @@ fn what_is_interrupted_decides_alike() {
 }
 
 #[test]
-fn decisions_are_said_and_kept() {
+fn band_decisions_are_logged_and_stored() {
     let place = Place::new(Room { views: 8, ..Room::default() });
     let more = ["--set", "geometry.sh_degree=auto", "--set", "geometry.sh_gain=1000"];
     let said = sgs(&place.arguments("run", 40, &more)).ok();
@@ -121,7 +122,7 @@ fn decisions_are_said_and_kept() {
     assert_eq!(json(line.as_bytes())["decision"]["what"], "band 1");
     let config = String::from_utf8(place.read("run/config.toml")).unwrap();
     assert!(config.contains("sh_degree = \"auto\""), "{config}");
-    // Whoever goes on with the run, measures or shows it finds what is there.
+    // Resuming, evaluating and showing the run use the retained bands.
     place.resume("run").ok();
     sgs(&["eval", &place.text("run")]).ok();
     let quiet = sgs(&[&place.arguments("quiet", 40, &more)[..], &["-q".to_owned()]].concat()).ok();

@@ -1,4 +1,4 @@
-//! Classes after training: rendered, asked about, and measured, from a run whose every class is known.
+//! Classes after training, on a run with known classes: render, query, measure.
 
 use glam::{DVec2, DVec3, Vec3};
 use sgs_config::Settings;
@@ -14,19 +14,21 @@ use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-/// By id; 0 is none.
+/// Class names by id; 0 is none.
 const CLASSES: [&str; 7] = ["background", "left wall", "carpet", "ceiling", "floor", "right/wall", "front wall"];
 const TEMPERATURE: f32 = 0.25;
 const CEILING: usize = 3;
 const SIZE: [u32; 2] = [48, 36];
 
-/// The class of a place: the room is painted in six parts, above and below, left, middle and right.
+/// Returns the class of a position: the room has six parts, above and below, left, middle and right.
 fn class(p: DVec3) -> usize {
     let column = if p.x < -0.3 { 0 } else { 1 + usize::from(p.x > 0.3) };
     1 + 2 * column + usize::from(p.y > 0.0)
 }
 
-/// Texts of any length, and a decoder that takes feature k to the text of class k.
+/// Builds class texts and a decoder.
+///
+/// Texts have any length. The decoder maps feature k to the text of class k.
 fn head() -> SemanticHead {
     let mut rng = Pcg::new(3);
     let data: Vec<f32> = (0..CLASSES.len() * EMBEDDING).map(|_| 2.0 * rng.normal() as f32).collect();
@@ -38,7 +40,9 @@ fn head() -> SemanticHead {
     SemanticHead { decoder, text, temperature: TEMPERATURE }
 }
 
-/// A room with classes as ground truth, and a run on it: opaque splats everywhere but on the ceiling, which is missing.
+/// Room with classes as ground truth, and a run on it.
+///
+/// Opaque splats everywhere except on the ceiling, which is missing.
 struct Known(Place);
 
 impl Known {
@@ -99,7 +103,7 @@ fn open(place: &Place) -> Scene {
     Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
 }
 
-/// RGBA or gray with alpha, as stored.
+/// Reads RGBA or gray with alpha, as stored.
 fn pixels<const N: usize>(path: &Path) -> Vec<[u8; N]> {
     let image = image::open(path).unwrap();
     assert_eq!([image.width(), image.height()], SIZE, "{}", path.display());
@@ -107,7 +111,7 @@ fn pixels<const N: usize>(path: &Path) -> Vec<[u8; N]> {
     image.as_bytes().as_chunks::<N>().0.to_vec()
 }
 
-/// Whether a pixel and all around it are of one class: splats reach a little beyond the edges of their walls.
+/// Returns whether a pixel and its neighbors have one class: splats extend beyond their walls.
 fn inside(truth: &RegionMap, at: usize) -> bool {
     let (x, y) = ((at as u32 % truth.width) as i32, (at as u32 / truth.width) as i32);
     let around = (-3..=3).flat_map(|dy| (-3..=3).map(move |dx| (x + dx, y + dy)));
@@ -143,7 +147,7 @@ fn label_maps_show_the_known_classes() {
         let alpha = known.exr(&format!("{view:03}_alpha.exr"));
         let shown = pixels::<4>(&known.0.path(&format!("out/{view:03}_semantic.png")));
         for (at, (&label, rgba)) in labels.data.iter().zip(&shown).enumerate() {
-            // A number and a color say the same, and nothing is said where there is nothing.
+            // Number and color agree, and empty pixels have neither.
             assert_eq!(label == -1.0, alpha.data[at] < 0.5, "view {view}, pixel {at}: alpha {}", alpha.data[at]);
             if label == -1.0 {
                 assert_eq!(*rgba, [0; 4]);
@@ -176,7 +180,7 @@ fn relevance_is_the_probability_of_the_class() {
     assert_eq!(files, 3 * 5, "color, and each class once");
     assert!(!known.0.path("out/labels.json").exists(), "there is no map that it explains");
     known.render("run", &[&["--channels", "semantic"], &queries[..]].concat()).ok();
-    // What the decoder makes of a wall is the text of its class.
+    // The decoded feature of a wall is the text of its class.
     let unit: Vec<f64> = normalize_embeddings(&head().text.data).into_iter().map(f64::from).collect();
     let text = |c: usize| &unit[c * EMBEDDING..][..EMBEDDING];
     let cosine = |a: usize, b: usize| text(a).iter().zip(text(b)).map(|(x, y)| x * y).sum::<f64>();
@@ -194,7 +198,7 @@ fn relevance_is_the_probability_of_the_class() {
                 if r == -1.0 {
                     assert_eq!(*gray, [0, 0]);
                 } else {
-                    // Black at chance, white where the decoded text is the class's own.
+                    // Black at chance, white where the decoded text is that of the class.
                     let chance = 1.0 / CLASSES.len() as f64;
                     let shown = (f64::from(r) - chance) / (probability(query, query) - chance) * 255.0;
                     assert!((f64::from(gray[0]) - shown.clamp(0.0, 255.0)).abs() < 0.51 && gray[1] == 255);
@@ -208,15 +212,15 @@ fn relevance_is_the_probability_of_the_class() {
         }
     }
     assert!(compared > 1000, "{compared}");
-    // Another temperature than that of training.
+    // A temperature other than that of training.
     known.render("run", &["--query", "floor", "--temperature", "1", "--format", "exr"]).ok();
     let (truth, relevance) = (known.truth(0), known.exr("000_semantic_floor.exr").data);
     let at = (0..relevance.len()).find(|at| truth.ids[*at] == 4 && inside(&truth, *at)).unwrap();
     let expected = probability_at(1.0, 4, 4);
     assert!((f64::from(relevance[at]) - expected).abs() < 2e-3, "{} {expected}", relevance[at]);
     for t in ["0", "-1", "nan"] {
-        let said = known.render("run", &["--query", "floor", &format!("--temperature={t}")]);
-        said.refused(&["--temperature is", "at least 0.001"]);
+        let output = known.render("run", &["--query", "floor", &format!("--temperature={t}")]);
+        output.refused(&["--temperature is", "at least 0.001"]);
     }
     assert!(probability(4, 4) > 5.0 * probability(5, 4), "floor and wall are hardly told apart");
 }
@@ -225,7 +229,7 @@ fn relevance_is_the_probability_of_the_class() {
 fn accuracy_is_measured_against_the_known_classes() {
     let known = Known::new();
     known.render("run", &["--channels", "semantic", "--format", "exr"]).ok();
-    // A class of each view's pixels is right where its number is the true one; the room has no class 0.
+    // A pixel's class is right if its number is the true one; the room has no class 0.
     let share = |view: usize| {
         let (labels, truth) = (known.exr(&format!("{view:03}_semantic.exr")), known.truth(view));
         let right = labels.data.iter().zip(&truth.ids).filter(|(l, t)| **l == f32::from(**t)).count();
@@ -260,14 +264,14 @@ fn accuracy_is_measured_against_the_known_classes() {
     sgs(&["eval", &run]).refused(&["labels.json"]);
     std::fs::remove_file(known.0.path("scene/gt/semantic/labels.json")).unwrap();
 
-    // Without a head nothing is known of classes, and nothing is said of them.
+    // Without a head no classes are reported.
     std::fs::remove_file(known.0.path("run/semantics.safetensors")).unwrap();
     let measured = sgs(&["eval", &run, "--json"]).ok().json();
     assert!(measured["mean"].get("semantic").is_none() && measured["mean"]["nvs"]["psnr"].is_f64());
 }
 
 #[test]
-fn what_has_no_classes_is_refused() {
+fn runs_without_classes_are_refused() {
     let known = Known::new();
     let semantic = |source: &str| known.render(source, &["--channels", "rgb,semantic"]);
     known.change("plain.ply", |s| s.semantic = None);
@@ -312,13 +316,13 @@ fn what_has_no_classes_is_refused() {
     std::fs::remove_file(&path).unwrap();
     semantic("run").refused(&["semantics.safetensors", "there is no such file"]);
     assert!(!known.0.path("out/labels.json").exists() && !known.0.path("out/000_semantic.png").exists());
-    // The rest of the run is as good as before.
+    // The rest of the run is unchanged.
     known.render("run", &["--channels", "rgb,depth"]).ok();
 }
 
-/// What an earlier training knew is not taken for the result of the next one.
+/// Classes of an earlier training are not used for the next result.
 #[test]
-fn training_again_forgets_the_classes() {
+fn retraining_removes_classes() {
     let known = Known::new();
     sgs(&["train", &known.0.text("scene"), "-o", &known.0.text("run"), "--force", "--geometry-steps", "1"]).ok();
     assert!(known.0.path("run/scene.ply").exists() && !known.0.path("run/semantics.safetensors").exists());

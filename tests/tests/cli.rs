@@ -1,4 +1,4 @@
-//! What `sgs` refuses and how: one clear sentence, a status of refusal; never a panic.
+//! Refusals of `sgs`: one clear sentence and an exit status; never a panic.
 
 use glam::DVec3;
 use serde_json::json;
@@ -7,7 +7,7 @@ use sgs_tests::cli::{Finished, sgs, sgs_with_closed_stdout};
 use sgs_tests::rooms::{Room, transforms, write_json};
 use std::path::Path;
 
-/// A folder with a room in `scene`, and how this file runs the program on it.
+/// Folder with a room in `scene`, and helpers to run the program on it.
 struct Place(sgs_tests::Place);
 
 impl std::ops::Deref for Place {
@@ -33,7 +33,7 @@ impl Place {
         sgs(&arguments)
     }
 
-    /// Three splats in `a.ply`, of which the caller may damage the bytes.
+    /// Writes three splats to `a.ply`, whose bytes the caller may damage.
     fn ply(&self, change: impl FnOnce(&mut Vec<u8>)) -> String {
         let splats = Splats {
             means: vec![[0.0, 0.0, 2.0], [0.1, 0.0, 2.0], [0.0, 0.2, 2.5]],
@@ -77,16 +77,16 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     let scene = place.path("scene");
     let other = Image::new(31, 24, 3);
     let image = scene.join("images/002.png");
-    let kept = std::fs::read(&image).unwrap();
+    let original = std::fs::read(&image).unwrap();
     write_png(&image, &other).unwrap();
     place.train(&[]).refused(&["002.png", "31×24", "32×24"]);
 
-    // An image whose header is whole and whose pixels are not.
-    std::fs::write(&image, &kept[..kept.len() / 2]).unwrap();
+    // An image whose header is valid and whose pixels are truncated.
+    std::fs::write(&image, &original[..original.len() / 2]).unwrap();
     place.train(&[]).refused(&["002.png", "cannot be read as PNG"]);
-    std::fs::write(&image, &kept).unwrap();
+    std::fs::write(&image, &original).unwrap();
 
-    // A pose with a number that JSON has, but that is no position.
+    // A pose with a number that is valid JSON but not a position.
     let text = std::fs::read_to_string(scene.join("transforms.json")).unwrap();
     let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
     value["frames"][3]["transform_matrix"][0][3] = json!(1e300);
@@ -99,7 +99,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     place.train(&[]).refused(&["transforms.json", "frame 3", "rigid"]);
     std::fs::write(scene.join("transforms.json"), &text).unwrap();
 
-    // No view left to train on, by the split and by the default.
+    // No training views left, by the split and by the default.
     let split = std::fs::read(scene.join("split.json")).unwrap();
     write_json(&scene.join("split.json"), &json!({"train": [], "test": ["000"]}));
     place.train(&[]).refused(&["no training view"]);
@@ -123,7 +123,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     place.train(&[]).refused(&["points.ply", "no property \"y\""]);
     std::fs::write(scene.join("points.ply"), &points).unwrap();
 
-    // Nothing at all to look at.
+    // No views at all.
     std::fs::remove_dir_all(scene.join("images")).unwrap();
     place.train(&[]).refused(&["none of the 8 frames has its image", "000.png"]);
     assert!(!place.path("run").exists(), "refused images and points leave no run");
@@ -152,7 +152,7 @@ fn damaged_linear_images_are_refused() {
 }
 
 #[test]
-fn settings_that_mean_nothing_are_refused() {
+fn invalid_settings_are_refused() {
     let place = Place::new(Room::default());
     let set = |pair: &str| place.train(&["--set", pair]);
     set("geometry.rates.scale=0.1").refused(&["geometry.rates.scale", "did you mean \"geometry.rates.scales\"?"]);
@@ -208,7 +208,7 @@ fn ply_files_that_are_no_splats_are_refused() {
 }
 
 #[test]
-fn a_ply_without_splats_is_an_empty_picture() {
+fn ply_without_splats_renders_empty_image() {
     let place = Place::new(Room::default());
     Splats { sh: [Vec::new(), Vec::new(), Vec::new(), Vec::new()], ..Default::default() }
         .write_ply(&place.path("b.ply"))
@@ -223,7 +223,7 @@ fn a_ply_without_splats_is_an_empty_picture() {
 }
 
 #[test]
-fn renders_that_make_no_sense_are_refused() {
+fn invalid_renders_are_refused() {
     let place = Place::new(Room::default());
     let ply = place.ply(|_| {});
     place.render(&ply, &["--background", "1,2"]).refused(&["--background", "three numbers"]);
@@ -302,13 +302,15 @@ fn wrong_usage_exits_with_2() {
 
 /// As in `sgs devices | head`, after `head` has seen enough.
 #[test]
-fn a_closed_pipe_ends_it_quietly() {
+fn closed_pipe_exits_silently() {
     let finished = sgs_with_closed_stdout(&["devices"]);
     assert_eq!((finished.status, finished.stderr.as_str()), (Some(141), ""));
     finished.assert_no_panic();
 }
 
-/// Every command's answer is one JSON value, on standard output or in the file that was named.
+/// Every command's answer is one JSON value.
+///
+/// It is written to standard output or to the named file.
 #[test]
 fn json_is_valid_and_complete() {
     let place = Place::new(Room { priors: true, truth: true, ..Room::default() });
@@ -318,7 +320,7 @@ fn json_is_valid_and_complete() {
     assert!(plan["gaussians"].as_u64().unwrap() > 100 && plan["passes"].as_u64().unwrap() > 10, "{plan}");
     let trained = place.train(&["--json"]).ok().json();
     assert_eq!(trained["steps"], 2);
-    // Times differ from one evaluation to the next.
+    // Times differ between evaluations.
     let timeless = |mut metrics: serde_json::Value| {
         metrics["mean"].as_object_mut().unwrap().remove("fps");
         metrics
@@ -343,7 +345,7 @@ fn json_is_valid_and_complete() {
     assert!(files.iter().all(|f| Path::new(f.as_str().unwrap()).is_file()));
 }
 
-/// An exported run, and the run itself, are the same splats to a viewer.
+/// A viewer gets the same splats from an exported run as from the run.
 #[test]
 fn an_export_renders_as_the_run_does() {
     let place = Place::new(Room::default());
@@ -361,9 +363,11 @@ fn an_export_renders_as_the_run_does() {
     assert!(mean.length() > 1.0, "the picture is black");
 }
 
-/// A file leaves some choices to measurement; that they were made since is no disagreement.
+/// A run resumes with the settings file that it was started with.
+///
+/// Settings that the file leaves to measurement do not conflict with their measured values.
 #[test]
-fn a_run_is_resumed_by_the_file_that_it_was_begun_with() {
+fn run_resumes_with_its_settings_file() {
     let place = Place::new(Room::default());
     let file = place.text("settings.toml");
     std::fs::write(&file, "seed = 3\n").unwrap();
@@ -386,11 +390,11 @@ fn a_plan_is_written_in_every_format() {
     assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
     for (file, begins) in [("a.dot", "digraph"), ("a.html", "<!DOCTYPE html>"), ("a.json", "{"), ("a.txt", "plan ")] {
         let path = place.text(file);
-        let said = sgs(&["plan", &scene, "-o", &path]).ok().stdout;
-        assert!(said.contains(&path), "{said}");
+        let output = sgs(&["plan", &scene, "-o", &path]).ok().stdout;
+        assert!(output.contains(&path), "{output}");
         assert!(std::fs::read_to_string(&path).unwrap().starts_with(begins), "{file}");
     }
-    // The format that is asked for beats the one of the name.
+    // The requested format overrides that of the file name.
     let path = place.text("b.html");
     sgs(&["plan", &scene, "--graph", "dot", "-o", &path]).ok();
     assert!(std::fs::read_to_string(&path).unwrap().starts_with("digraph"));

@@ -27,8 +27,9 @@ struct World {
     switch: Switch,
 }
 
-/// Four stretches of 256 words: under a word that is set, under one that is not, the same with counts from a buffer,
-/// and one under a switch.
+/// Builds four ranges of 256 words under four conditions.
+///
+/// A word that is set, a word that is not, the same with counts from a buffer, and a switch.
 fn world(gpu: &Gpu) -> World {
     let mut g = Graph::new("conditions");
     g.set_gate(&gate());

@@ -1,5 +1,7 @@
-//! A data set's layout through the whole program: the exposure is chosen, recorded and kept; invalid pixels count neither
-//! in training nor in measures; ground truth beside the images is measured against.
+//! A data set's layout through the whole program.
+//!
+//! The exposure is chosen, recorded and stored. Invalid pixels count neither in training nor in metrics. Ground truth beside
+//! the images is used for evaluation.
 
 use sgs_scene::{
     GroundTruth, GroundTruthKind, Image, LoadOptions, NormalFrame, Scene, SceneOptions, write_exr, write_png,
@@ -8,12 +10,12 @@ use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::{Room, transforms, write_json};
 
-/// Pixels that are invalid: a block that is dazzling in one view and black in the next.
+/// Returns whether a pixel is invalid: a block that is saturated in one view and black in the next.
 fn invalid(pixel: usize) -> bool {
     pixel % 32 < 10 && pixel / 32 < 12
 }
 
-/// Writes the room in `scene` once more, as InteriorVerse would, into `release`.
+/// Writes the room in `scene` again, as InteriorVerse would, into `release`.
 fn write_release(place: &Place) {
     let (scene, release) = (place.path("scene"), place.path("release"));
     std::fs::create_dir(&release).unwrap();
@@ -73,12 +75,12 @@ fn interiorverse_trains_and_is_measured() {
         (eval["mean"]["nvs"]["psnr"].as_f64().unwrap(), eval["mean"].clone())
     };
     train("masked", &[]).ok();
-    // The room was made 32 times as bright; a power of two makes up for most of it, and the run knows.
+    // The room was made 32 times as bright; a power of two corrects most of it, and the run records it.
     let exposure = exposure_of("masked");
     assert!((1.0 / 64.0..=1.0 / 4.0).contains(&exposure) && exposure.log2().fract() == 0.0, "{exposure}");
     let (masked, mean) = psnr("masked");
     assert!(mean["normal_mae_deg"].as_f64().unwrap() < 90.0 && mean["depth_rel"].as_f64().unwrap() < 0.5, "{mean}");
-    // Taken in, they are what training is busy with and what is measured.
+    // If invalid pixels counted, they would dominate training and metrics.
     train("all", &["--set", "masks=false"]).ok();
     let (all, _) = psnr("all");
     assert!(masked > all + 3.0, "{masked} dB and {all} dB");

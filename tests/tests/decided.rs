@@ -1,4 +1,6 @@
-//! What the intrinsic stage makes smaller or slower while it trains: when, by how much, and that being stopped changes nothing.
+//! Automatic reductions of the intrinsic stage during training.
+//!
+//! Their times and sizes, and that interruptions change nothing.
 
 use sgs_config::Settings;
 use sgs_passes::shade::visibility::FieldConfig;
@@ -15,7 +17,7 @@ struct Bench {
     splats: Splats,
 }
 
-/// What is looked at after each step, and what there is in the end.
+/// Observations after each step, and the final state.
 #[derive(PartialEq)]
 struct Course<T> {
     seen: Vec<T>,
@@ -35,8 +37,8 @@ impl Bench {
         Intrinsic::new(self.gpu.device(), &self.scene, s, &self.splats).unwrap()
     }
 
-    /// Twenty steps, stopped after some, and bytes of the device's memory after each.
-    fn train<T>(&self, s: &Settings, stops: &[u32], look: impl Fn(&Intrinsic) -> T) -> (Course<T>, Vec<u64>) {
+    /// Trains twenty steps with interruptions; returns device memory after each, bytes.
+    fn train<T>(&self, s: &Settings, stops: &[u32], observe: impl Fn(&Intrinsic) -> T) -> (Course<T>, Vec<u64>) {
         let file = self.place.path("state");
         let mut training = self.training(s);
         let (mut seen, mut used) = (Vec::new(), Vec::new());
@@ -47,7 +49,7 @@ impl Bench {
                 training = self.training(s);
                 training.restore(&file).unwrap();
             }
-            seen.push(look(&training));
+            seen.push(observe(&training));
             used.push(self.gpu.device().memory_use().0);
         }
         let decided = training.decisions().iter().map(ToString::to_string).collect();
@@ -55,7 +57,9 @@ impl Bench {
     }
 }
 
-/// A hundred decibels are more than anything costs: what is not insisted upon goes as far as it can.
+/// Returns settings that accept any loss of quality.
+///
+/// A hundred decibels exceed any contribution: every enabled reduction goes as far as it can.
 fn eager() -> Settings {
     let mut s = settings(20);
     let a = &mut s.intrinsic.automatic;
@@ -65,13 +69,15 @@ fn eager() -> Settings {
     s
 }
 
-fn said<T>(course: &Course<T>, what: &str) -> String {
+fn decision<T>(course: &Course<T>, what: &str) -> String {
     course.decided.iter().find(|d| d.starts_with(what)).expect("nothing was decided").clone()
 }
 
-/// Levels of the visibility field that are worth nothing go, with their moments; the others go on.
+/// Field levels without contribution are removed with their moments.
+///
+/// The other levels are trained further.
 #[test]
-fn the_finest_levels_of_the_field_go() {
+fn finest_field_levels_are_removed() {
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.automatic.levels = true;
@@ -85,52 +91,55 @@ fn the_finest_levels_of_the_field_go() {
     let whole = FieldConfig::new(5, 10, 4, 32);
     let levels: Vec<FieldConfig> = fields.iter().map(|f| f.config).collect();
     assert!(levels[..9].iter().all(|c| *c == whole) && levels[9..].iter().all(|c| *c == whole.first_levels(1)));
-    let said = said(&straight, "levels");
+    let decision = decision(&straight, "levels");
     assert!(
-        said.contains("1 of 5 stay: without the others pictures lose") && said.contains("gradients have reached"),
-        "{said}"
+        decision.contains("1 of 5 stay: without the others pictures lose")
+            && decision.contains("gradients have reached"),
+        "{decision}"
     );
     assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
-    // What stays is trained further.
+    // Retained levels are trained further.
     assert!(fields[9].tables != fields[19].tables && fields[9].mlp != fields[19].mlp);
     assert!(bench.train(&s, &[9, 10, 14], field).0 == straight, "being stopped has changed something");
 
-    // Of the run's file the first level is the one that the whole had.
+    // The first level in the run's file equals that of the whole field.
     let path = bench.place.path("field");
     fields[19].save(&path).unwrap();
     assert!(VisibilityFile::load(&path).unwrap() == fields[19]);
-    // Insisted upon, all stay.
+    // With the reduction disabled, all levels are retained.
     s.intrinsic.automatic.levels = false;
-    let kept = bench.train(&s, &[12], field).0.seen;
-    assert!(kept[..9] == fields[..9] && kept[19].config == whole);
+    let disabled = bench.train(&s, &[12], field).0.seen;
+    assert!(disabled[..9] == fields[..9] && disabled[19].config == whole);
 }
 
-/// Texels that are worth nothing go, with their moments; what stays goes on, also where it moves seldom, and in runs that are gone back to.
+/// Texels without contribution are removed with their moments.
+///
+/// The map is trained further, also at longer update intervals and in runs that are rolled back.
 #[test]
-fn texels_go_that_pictures_do_not_need() {
+fn unneeded_environment_texels_are_removed() {
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.environment.resolution = 32;
     s.intrinsic.automatic.texels = true;
     let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap();
-    for (pace, every) in [(true, 1), (false, 3)] {
-        s.intrinsic.automatic.pace = pace;
+    for (automatic_interval, every) in [(true, 1), (false, 3)] {
+        s.intrinsic.automatic.pace = automatic_interval;
         s.intrinsic.environment.every = every;
         let (straight, used) = bench.train(&s, &[], texels);
         let seen = &straight.seen;
         let sizes: Vec<u32> = seen.iter().map(|t| t.size).collect();
         assert_eq!(sizes, [[32; 9].as_slice(), &[16; 11]].concat());
-        let said = said(&straight, "texels");
-        assert!(said.contains("16 along an edge instead of 32 stay: pictures lose"), "{said}");
+        let decision = decision(&straight, "texels");
+        assert!(decision.contains("16 along an edge instead of 32 stay: pictures lose"), "{decision}");
         assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
-        // As much light as before, but for a move like the one before; and it goes on moving.
+        // The map is as bright as before, up to one step; and it is trained further.
         let mean = |i: usize| seen[i].data.iter().sum::<f32>() / seen[i].data.len() as f32;
         assert!((mean(9) - mean(8)).abs() < 2.0 * (mean(8) - mean(7)).abs(), "{} {} {}", mean(7), mean(8), mean(9));
         assert!(seen[9] != seen[19]);
         let stopped = bench.train(&s, &[3, 9, 10, 13], texels).0;
         assert!(stopped == straight, "being stopped has changed something");
     }
-    // A state with all of them can be gone back to; what the settings do not have is refused.
+    // A state with all texels can be restored; a size that the settings do not allow is refused.
     let file = bench.place.path("state");
     let mut training = bench.training(&s);
     training.train(5, |_| {}, || true).unwrap();
@@ -144,9 +153,11 @@ fn texels_go_that_pictures_do_not_need() {
     assert!(error.ends_with("damaged: surroundings cannot have \"32\" texels along an edge."), "{error}");
 }
 
-/// How seldom surroundings may move is found half-way, kept in checkpoints, and can be insisted upon.
+/// The update interval of the environment map is chosen halfway.
+///
+/// It is stored in checkpoints and can be fixed.
 #[test]
-fn surroundings_move_as_seldom_as_pictures_allow() {
+fn environment_update_interval_grows_within_allowed_loss() {
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.automatic.pace = true;
@@ -158,22 +169,22 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     };
     let straight = bench.train(&s, &[], texels).0;
     assert_eq!(moved(&straight.seen), (1..=10).chain([16]).collect::<Vec<_>>());
-    let said = said(&straight, "pace");
-    assert!(said.contains("surroundings move once in 8 steps: as old as that they cost"), "{said}");
+    let decision = decision(&straight, "pace");
+    assert!(decision.contains("surroundings move once in 8 steps: as old as that they cost"), "{decision}");
     let stopped = bench.train(&s, &[3, 9, 10, 12, 17], texels).0;
     assert!(stopped == straight, "being stopped has changed something");
-    // As long as pictures still gain, nothing becomes slower.
+    // While images still improve, no update interval grows.
     s.intrinsic.automatic.settled = 0.0;
     assert_eq!(moved(&bench.train(&s, &[], texels).0.seen).len(), 20);
     s.intrinsic.automatic.settled = 100.0;
-    // Less is asked, and surroundings move more often; nothing is, or they are insisted upon, and they move with every step.
+    // A smaller allowed loss gives shorter intervals; with none allowed, or a fixed interval, every step updates.
     s.intrinsic.automatic.gain = 0.0;
     let strict = moved(&bench.train(&s, &[], texels).0.seen);
     assert!(strict.len() > 11, "{strict:?}");
     (s.intrinsic.automatic.gain, s.intrinsic.automatic.pace) = (100.0, false);
     assert_eq!(moved(&bench.train(&s, &[], texels).0.seen).len(), 20);
 
-    // A file that says something else is refused.
+    // A file with another value is refused.
     s.intrinsic.automatic.pace = true;
     bench.train(&s, &[17], texels);
     let right = std::fs::read(bench.place.path("state")).unwrap();
@@ -188,9 +199,11 @@ fn surroundings_move_as_seldom_as_pictures_allow() {
     }
 }
 
-/// Surroundings, shadows and lobes can go each by itself, with the same bits after being stopped; and what stays is said, too.
+/// Environment map, shadows and lobes can each be removed alone.
+///
+/// Interruptions do not change a bit, and retained components are reported.
 #[test]
-fn parts_go_by_themselves_and_what_stays_is_said() {
+fn components_are_removed_alone_and_retained_ones_reported() {
     let bench = Bench::new();
     let there = |t: &Intrinsic| {
         let light = t.light().unwrap();
@@ -215,36 +228,38 @@ fn parts_go_by_themselves_and_what_stays_is_said() {
             assert_eq!(*seen, if i + 1 < from { before } else { after }, "{part} after step {}", i + 1);
         }
         assert!(used[19] < used[8], "{part}: {} bytes before, {} after", used[8], used[19]);
-        said(&straight, part);
+        decision(&straight, part);
         let stopped = bench.train(&s, &[from as u32 - 1, from as u32, 17], there).0;
         assert!(stopped == straight, "{part}: being stopped has changed something");
-        // Where nothing may be lost, what is worth something stays, and that is said with its measure.
+        // With no loss allowed, components with a contribution are retained and reported with it.
         s.intrinsic.automatic.gain = 0.0;
         let strict = bench.train(&s, &[12], there).0;
-        let told: Vec<_> = strict.decided.iter().filter(|d| d.starts_with(part)).collect();
-        assert!(!told.is_empty() && told.iter().all(|d| d.contains(" dB (asked: 0)")), "{:?}", strict.decided);
-        // Lobes that are merged are kept, too, and are fewer.
+        let retained: Vec<_> = strict.decided.iter().filter(|d| d.starts_with(part)).collect();
+        assert!(!retained.is_empty() && retained.iter().all(|d| d.contains(" dB (asked: 0)")), "{:?}", strict.decided);
+        // Merged lobes are retained too, but fewer.
         let whole = |d: &&String| d.starts_with(&format!("{part} kept")) && !d.contains("merging the others costs");
-        assert_eq!(told.iter().all(whole), strict.seen[19] == before, "{told:?}");
+        assert_eq!(retained.iter().all(whole), strict.seen[19] == before, "{retained:?}");
     }
 }
 
-/// Of two parts of which either would do one stays: what is judged later is judged without what has just gone.
+/// Of two redundant components one is retained.
+///
+/// Later components are measured without those already removed.
 #[test]
-fn parts_are_judged_without_what_has_gone() {
+fn components_are_measured_without_removed_ones() {
     let bench = Bench::new();
-    let shadows = |surroundings: bool| {
+    let shadows = |environment: bool| {
         let mut s = eager();
-        (s.intrinsic.automatic.environment, s.intrinsic.automatic.visibility) = (surroundings, true);
-        said(&bench.train(&s, &[], |_| ()).0, "visibility left out after step 10")
+        (s.intrinsic.automatic.environment, s.intrinsic.automatic.visibility) = (environment, true);
+        decision(&bench.train(&s, &[], |_| ()).0, "visibility left out after step 10")
     };
     assert_ne!(shadows(true), shadows(false));
-    // Lamps that all go leave the surroundings, whatever these are worth.
+    // If all lights are removed, the environment map is retained, whatever its contribution.
     let mut s = eager();
     (s.intrinsic.automatic.lights, s.intrinsic.automatic.environment) = (true, true);
     let course = bench.train(&s, &[], |t| (t.light().unwrap().lights.is_some(), t.environment_size())).0;
     assert!(course.seen[..4].iter().all(|l| l.0) && course.seen[4..].iter().all(|l| *l == (false, Some(16))));
-    // Those that are off already are not there when surroundings are judged.
+    // Lights that are already off are absent when the environment map is measured.
     s.intrinsic.automatic.gain = 2.0;
     let with = |lights: bool| {
         let mut s = s.clone();

@@ -3,15 +3,15 @@
 use half::f16;
 use sgs_engine::graph::Graph;
 use sgs_passes::loss::{Head, NO_LABEL, Relevance, SemanticLabels, semantic_labels, semantic_prepare};
-use sgs_passes::reference::adam as adam_twin;
+use sgs_passes::reference::adam as reference_adam;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::semantic as twin;
+use sgs_passes::reference::semantic as reference;
 use sgs_passes::scene::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 use sgs_shaders::structs::{SemanticTarget, Step, Work};
 use sgs_tests::semantics::head;
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
-/// Pixels behind this view's.
+/// Pixels past the end of this view.
 const SPARE: usize = 7;
 const CHANNELS: usize = 38;
 const FIRST: usize = 4;
@@ -26,7 +26,7 @@ fn the_decoder_follows_adam_and_a_flag_stops_it() {
     let n = EMBEDDING * AUGMENTED;
     let mut rng = Pcg::new(1);
     let start = Decoder::initial(8);
-    // Small enough that epsilon is seen.
+    // Small enough for epsilon to matter.
     let slope: Vec<f32> = (0..n).map(|_| (1e-7 * rng.normal()) as f32).collect();
     for flag in [0_u32, 4] {
         let mut g = Graph::new("decoder");
@@ -39,7 +39,7 @@ fn the_decoder_follows_adam_and_a_flag_stops_it() {
         let (gradients, flags) = (g.input("gradients", 4 * n as u64), g.input("flags", 4));
         let skipped = g.external("skipped", 4);
         decoder_step(&mut g, gpu.tuning(), step, &decoder, gradients, flags, skipped).unwrap();
-        let rates = adam_twin::Rates::at(1e-4, 1);
+        let rates = reference_adam::Rates::at(1e-4, 1);
         let values = Step {
             lr_decoder: rates.lr as f32,
             correction1: rates.correction1 as f32,
@@ -66,7 +66,7 @@ fn the_decoder_follows_adam_and_a_flag_stops_it() {
         let moved = |epsilon: f64| -> Vec<f64> {
             let one = |(&p, &g): (&f32, &f32)| {
                 let p = f64::from(p);
-                adam_twin::adam_with(p, [0.0; 2], f64::from(g), rates, epsilon).0
+                reference_adam::adam_with(p, [0.0; 2], f64::from(g), rates, epsilon).0
             };
             start.iter().zip(&slope).map(one).collect()
         };
@@ -77,7 +77,7 @@ fn the_decoder_follows_adam_and_a_flag_stops_it() {
 }
 
 #[test]
-fn a_decoder_goes_to_a_checkpoint_and_back() {
+fn decoder_round_trips_through_checkpoint() {
     let gpu = Gpu::new();
     let device = gpu.device();
     let a = Decoder::new(device, 3, true).unwrap();
@@ -93,7 +93,7 @@ fn a_decoder_goes_to_a_checkpoint_and_back() {
 }
 
 #[test]
-fn label_maps_are_those_of_the_reference() {
+fn label_maps_match_reference() {
     let gpu = Gpu::new();
     for (classes, query, meaning) in
         [(1, 0, Relevance::Cosine), (9, 4, Relevance::Probability), (200, 199, Relevance::Cosine)]
@@ -147,7 +147,7 @@ fn label_maps_are_those_of_the_reference() {
                 continue;
             }
             let f: Vec<f64> = image[p * CHANNELS + FIRST..][..FEATURES].iter().map(|&x| f64::from(x)).collect();
-            let (label, logits) = twin::classify(&h, &f, 0.25);
+            let (label, logits) = reference::classify(&h, &f, 0.25);
             assert_eq!(labels[p] as usize, label, "pixel {p}");
             let q = query as usize;
             let expected = match meaning {
@@ -161,8 +161,10 @@ fn label_maps_are_those_of_the_reference() {
     }
 }
 
-/// Targets of a scene on disk: maps of different sizes, a view without one, cells that say nothing; and a picture's
-/// classes, twice larger the second time.
+/// Uploads semantic targets of a scene on disk.
+///
+/// Maps have different sizes, one view has none, and some cells are unlabeled.
+/// An image's classes come at two sizes.
 #[test]
 fn semantic_priors_of_a_scene_reach_the_device() {
     use sgs_engine::Location;
@@ -230,7 +232,7 @@ fn semantic_priors_of_a_scene_reach_the_device() {
                     continue;
                 }
                 let f: Vec<f64> = pixel[FIRST..FIRST + FEATURES].iter().map(|&x| f64::from(x)).collect();
-                let (label, logits) = twin::classify(&h, &f, 0.25);
+                let (label, logits) = reference::classify(&h, &f, 0.25);
                 assert_eq!(map.labels[p] as usize, label);
                 let probability = |q: usize| 1.0 / logits.iter().map(|l| (l - logits[q]).exp()).sum::<f64>();
                 let expected = [probability(1), 0.25 * logits[2], probability(0)];
@@ -248,13 +250,13 @@ fn semantic_priors_of_a_scene_reach_the_device() {
     assert!(SemanticData::load(device, &open()).unwrap().is_none());
 }
 
-/// Wanted pixels are those that a sample is interpolated from with some weight, and those of the region.
+/// Features are required at sampled pixels with weight and at region pixels.
 #[test]
-fn features_are_wanted_where_samples_and_regions_are() {
+fn feature_mask_covers_samples_and_regions() {
     use sgs_passes::loss::{pack_mask, wanted_samples};
     use sgs_passes::splat::{Screen, wanted_words};
     let gpu = Gpu::new();
-    // How much a sample of `n` along an axis of `pixels` has of pixel `at`, first and last on each other.
+    // Weight of pixel `at` in a sample of `n` along an axis of `pixels`; first and last samples align with the ends.
     let weight = |i: usize, n: usize, at: usize, pixels: usize| {
         let place = if n > 1 { i as f64 * (pixels - 1) as f64 / (n - 1) as f64 } else { 0.0 };
         (1.0 - (place - at as f64).abs()).max(0.0)

@@ -1,8 +1,8 @@
-//! Densification on a device: against its reference, and against what must hold whatever the reference says.
+//! Densification on a device against its reference and against invariants.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Densify, densify, opacity_reset};
-use sgs_passes::reference::densify as twin;
+use sgs_passes::reference::densify as reference;
 use sgs_passes::reference::densify::{Candidate, Origin, Settings};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::{Group, Model};
@@ -20,7 +20,7 @@ const SETTINGS: Settings = Settings {
     seed: 77,
 };
 
-/// What the first number of a Gaussian's SH band 1 says: which one it was. Copies carry it along.
+/// First number of SH band 1: encodes the index of the original Gaussian. Copies keep it.
 const TAG: usize = Group::Sh1 as usize;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -52,7 +52,7 @@ enum Fate {
 }
 
 impl Scene {
-    /// Gaussians that are clearly meant for their fates. Behind them lies NaN.
+    /// Builds Gaussians with unambiguous fates, followed by NaN.
     fn new(fates: &[Fate], capacity: usize, seed: u32) -> Scene {
         let mut rng = Pcg::new(seed);
         let mut scene = Scene {
@@ -94,7 +94,7 @@ impl Scene {
                 _ => rng.range(0.0, 0.9e-4) * f64::from(seen),
             };
             let weight = if fate == Fate::Unseen { 0.5e-4 } else { rng.range(0.01, 10.0) };
-            // About as much as the screen gradient, in units of 1e-3.
+            // About as large as the screen gradient, in units of 1e-3.
             let by_normal = 1e-3 * gradient * rng.range(0.5, 2.0);
             scene.statistics[4 * i..][..4].copy_from_slice(&[gradient as f32, seen, weight as f32, by_normal as f32]);
         }
@@ -104,7 +104,7 @@ impl Scene {
     fn random(count: usize, capacity: usize, seed: u32) -> Scene {
         let mut rng = Pcg::new(seed ^ 0x55);
         let kinds = [Fate::Keep, Fate::Faint, Fate::Unseen, Fate::Huge, Fate::Nan, Fate::Clone, Fate::Split];
-        // How common each is differs from scene to scene, so that both growth and shrinkage occur.
+        // The share of each fate differs between scenes, so both growth and shrinkage occur.
         let odds: Vec<f64> = kinds.iter().map(|_| rng.uniform().powi(3)).collect();
         let total: f64 = odds.iter().sum();
         let fates: Vec<Fate> = (0..count)
@@ -140,7 +140,7 @@ impl Scene {
         &self.moments[g][2 * slot * width(g)..][..2 * width(g)]
     }
 
-    /// The scene afterwards, and what was reported.
+    /// Returns the scene afterwards and the reported statistics.
     fn run(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
         let mut g = Graph::new("densify");
         let parameters = std::array::from_fn(|i| g.external(Group::ALL[i].name(), 4 * self.parameters[i].len() as u64));
@@ -183,7 +183,7 @@ impl Scene {
         (after, out.get(stats)[0])
     }
 
-    /// What must hold whatever the reference says.
+    /// Checks the invariants that hold for any reference.
     fn check_invariants(&self, after: &Scene, stats: &DensifyStats, cap: usize) {
         let most = (self.count - stats.pruned as usize).max(cap.min(self.capacity));
         assert!(after.count <= most && (self.count == 0) == (after.count == 0), "{stats:?}");
@@ -208,15 +208,15 @@ impl Scene {
         }
     }
 
-    /// Slot by slot as the reference has it; copies bit for bit.
+    /// Compares slot by slot with the reference; copies bit for bit.
     fn check(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
         let (after, stats) = self.run(gpu, s);
         self.check_invariants(&after, &stats, s.cap);
-        let verdicts: Vec<_> = (0..self.count).map(|i| twin::verdict(&self.candidate(i), s)).collect();
-        let (slots, refused) = twin::layout(&verdicts, s.cap.min(self.capacity));
+        let verdicts: Vec<_> = (0..self.count).map(|i| reference::verdict(&self.candidate(i), s)).collect();
+        let (slots, refused) = reference::layout(&verdicts, s.cap.min(self.capacity));
         assert_eq!((after.count, stats.refused as usize), (slots.len(), refused), "{stats:?}");
-        let weightless = (0..self.count).filter(|i| twin::weightless(&self.candidate(*i), s)).count();
-        if verdicts.iter().any(|v| !matches!(v, twin::Verdict::Prune { .. })) {
+        let weightless = (0..self.count).filter(|i| reference::weightless(&self.candidate(*i), s)).count();
+        if verdicts.iter().any(|v| !matches!(v, reference::Verdict::Prune { .. })) {
             assert_eq!(stats.weightless as usize, weightless, "{stats:?}");
         }
         for (slot, origin) in slots.into_iter().enumerate() {
@@ -240,7 +240,7 @@ impl Scene {
             }
             if let Some(which) = half {
                 let candidate = self.candidate(from);
-                let (mean, log_scale) = twin::half(&candidate, from, which, s.seed);
+                let (mean, log_scale) = reference::half(&candidate, from, which, s.seed);
                 let size = candidate.log_scale.iter().fold(f64::MIN, |a, &b| a.max(b)).exp();
                 // A logarithm, a root, a sine and a rotation of numbers up to 5.8 sizes.
                 assert_close("mean", &mean, after.parameter(0, slot), Tolerance::new(1e-5 * size, 2e-7));
@@ -258,7 +258,7 @@ fn work_of(count: usize) -> Work {
 }
 
 #[test]
-fn densify_is_its_reference() {
+fn densify_matches_reference() {
     let gpu = Gpu::new();
     for (seed, (count, capacity)) in
         [(1, 2), (2, 2), (7, 9), (255, 600), (256, 512), (257, 300), (1000, 1000), (5000, 20000), (9000, 9100)]
@@ -271,8 +271,9 @@ fn densify_is_its_reference() {
     }
 }
 
-/// The published statistic: a large gradient by the normal refines what the screen gradient would leave alone. Under the cap
-/// both count by the multiple of their threshold.
+/// Large gradients by the normal refine Gaussians with small screen gradients.
+///
+/// This is the published statistic. Under the cap both count by the multiple of their threshold.
 #[test]
 fn gradients_by_normals_refine() {
     let gpu = Gpu::new();
@@ -287,7 +288,7 @@ fn gradients_by_normals_refine() {
     (0..300).for_each(|i| of_normals(&mut scene, i, if i < 100 { 4e-7 } else { 1e-8 }));
     assert_eq!(scene.check(&gpu, &SETTINGS).1.cloned, 0);
     assert_eq!(scene.check(&gpu, &by_normals).1.cloned, 100);
-    // Of a hundred whose screen gradient is three times its threshold, and one with four times that of its normal, one stays.
+    // A normal gradient of four thresholds wins the only free slot over screen gradients of three thresholds.
     scene.statistics.as_chunks_mut::<4>().0[..100].iter_mut().for_each(|s| *s = [6e-4, 2.0, 1.0, 0.0]);
     of_normals(&mut scene, 70, 8e-7);
     let (after, stats) = scene.check(&gpu, &Settings { cap: 301, ..by_normals });
@@ -311,7 +312,7 @@ fn densify_of_one_kind_only() {
             assert_eq!((stats.after, stats.pruned, stats.cloned, stats.split), expected);
         }
     }
-    // Nothing at all, and one that is finite among many that are not.
+    // All zero, and one finite gradient among many that are not.
     let (after, _) = Scene::new(&[], 4, 1).check(&gpu, &SETTINGS);
     assert_eq!(after.count, 0);
     let mut fates = [Nan; 400];
@@ -320,9 +321,11 @@ fn densify_of_one_kind_only() {
     assert_eq!((after.parameters[TAG][0], stats.invalid), (233.0, 398));
 }
 
-/// Halves of Gaussians whose quaternions have no direction, or are far from unit, are drawn as the reference draws them.
+/// Splits of Gaussians with degenerate quaternions match the reference.
+///
+/// Quaternions are zero or far from unit length.
 #[test]
-fn halves_of_quaternions_without_direction_are_drawn() {
+fn splits_of_degenerate_quaternions_match_reference() {
     let gpu = Gpu::new();
     let mut scene = Scene::new(&[Fate::Split; 300], 600, 4);
     let rotations = &mut scene.parameters[Group::Rotations as usize][..1200];
@@ -347,7 +350,7 @@ fn densify_fills_the_cap_and_not_more() {
     // The capacity is a cap as well.
     let (after, _) = Scene::new(&fates, 2100, 9).check(&gpu, &SETTINGS);
     assert_eq!(after.count, 2100);
-    // Gradients that are all the same: by index.
+    // Equal gradients: ordered by index.
     let mut equal = Scene::new(&[Fate::Clone; 1000], 1100, 9);
     equal.statistics.as_chunks_mut::<4>().0.iter_mut().for_each(|s| *s = [0.5, 1.0, 1.0, 0.0]);
     let (after, _) = equal.check(&gpu, &SETTINGS);
@@ -356,7 +359,7 @@ fn densify_fills_the_cap_and_not_more() {
 }
 
 #[test]
-fn densify_is_the_same_every_time_and_follows_its_seed() {
+fn densify_is_deterministic_per_seed() {
     let gpu = Gpu::new();
     let scene = Scene::random(3000, 5000, 3);
     let run = |seed| {
@@ -390,7 +393,7 @@ fn split_halves_are_distributed_as_their_parent() {
     }
 }
 
-/// Planted errors that the invariants and the comparison with the reference must notice.
+/// Checks that planted errors fail the invariants and the comparison.
 #[test]
 fn densify_checks_can_fail() {
     let gpu = Gpu::new();
@@ -409,10 +412,10 @@ fn densify_checks_can_fail() {
     fails(&|after, _| after.statistics[5] = 1.0);
     fails(&|after, _| *after.moments[2].last_mut().unwrap() = 0.0);
     fails(&|after, _| after.count += 1);
-    // A reference with another threshold is another reference.
-    let verdicts = |s: &Settings| (0..500).map(|i| twin::verdict(&scene.candidate(i), s)).collect::<Vec<_>>();
+    // A reference with another threshold differs.
+    let verdicts = |s: &Settings| (0..500).map(|i| reference::verdict(&scene.candidate(i), s)).collect::<Vec<_>>();
     let other = Settings { grad_threshold: 1e-3, ..SETTINGS };
-    assert_ne!(twin::layout(&verdicts(&SETTINGS), 900).0, twin::layout(&verdicts(&other), 900).0);
+    assert_ne!(reference::layout(&verdicts(&SETTINGS), 900).0, reference::layout(&verdicts(&other), 900).0);
 }
 
 #[test]

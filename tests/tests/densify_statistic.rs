@@ -1,4 +1,4 @@
-//! The statistic of densification: which losses' gradients enter it, and which do not.
+//! The densification statistic: the losses whose gradients enter it.
 
 use sgs_config::{Backward, DensifyStatistic, Settings};
 use sgs_passes::reference::rng::Pcg;
@@ -16,7 +16,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// A room with all priors, and splats whose features and normals say something already.
+    /// Builds a room with all priors, and splats with nonzero features and normals.
     fn new() -> Bench {
         let room = Room { size: [24, 20], views: 4, spacing: 3, priors: true, ..Room::default() };
         let place = Place::new(room);
@@ -29,7 +29,7 @@ impl Bench {
         Bench { gpu: Gpu::new(), scene, splats, _place: place }
     }
 
-    /// What the first step gathers of each Gaussian: screen gradient, count, weight, gradient by the raw normal.
+    /// Returns per Gaussian: screen gradient, count, weight, gradient by the raw normal.
     fn gather(&self, statistic: DensifyStatistic, change: impl Fn(&mut Settings)) -> [Vec<f32>; 4] {
         let mut s = Settings::default();
         s.geometry.steps = 1000;
@@ -46,13 +46,13 @@ impl Bench {
     }
 }
 
-/// Leaves out every loss but that of color.
+/// Disables every loss except color.
 fn photometric_alone(s: &mut Settings) {
     let g = &mut s.geometry;
     (g.normals, g.depth_smooth, g.depth_variance, g.semantics) = (false, false, false, false);
 }
 
-/// Leaves out every loss but those of normals and depth.
+/// Disables every loss except those of normals and depth.
 fn geometric_alone(s: &mut Settings) {
     (s.geometry.losses.l1, s.geometry.losses.dssim, s.geometry.semantics) = (0.0, 0.0, false);
 }
@@ -64,7 +64,9 @@ fn near(name: &str, expected: &[f32], found: &[f32]) {
     assert_close(name, &expected, found, Tolerance::new(2e-5 * f64::from(most), 2e-3));
 }
 
-/// With all losses on, a statistic is the total of a step that has the named losses alone, for every backward kernel.
+/// A statistic equals the total of a step with only the named losses.
+///
+/// All losses are on; every backward kernel is tested.
 #[test]
 fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
     let bench = Bench::new();
@@ -78,7 +80,7 @@ fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
         near("photometric", &photometric[0], &of_color[0]);
         let of_geometry = bench.gather(DensifyStatistic::Geometric, on);
         near("geometric", &geometric[0], &of_geometry[0]);
-        // Counts and weights are the same whatever is gathered.
+        // Counts and weights are the same for every statistic.
         for found in [&of_color, &of_geometry] {
             assert_eq!(found[1], all[1]);
             near("weights", &all[2], &found[2]);
@@ -90,7 +92,9 @@ fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
     }
 }
 
-/// Semantic losses move geometry, but leave the photometric and the geometric statistic as they are, bit for bit.
+/// Semantic gradients leave photometric and geometric statistics bit-identical.
+///
+/// They still move geometry.
 #[test]
 fn semantic_gradients_enter_the_total_alone() {
     let bench = Bench::new();
@@ -99,7 +103,7 @@ fn semantic_gradients_enter_the_total_alone() {
         assert!(of(statistic, true) == of(statistic, false), "{statistic:?}");
     }
     assert!(of(DensifyStatistic::Total, true)[0] != of(DensifyStatistic::Total, false)[0]);
-    // Without normals and depth colors are all that is blended.
+    // Without normals and depth only colors are blended.
     let colors = |statistic, semantics: bool| {
         bench.gather(statistic, |s| {
             photometric_alone(s);

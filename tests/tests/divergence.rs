@@ -1,4 +1,6 @@
-//! Training that goes wrong: it is noticed, said in a sentence, and gone back from; training that does not is left alone.
+//! Divergence of training is detected, reported and rolled back.
+//!
+//! Healthy training is left alone.
 
 use serde_json::Value;
 use sgs_run::RunDirectory;
@@ -16,7 +18,7 @@ fn everything() -> Place {
     place
 }
 
-/// A hundred times what trainings of at most 777 steps use.
+/// Learning rates a hundred times those of trainings of at most 777 steps.
 const WILD: [&str; 2] = ["--set", "geometry.rates.factor=300"];
 
 const BACK: [&str; 4] = ["--set", "train.on_divergence=roll-back", "--set", "geometry.checkpoint_interval=50"];
@@ -41,7 +43,7 @@ fn json(place: &Place, name: &str) -> Value {
 }
 
 #[test]
-fn wild_rates_end_in_a_sentence_and_lower_ones_go_on() {
+fn divergence_is_reported_and_lower_rates_resume() {
     let place = everything();
     let stopped = train(&place, "run", 220, &[&WILD, &["-q"]]);
     println!("{}", stopped.stderr);
@@ -55,10 +57,10 @@ fn wild_rates_end_in_a_sentence_and_lower_ones_go_on() {
     stopped.refused(&words);
     let file = |name: &str| place.path(&format!("run/{name}"));
     assert!(file("diverged.json").is_file() && !file("training.json").exists());
-    // What is kept can be seen.
+    // The retained state can be rendered.
     let cameras = place.path("scene/transforms.json").display().to_string();
     sgs(&["render", &place.text("run"), "--cameras", &cameras, "-o", &place.text("pictures")]).ok();
-    // As it was begun it ends as it did; with lower rates it goes on, which other settings cannot be.
+    // Resuming with the same settings fails the same way. Lower rates are accepted, other changes are refused.
     let scene = place.text("scene");
     let resume = |more: &[&str]| {
         let run = place.text("run");
@@ -76,8 +78,9 @@ fn wild_rates_end_in_a_sentence_and_lower_ones_go_on() {
     resume(&["--set", "geometry.rates.factor=4"]).refused(&["was begun with geometry.rates.factor = 3.0"]);
 }
 
-/// Trains into `run`, but stops it by hand at a step and kills it at another, each before or after it has gone back; `resume` is
-/// what goes on with it.
+/// Trains into `run` with an interruption and a kill around the rollback.
+///
+/// Each of `at` is a step and whether it comes after the rollback. `resume` is the command that continues.
 fn disturbed(place: &Place, run: &str, arguments: &[String], resume: &[&str], at: [(u64, bool); 2]) -> Finished {
     let (scene, to) = (place.text("scene"), place.text(run));
     let again = [&["train", &scene, "-o", &to, "-q", "--resume"], resume].concat();
@@ -98,7 +101,7 @@ fn disturbed(place: &Place, run: &str, arguments: &[String], resume: &[&str], at
 }
 
 #[test]
-fn it_goes_back_repeats_and_resumes() {
+fn rollback_is_deterministic_and_resumes() {
     let place = Place::new(Room::default());
     let more: [&[&str]; 2] = [&WILD, &BACK];
     let first = train(&place, "a", 400, &more).ok();
@@ -107,7 +110,7 @@ fn it_goes_back_repeats_and_resumes() {
     let psnr = psnr(&place, "a");
     println!("{}{} times back, {psnr} dB", first.stderr, backs.len());
     assert!(!backs.is_empty() && first.stderr.matches("it goes on from step").count() == backs.len(), "{backs:?}");
-    // Such rates take another way at each width of subgroups: 16.9 dB at 16 lanes.
+    // Such rates diverge differently at each subgroup width: 16.9 dB at 16 lanes.
     let least = if sgs_tests::Gpu::new().subgroup_size() == 8 { 18.0 } else { 16.0 };
     assert!(psnr > least, "{psnr}");
     let files = |run: &str| std::fs::read_dir(place.path(run).join("checkpoint")).unwrap().count();
@@ -121,9 +124,9 @@ fn it_goes_back_repeats_and_resumes() {
         .refused(&["\"train.on_divergence\" is \"go-back\"", "\"stop\", \"roll-back\", \"go-on\""]);
 }
 
-/// Steps of the centers that become larger and larger: what was reached before is not lost.
+/// Learning rates of positions that grow: the state before the divergence is not lost.
 #[test]
-fn what_was_good_until_late_is_kept() {
+fn late_divergence_keeps_the_last_good_state() {
     let place = Place::new(Room::default());
     let more: [&[&str]; 3] =
         [&BACK, &["--set", "geometry.rates.means_final=30"], &["--set", "train.roll_backs=1", "-q"]];
@@ -144,9 +147,9 @@ fn what_was_good_until_late_is_kept() {
     assert_eq!(json(&place, "b/diverged.json"), about);
 }
 
-/// What is merely rough, slow or noisy is none of it.
+/// Rough, slow or noisy training is not divergence.
 #[test]
-fn what_trains_is_left_alone() {
+fn healthy_training_is_not_rolled_back() {
     let (plain, all) = (Place::new(Room::default()), everything());
     let cases: [(&Place, &[&str]); 10] = [
         (&all, &[]),
@@ -167,7 +170,7 @@ fn what_trains_is_left_alone() {
 }
 
 #[test]
-fn wild_materials_are_noticed_and_gone_back_from() {
+fn divergence_of_materials_is_rolled_back() {
     let place = everything();
     train(&place, "start", 100, &[&["--no-densify", "-q"]]).ok();
     let (start, scene) = (place.text("start/scene.ply"), place.text("scene"));
@@ -192,7 +195,7 @@ fn wild_materials_are_noticed_and_gone_back_from() {
     println!("{}", stopped.stderr);
     stopped.refused(&["Training stopped at step ", "it has diverged: ", "which pass ", "moves: ", "--resume"]);
     shaded("run");
-    // With rates as they should be it goes on.
+    // With normal rates it continues.
     let lower = ["rates.albedo=0.01", "rates.roughness=0.01", "rates.metallic=0.01", "rates.lights=0.05"];
     let lower = [set(&lower), set(&["rates.environment=0.05"])].concat();
     let run = place.text("run");
@@ -202,7 +205,7 @@ fn wild_materials_are_noticed_and_gone_back_from() {
         (place.read("run/scene.ply"), place.read("run/lights.json")),
         (place.read("sane/scene.ply"), place.read("sane/lights.json"))
     );
-    // And by itself, also after a kill.
+    // It also continues by itself, also after a kill.
     let back: Vec<String> = BACK.map(|s| s.replace("geometry.", "intrinsic.")).to_vec();
     sgs(&materials("back", &[wild.clone(), back.clone()])).ok();
     let summary = json(&place, "back/training.json");

@@ -1,9 +1,10 @@
-//! The environment on a device against its reference: filters and their adjoints, light on surfaces, gradients,
-//! smoothness.
+//! The environment map on a device against its reference.
+//!
+//! Filters and their adjoints, light on surfaces, gradients, smoothness.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
-use sgs_passes::reference::environment as twin;
+use sgs_passes::reference::environment as reference;
 use sgs_passes::reference::environment::{Cube, Filter, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::{
@@ -19,7 +20,7 @@ use sgs_train::Intrinsic;
 
 fn levels_of(e: &Environment, texels: &[f32]) -> Vec<Cube> {
     let cube = Cube::from_floats(e.size() as usize, texels);
-    e.levels().iter().map(|l| twin::prefilter(&cube, l)).collect()
+    e.levels().iter().map(|l| reference::prefilter(&cube, l)).collect()
 }
 
 fn flat(levels: &[Cube]) -> Vec<f64> {
@@ -34,16 +35,16 @@ fn camera() -> [f64; 3] {
     CAMERA.map(f64::from)
 }
 
-/// The gradient by levels that the twin's pixels leave.
+/// Computes the gradient of each level from the reference's pixels.
 fn level_gradients(e: &Environment, pixels: &[Pixel], gradient: &[f32]) -> Vec<Cube> {
     let mut made: Vec<Cube> = e.levels().iter().map(|l| Cube::black(l.size as usize)).collect();
     for (p, g) in pixels.iter().zip(gradient.chunks(3)) {
-        twin::shade_bwd(&mut made, e.split_sum(), camera(), p, [g[0], g[1], g[2]].map(f64::from));
+        reference::shade_bwd(&mut made, e.split_sum(), camera(), p, [g[0], g[1], g[2]].map(f64::from));
     }
     made
 }
 
-/// Texels that a training step pushes below zero are zero after it, and after one in which they move once in several.
+/// Training clamps negative texels to zero, also at update intervals above 1.
 #[test]
 fn training_leaves_no_texel_below_zero() {
     let (place, _) = place();
@@ -53,7 +54,7 @@ fn training_leaves_no_texel_below_zero() {
     for every in [1, 2] {
         let mut s = settings(4);
         s.intrinsic.environment.every = every;
-        // Far too bright; and Adam's first step is as long as the rate, whatever the gradient: more than any texel.
+        // Far too bright. Adam's first step has the length of the rate, whatever the gradient: more than any texel.
         s.intrinsic.environment.start = 20.0;
         s.intrinsic.rates.environment = 1e3;
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
@@ -68,14 +69,14 @@ fn training_leaves_no_texel_below_zero() {
     }
 }
 
-/// As other subgroup sizes would have kernels cut, as far as this device can run it.
+/// Returns tunings of other subgroup sizes that this device can run.
 fn tunings(gpu: &Gpu) -> Vec<Tuning> {
     let own = gpu.tuning();
     vec![own, Tuning { workgroup: 64, ..own }]
 }
 
 #[test]
-fn filters_light_and_gradients_are_those_of_the_twin() {
+fn environment_light_and_gradients_match_reference() {
     let gpu = Gpu::new();
     for size in [16, 32] {
         let e = made(size);
@@ -99,14 +100,14 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
             };
             let found = run(&gpu, &t, &given);
             assert_close("radiance", &flat(&levels), &found.radiance, Tolerance::new(1e-5, 2e-5));
-            let shade = |p: &Pixel| twin::shade(&levels, e.split_sum(), camera(), p);
+            let shade = |p: &Pixel| reference::shade(&levels, e.split_sum(), camera(), p);
             let expected: Vec<f64> = pixels.iter().flat_map(shade).collect();
             assert_close("ambient", &expected, &found.ambient, Tolerance::new(1e-4, 1e-4));
 
-            let expected: Vec<f64> = pixels.iter().flat_map(|p| twin::shade_diffuse(&levels, p)).collect();
+            let expected: Vec<f64> = pixels.iter().flat_map(|p| reference::shade_diffuse(&levels, p)).collect();
             assert_close("diffuse", &expected, &found.diffuse, Tolerance::new(1e-4, 1e-4));
 
-            // Materials: central differences of the twin.
+            // Materials: central differences of the reference.
             for (i, p) in pixels.iter().enumerate() {
                 let g = &gradient[3 * i..3 * i + 3];
                 let mut x = [p.albedo[0], p.albedo[1], p.albedo[2], p.roughness, p.metallic];
@@ -129,11 +130,11 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
                 }
             }
 
-            // Texels: the twin's adjoint.
+            // Texels: the reference's adjoint.
             let by_level = level_gradients(&e, &pixels, &gradient);
             let mut expected = vec![0.0; texels.len()];
             for (g, level) in by_level.iter().zip(e.levels()) {
-                let part = twin::prefilter_bwd(g, level, size as usize).flat();
+                let part = reference::prefilter_bwd(g, level, size as usize).flat();
                 expected.iter_mut().zip(part).for_each(|(e, p)| *e += p);
             }
             let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
@@ -142,16 +143,17 @@ fn filters_light_and_gradients_are_those_of_the_twin() {
     }
 }
 
-/// What two steps ask of levels that stay is taken back to the texels together.
+/// Level gradients gathered over two steps are propagated to the texels together.
 #[test]
-fn what_is_gathered_is_the_mean() {
+fn gathered_gradients_are_the_mean() {
     let gpu = Gpu::new();
     let (e, t) = (made(32), gpu.tuning());
     let (texels, pixels) = (room(&e, 3), surfaces(5));
     let count = pixels.len() as u64;
     let mut rng = Pcg::new(11);
-    // The second asks for a thousand times as much: each has a scale of its own.
-    let asked = [1.0, 1000.0].map(|f| (0..3 * pixels.len()).map(|_| (f * rng.normal()) as f32).collect::<Vec<f32>>());
+    // The second gradient is a thousand times as large: each has a scale of its own.
+    let gradients =
+        [1.0, 1000.0].map(|f| (0..3 * pixels.len()).map(|_| (f * rng.normal()) as f32).collect::<Vec<f32>>());
     let mut g = Graph::new("gathered");
     let tables = e.declare(&mut g);
     let step = g.uniform("step", size_of::<Step>() as u64);
@@ -162,11 +164,11 @@ fn what_is_gathered_is_the_mean() {
     let view = EnvironmentView { step, points, normals, coverage, materials, metallic: None, pixels: count };
     environment_filter_kept(&mut g, &t, &e, &tables, parameters, &kept).unwrap();
     let mut given = vec![(kept.gathered, bytes(&vec![0.0_f32; 3 * e.filtered_texels() as usize]))];
-    for (i, asked) in asked.iter().enumerate() {
+    for (i, loss_gradient) in gradients.iter().enumerate() {
         g.set_prefix(format!("{i}."));
         let gradient = g.input("gradient", 12 * count);
         let by_materials = g.external("materials_gradient", 16 * count);
-        given.extend([(gradient, bytes(asked)), (by_materials, bytes(&vec![0.0_f32; 4 * pixels.len()]))]);
+        given.extend([(gradient, bytes(loss_gradient)), (by_materials, bytes(&vec![0.0_f32; 4 * pixels.len()]))]);
         let sums = environment_bwd(&mut g, &t, &e, &tables, &view, &kept.filtered(), gradient, by_materials, None);
         kept.gather(&mut g, &t, &e, &sums.unwrap(), 0.5).unwrap();
     }
@@ -191,10 +193,10 @@ fn what_is_gathered_is_the_mean() {
     let out = gpu.run(g, &given);
     assert_close("radiance", &flat(&levels_of(&e, &texels)), &out.get(kept.radiance), Tolerance::new(1e-5, 2e-5));
     let plain: Vec<Pixel> = pixels.iter().map(|p| Pixel { metallic: 0.0, ..*p }).collect();
-    let mean: Vec<f32> = asked[0].iter().zip(&asked[1]).map(|(a, b)| 0.5 * (a + b)).collect();
+    let mean: Vec<f32> = gradients[0].iter().zip(&gradients[1]).map(|(a, b)| 0.5 * (a + b)).collect();
     let mut expected = vec![0.0; texels.len()];
     for (g, level) in level_gradients(&e, &plain, &mean).iter().zip(e.levels()) {
-        let part = twin::prefilter_bwd(g, level, e.size() as usize).flat();
+        let part = reference::prefilter_bwd(g, level, e.size() as usize).flat();
         expected.iter_mut().zip(part).for_each(|(e, p)| *e += p);
     }
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
@@ -202,8 +204,8 @@ fn what_is_gathered_is_the_mean() {
 }
 
 #[test]
-fn the_twins_gradient_of_texels_is_its_difference() {
-    // Shading is linear in the texels: one direction's difference is the gradient's product with it.
+fn reference_texel_gradient_matches_difference() {
+    // Shading is linear in the texels: the difference along a direction is the product of gradient and direction.
     let e = made(16);
     let (texels, pixels) = (room(&e, 1), surfaces(2));
     let mut rng = Pcg::new(3);
@@ -211,16 +213,16 @@ fn the_twins_gradient_of_texels_is_its_difference() {
     let other: Vec<f32> = (0..texels.len()).map(|_| rng.normal() as f32).collect();
     let loss = |texels: &[f32]| -> f64 {
         let levels = levels_of(&e, texels);
-        let shade = |p: &Pixel| twin::shade(&levels, e.split_sum(), camera(), p);
+        let shade = |p: &Pixel| reference::shade(&levels, e.split_sum(), camera(), p);
         pixels.iter().flat_map(shade).zip(&gradient).map(|(x, g)| x * f64::from(*g)).sum()
     };
     let mut slope = 0.0;
     for (g, level) in level_gradients(&e, &pixels, &gradient).iter().zip(e.levels()) {
-        let part = twin::prefilter_bwd(g, level, 16).flat();
+        let part = reference::prefilter_bwd(g, level, 16).flat();
         slope += part.iter().zip(&other).map(|(p, x)| p * f64::from(*x)).sum::<f64>();
     }
     let moved: Vec<f32> = texels.iter().zip(&other).map(|(x, d)| x + d).collect();
-    // What rounding made of the sum.
+    // Rounding of the sum.
     let step: Vec<f64> = moved.iter().zip(&texels).map(|(m, x)| f64::from(*m) - f64::from(*x)).collect();
     let rounding: f64 = step.iter().zip(&other).map(|(s, o)| (s - f64::from(*o)).abs()).sum();
     let difference = loss(&moved) - loss(&texels);
@@ -263,10 +265,10 @@ fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
             let size_of = dot(&radiance, &radiance).sqrt() * dot(&y, &y).sqrt();
             assert!((forward - back).abs() < 1e-6 * size_of, "{size}: {forward} {back} of {size_of}");
         }
-        // Texels here and there, corners of faces among them, by the twin's sums over everything.
+        // Sampled texels, including corners of faces, against the reference's sums over all texels.
         let cube = Cube::from_floats(size as usize, &x);
         for level in e.levels() {
-            let mip = twin::mip(&cube, level.size as usize);
+            let mip = reference::mip(&cube, level.size as usize);
             let filter = Filter::new(level);
             let n = level.size * level.size;
             for k in 0..24 {
@@ -275,7 +277,7 @@ fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
                     6..12 => (k - 5) * n - 1,
                     _ => rng.next_u32() % (6 * n),
                 };
-                let expected = twin::prefilter_texel(&mip, &filter, texel as usize);
+                let expected = reference::prefilter_texel(&mip, &filter, texel as usize);
                 let at = 3 * (level.first + texel) as usize;
                 assert_close("texel", &expected, &radiance[at..at + 3], Tolerance::new(1e-6, 3e-5));
             }
@@ -284,13 +286,16 @@ fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
 }
 
 #[test]
-fn a_wrong_lobe_is_noticed() {
+fn wrong_lobe_is_detected() {
     let e = made(16);
     let cube = Cube::from_floats(16, &room(&e, 8));
-    let right = twin::prefilter(&cube, &e.levels()[2]);
+    let right = reference::prefilter(&cube, &e.levels()[2]);
     for planted in [
-        twin::prefilter(&cube, &sgs_passes::shade::environment::levels::Level { roughness: 0.362, ..e.levels()[2] }),
-        twin::prefilter(&cube, &sgs_passes::shade::environment::levels::Level { cutoff: 1.7, ..e.levels()[2] }),
+        reference::prefilter(
+            &cube,
+            &sgs_passes::shade::environment::levels::Level { roughness: 0.362, ..e.levels()[2] },
+        ),
+        reference::prefilter(&cube, &sgs_passes::shade::environment::levels::Level { cutoff: 1.7, ..e.levels()[2] }),
     ] {
         let found: Vec<f32> = planted.flat().iter().map(|x| *x as f32).collect();
         assert!(worst(&right.flat(), &found, Tolerance::new(1e-5, 2e-5)).unwrap().3 > 1.0);
@@ -321,12 +326,12 @@ fn white_is_white_and_nothing_is_created() {
         {
             let view = unit(std::array::from_fn(|k| f64::from(CAMERA[k]) - p.point[k]));
             let facing: f64 = (0..3).map(|k| p.normal[k] * view[k]).sum();
-            let [a, b] = twin::split_sum(e.split_sum(), p.roughness, facing.clamp(1e-4, 1.0));
+            let [a, b] = reference::split_sum(e.split_sum(), p.roughness, facing.clamp(1e-4, 1.0));
             let specular = (0.04 + 0.96 * p.metallic) * a + b;
             assert!((f64::from(c[0]) - (1.0 - p.metallic) - specular).abs() < 2e-3 * (1.0 - p.metallic) + 1e-5);
             assert!(specular <= 1.0005, "{p:?}");
         }
-        // Nobody asks for anything.
+        // The loss gradient is zero.
         assert_eq!(found.smoothness, 0.0);
         assert!(found.texels.iter().all(|g| *g == 0.0));
         assert!(found.materials.iter().all(|g| *g == BEFORE));
@@ -358,17 +363,17 @@ fn extremes_stay_finite_and_right() {
                 .all(|v| v.iter().all(|x| x.is_finite()))
         );
         let levels = levels_of(&e, &texels);
-        let shade = |p: &Pixel| twin::shade(&levels, e.split_sum(), camera(), p);
+        let shade = |p: &Pixel| reference::shade(&levels, e.split_sum(), camera(), p);
         let expected: Vec<f64> = pixels.iter().flat_map(shade).collect();
         assert_close("ambient", &expected, &found.ambient, Tolerance::new(1e-4 * f64::from(bright), 1e-4));
         let mut expected = vec![0.0; texels.len()];
         for (g, level) in level_gradients(&e, &pixels, &gradient).iter().zip(e.levels()) {
-            expected.iter_mut().zip(twin::prefilter_bwd(g, level, 16).flat()).for_each(|(e, p)| *e += p);
+            expected.iter_mut().zip(reference::prefilter_bwd(g, level, 16).flat()).for_each(|(e, p)| *e += p);
         }
         let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
         assert_close("texels", &expected, &found.texels, Tolerance::new(1e-6 * largest, 1e-4));
     }
-    // A pixel that is not finite spoils its own materials and nothing of the environment.
+    // A pixel that is not finite affects its own materials only, not the environment map.
     let texels = room(&e, 14);
     let mut gradient: Vec<f32> = (0..3 * pixels.len()).map(|_| rng.normal() as f32).collect();
     let at = 3 * 7;
@@ -412,7 +417,7 @@ fn sums_do_not_depend_on_order_or_groups() {
     let gpu = Gpu::new();
     let e = made(32);
     let (texels, pixels) = (room(&e, 3), surfaces(5));
-    // Pixels twice over, so that texels meet others in other workgroups.
+    // Each pixel occurs twice, so texels are shared between workgroups.
     let pixels = [pixels.clone(), pixels].concat();
     let mut rng = Pcg::new(6);
     let gradient: Vec<f32> = (0..3 * pixels.len()).map(|_| rng.normal() as f32).collect();
@@ -432,7 +437,7 @@ fn sums_do_not_depend_on_order_or_groups() {
     let reversed: Vec<f32> = gradient.chunks(3).rev().flatten().copied().collect();
     let given = Given { pixels: &backwards, gradient: &reversed, ..given };
     assert!(run(&gpu, &gpu.tuning(), &given).texel_sums == a.texel_sums);
-    // Nor on whether lanes add up first; a wall, where all meet, among the pixels.
+    // Sums do not depend on merging lanes first either; the pixels include a wall that shares its texels.
     let mut wall = backwards.clone();
     let (point, normal) = (wall[8].point, wall[8].normal);
     wall[..64].iter_mut().for_each(|p| (p.point, p.normal) = (point, normal));
@@ -460,7 +465,7 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
     let found = run(&gpu, &gpu.tuning(), &given);
     let value = |x: &[f64]| {
         let texels = x.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
-        twin::smoothness(&Cube { size: 16, texels }, MAP)
+        reference::smoothness(&Cube { size: 16, texels }, MAP)
     };
     let mut x: Vec<f64> = texels.iter().map(|t| f64::from(*t)).collect();
     assert!((found.smoothness / value(&x) - 1.0).abs() < 1e-5);
@@ -470,20 +475,20 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
         let is = f64::from(found.texels[i]);
         assert!((slope - is).abs() < 1e-4 * slope.abs() + 1e-5 * f64::from(largest), "{i}: {slope} {is}");
     }
-    // The finest cubes are measured at their own resolution, with gradients for every texel that the map shows.
+    // The finest cubes are measured at their own resolution, with gradients for every texel of the map.
     let e = made(512);
     let texels = room(&e, 22);
     let given = Given { e: &e, texels: &texels, ..given };
     let found = run(&gpu, &gpu.tuning(), &given);
     let cube = Cube::from_floats(512, &texels);
-    let whole = twin::smoothness(&cube, MAP);
+    let whole = reference::smoothness(&cube, MAP);
     assert!((found.smoothness / whole - 1.0).abs() < 1e-5);
-    let coarse = twin::smoothness(&twin::mip(&cube, 256), MAP);
+    let coarse = reference::smoothness(&reference::mip(&cube, 256), MAP);
     assert!((coarse / whole - 1.0).abs() > 1e-3, "the mip would do as well: {coarse} {whole}");
     let mut x: Vec<f64> = texels.iter().map(|t| f64::from(*t)).collect();
     let value = |x: &[f64]| {
         let texels = x.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
-        twin::smoothness(&Cube { size: 512, texels }, MAP)
+        reference::smoothness(&Cube { size: 512, texels }, MAP)
     };
     let largest = found.texels.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
     let shown: Vec<usize> = (0..x.len()).filter(|i| found.texels[*i].abs() > 0.05 * largest).step_by(11).collect();
@@ -493,7 +498,7 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
         let is = f64::from(found.texels[i]);
         assert!((slope - is).abs() < 1e-4 * slope.abs() + 1e-5 * f64::from(largest), "{i}: {slope} {is}");
     }
-    // A constant added changes nothing, so gradients add up to zero.
+    // Adding a constant changes nothing, so gradients sum to zero.
     let sum: f64 = found.texels.iter().map(|g| f64::from(*g)).sum();
     let all: f64 = found.texels.iter().map(|g| f64::from(g.abs())).sum();
     assert!(sum.abs() < 1e-5 * all, "{sum} of {all}");
@@ -527,7 +532,7 @@ fn the_background_is_the_cube_along_rays_and_negative_texels_become_black() {
     let expected: Vec<f64> = (0..count as u32)
         .flat_map(|i| {
             let pixel = [i % size[0], i / size[0]];
-            twin::lookup(&cube, twin::ray(&camera.world_to_camera, camera.focal, camera.center, pixel))
+            reference::lookup(&cube, reference::ray(&camera.world_to_camera, camera.focal, camera.center, pixel))
         })
         .collect();
     assert_close("background", &expected, &out.get::<f32>(background), Tolerance::new(2e-4, 2e-4));

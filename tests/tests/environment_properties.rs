@@ -1,10 +1,12 @@
-//! Pixels under surroundings, every number of which is drawn log-uniformly, against the double-precision twin: filtered levels, light,
-//! and gradients of materials. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+//! Property tests of pixels under an environment map against the reference.
 //!
-//! What single precision may be off by is measured as in `shading_properties`: by how much the twin's answer moves with its inputs.
+//! All numbers are drawn log-uniformly. Filtered levels, light and material gradients are compared. Failures are shrunk.
+//! The numbers are the same every time; `SGS_TEST_CASES` sets their count.
+//!
+//! Bounds of single precision are measured as in `shading_properties`: by the sensitivity of the reference to its inputs.
 
 use proptest::prelude::*;
-use sgs_passes::reference::environment as twin;
+use sgs_passes::reference::environment as reference;
 use sgs_passes::reference::environment::{Cube, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::Environment;
@@ -12,7 +14,7 @@ use sgs_tests::drawn::{Compared, runner, signed, spread};
 use sgs_tests::environment::{BEFORE, CAMERA, Given, made, narrow, run, unit};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
-/// By how much directions are moved: some units of the last place.
+/// Perturbation of directions: a few units in the last place.
 const MOVE: f64 = 1e-6;
 
 /// Texels along a side.
@@ -43,7 +45,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// How bright the surroundings are, how much brighter some texels, and which (a seed).
+    /// Draws the base brightness, the brightness of spots, their share, and a seed.
     fn sky()(bright in spread(-8.0, 4.0), spot in spread(-4.0, 6.0), share in spread(-3.0, 0.0), seed in 0..1000_u32)
         -> (f64, f64, f64, u32)
     {
@@ -60,9 +62,9 @@ fn texels(e: &Environment, (bright, spot, share, seed): (f64, f64, f64, u32)) ->
     (0..e.floats()).map(texel).collect()
 }
 
-/// Light and gradients of materials of one pixel by the twin: 3 and 5 numbers.
+/// Computes the reference's light and material gradients of one pixel: 3 and 5 numbers.
 fn truth(e: &Environment, levels: &[Cube], drawn: &Drawn, camera: [f64; 3]) -> [f64; 8] {
-    let shade = |p: &Pixel| twin::shade(levels, e.split_sum(), camera, p);
+    let shade = |p: &Pixel| reference::shade(levels, e.split_sum(), camera, p);
     let p = drawn.pixel;
     let light = shade(&p);
     let mut all = [0.0; 8];
@@ -84,7 +86,9 @@ fn truth(e: &Environment, levels: &[Cube], drawn: &Drawn, camera: [f64; 3]) -> [
     all
 }
 
-/// With the `planted`-th of a pixel's eight numbers a hundredth larger, if there is one.
+/// Compares all pixels with the reference.
+///
+/// Scales the `planted`-th of a pixel's eight numbers by 1.01, if set.
 fn check(
     gpu: &Gpu,
     e: &Environment,
@@ -100,7 +104,7 @@ fn check(
         Given { e, texels: &texels, pixels: &pixels, gradient: &gradient, smooth: false, metallic: true, merge: false };
     let found = run(gpu, &gpu.tuning(), &given);
     let cube = Cube::from_floats(e.size() as usize, &texels);
-    let levels: Vec<Cube> = e.levels().iter().map(|l| twin::prefilter(&cube, l)).collect();
+    let levels: Vec<Cube> = e.levels().iter().map(|l| reference::prefilter(&cube, l)).collect();
     let expected: Vec<f64> = levels.iter().flat_map(Cube::flat).collect();
     assert_close("radiance", &expected, &found.radiance, Tolerance::new(1e-30, 1e-4));
     prop_assert!(found.texels.iter().all(|x| x.is_finite()));
@@ -125,20 +129,20 @@ fn check(
         }
         // Colors and the terms of each cancel.
         let white = Pixel { albedo: [1.0; 3], metallic: 0.5, ..*p };
-        let white = twin::shade(&levels, e.split_sum(), camera, &white).iter().fold(0.0_f64, |m, x| m.max(*x));
+        let white = reference::shade(&levels, e.split_sum(), camera, &white).iter().fold(0.0_f64, |m, x| m.max(*x));
         let brightest = texels.iter().fold(0.0_f64, |m, t| m.max(f64::from(*t)));
         let light: f64 = (0..3).map(|c| drawn.gradient[c].abs() * expected[c].abs()).sum();
-        let asked: f64 = drawn.gradient.iter().map(|g| g.abs()).sum();
+        let total_gradient: f64 = drawn.gradient.iter().map(|g| g.abs()).sum();
         for (k, slack) in slack.iter().enumerate() {
             let (is, size) = match k {
                 0..3 => (f64::from(found.ambient[3 * i + k]), 1e-9 * brightest),
                 3..7 => (
                     f64::from(found.materials[4 * i + k - 3] - BEFORE),
-                    3e-6 * light + 3e-6 * asked * white + 1e-9 * asked * brightest,
+                    3e-6 * light + 3e-6 * total_gradient * white + 1e-9 * total_gradient * brightest,
                 ),
                 _ => (
                     f64::from(found.metallic[i] - BEFORE),
-                    3e-6 * light + 3e-6 * asked * white + 1e-9 * asked * brightest,
+                    3e-6 * light + 3e-6 * total_gradient * white + 1e-9 * total_gradient * brightest,
                 ),
             };
             let is = if planted == Some(k) { 1.01 * is } else { is };
@@ -153,7 +157,7 @@ fn check(
 }
 
 #[test]
-fn surroundings_agree_with_the_twin() {
+fn environment_light_matches_reference() {
     let (gpu, e) = (Gpu::new(), made(SIZE));
     let cases = (sky(), prop::collection::vec(drawn(), 1..20));
     let compared = Compared::default();
@@ -161,9 +165,9 @@ fn surroundings_agree_with_the_twin() {
     compared.check(1000, 0.7);
 }
 
-/// A hundredth is noticed, of every number.
+/// Checks that an error of a hundredth in any number fails.
 #[test]
-fn checks_of_surroundings_can_fail() {
+fn environment_checks_can_fail() {
     let (gpu, e) = (Gpu::new(), made(SIZE));
     let mut rng = Pcg::new(4);
     let pixel = sgs_tests::environment::pixel(&mut rng, 0.4, 0.6);

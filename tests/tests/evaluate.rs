@@ -1,4 +1,4 @@
-//! What `sgs eval` measures of a run with materials: gains, relit sets, speed.
+//! Measurements of `sgs eval` for a run with materials: gains, relit sets, speed.
 
 use serde_json::{Value, json};
 use sgs_scene::{Image, linear_to_srgb, read_exr, write_exr};
@@ -6,7 +6,7 @@ use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 
-/// A room, and a run of a few steps with materials in `run`.
+/// Creates a room, and a short run with materials in `run`.
 fn place() -> Place {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let steps = ["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4", "--stage", "all"];
@@ -23,7 +23,9 @@ fn evaluated(place: &Place) -> Value {
     sgs(&["eval", &place.text("run"), "--json"]).ok().json()
 }
 
-/// Writes what the run shows in a channel at the test views to `shown/STEM_CHANNEL.exr`, and returns the stems.
+/// Writes a channel of the run at the test views and returns the stems.
+///
+/// Files are `shown/STEM_CHANNEL.exr`.
 fn show(place: &Place, channel: &str) -> Vec<String> {
     let (_, test) = Room::default().split();
     let mut cameras: Value = serde_json::from_slice(&place.read("scene/transforms.json")).unwrap();
@@ -39,8 +41,10 @@ fn displayed(linear: f64) -> f64 {
     f64::from(linear_to_srgb(linear.clamp(0.0, 1.0) as f32))
 }
 
-/// Albedo that is 0.5 times the run's in one view and 0.9 times in the other: the common gain of each channel is computed here from
-/// its definition.
+/// The albedo gain of each channel is common to all test views.
+///
+/// Ground-truth albedo is 0.5 times the run's in one view and 0.9 times in the other. The expected gain follows its
+/// definition.
 #[test]
 fn the_albedo_gain_is_common_to_all_test_views() {
     let place = place();
@@ -120,7 +124,7 @@ fn every_relit_set_is_reported() {
         let of = |name: &str| relit[name][key].as_f64().unwrap();
         assert!((of("mean") - of("lit")).abs() < 1e-9 && (of("mean_set") - of("lit")).abs() < 1e-9, "{relit:?}");
     }
-    // The truth is one gray, which no gain makes of the room.
+    // The ground truth is one gray, which no gain of the room matches.
     assert!(relit["lit"]["psnr_gain"].as_f64().unwrap() > relit["lit"]["psnr"].as_f64().unwrap(), "{relit:?}");
     let fps = &metrics["mean"]["fps"];
     assert!(fps["nvs"].as_f64().unwrap() > 0.0 && fps["pbr"].as_f64().unwrap() > 0.0, "{fps}");
@@ -132,7 +136,7 @@ fn every_relit_set_is_reported() {
     }
 }
 
-/// Geometry alone renders no other light, and says so for each set.
+/// Geometry alone cannot be relit, and each set reports that reason.
 #[test]
 fn relit_sets_of_a_run_without_materials_have_a_reason() {
     let place = Place::new(Room::default());

@@ -1,6 +1,6 @@
-//! Files for other programs and of them: there and back, in readers of others, and damaged.
+//! Files exchanged with other programs: round trips, other readers, damage.
 //!
-//! Readers of others are the crates `ply-rs-bw` and `gltf`, and for glTF the program `assimp` where it is
+//! The other readers are the crates `ply-rs-bw` and `gltf`, and for glTF the program `assimp` where it is
 //! installed (Debian's assimp-utils, which continuous integration has).
 
 use glam::{DVec3, Vec3};
@@ -19,7 +19,7 @@ use sgs_tests::runs::{Parts, fabricate};
 use std::path::Path;
 use std::process::Command;
 
-/// A room with `a.ply`, lights and surroundings beside it.
+/// Creates a room with `a.ply`, lights and an environment map beside it.
 fn place() -> Place {
     let place = Place::new(Room::default());
     sample(30).write_ply(&place.path("a.ply")).unwrap();
@@ -48,14 +48,14 @@ fn ranges_are_those_of_the_shaders() {
 }
 
 #[test]
-fn there_and_back_by_every_format() {
+fn every_format_round_trips() {
     let place = place();
     for (name, format) in [("b.glb", "glb"), ("b.gltf", "gltf"), ("b.ply", "ply")] {
         let answer = export(&place, "a.ply", name, &["--json", "--format", format]).ok().json();
         assert_eq!((answer["gaussians"].as_u64(), answer["lights"].as_u64()), (Some(30), Some(3)));
         assert_eq!(answer["left_out"], json!([]));
         export(&place, name, "c.ply", &[]).ok();
-        // Every bit is there again: Gaussians, lights with all their lobes, surroundings.
+        // Every bit is restored: Gaussians, lights with all their lobes, environment map.
         for what in ["ply", "lights.json", "environment.exr"] {
             assert!(place.read(&format!("a.{what}")) == place.read(&format!("c.{what}")), "{format}: {what}");
         }
@@ -77,13 +77,13 @@ fn there_and_back_by_every_format() {
         assert_eq!((file.format, file.splats.means), (format, sample(30).means));
         assert_eq!(file.lights.is_some(), format != "3dgs" || place.path("d.lights.json").is_file());
     }
-    // A name decides by its end.
+    // The extension of the file name selects the format.
     export(&place, "a.ply", "e.GLB", &[]).ok();
     assert!(place.read("e.GLB").starts_with(b"glTF"));
 }
 
 #[test]
-fn what_others_edit_wins_over_what_is_stored_beside_it() {
+fn edits_of_other_programs_override_stored_attributes() {
     let place = place();
     export(&place, "a.ply", "b.gltf", &[]).ok();
     let mut document: Value = serde_json::from_slice(&place.read("b.gltf")).unwrap();
@@ -137,7 +137,7 @@ fn another_reader_of_gltf_finds_what_the_extensions_say() {
     export(&place, "a.ply", "o.glb", &[]).ok();
     let splats = sample(30);
     let bytes = place.read("o.glb");
-    // The crate knows no attributes with the names of extensions; their accessors it reads like any other.
+    // The crate knows no attributes with the names of extensions; it reads their accessors like any other.
     let gltf = gltf::Gltf::from_slice_without_validation(&bytes).unwrap();
     let blob = gltf.blob.as_deref().unwrap();
     let raw: Value = serde_json::from_slice(&gltf::binary::Glb::from_slice(&bytes).unwrap().json).unwrap();
@@ -186,7 +186,7 @@ fn another_reader_of_gltf_finds_what_the_extensions_say() {
     for (i, (node, light)) in nodes.iter().zip(&lamps().lights).enumerate() {
         assert_eq!(node.transform().decomposed().0, light.position);
         assert!(matches!(lights[i].kind(), gltf::khr_lights_punctual::Kind::Point));
-        // The mean over directions, by adding up the sphere.
+        // The mean over directions, summed over the sphere.
         let steps = 20_000;
         let mean = |s: f64| {
             let cos = |k: usize| (k as f64 + 0.5) / f64::from(steps) * 2.0 - 1.0;
@@ -220,7 +220,7 @@ fn assimp_opens_gltf_with_its_lights() {
     assert_eq!((info("o.glb"), info("o.gltf")), ((30, 3), (30, 3)));
 }
 
-/// A glTF of another program: quantized, turned, its bytes in the text.
+/// Returns a glTF of another program: quantized, rotated, with embedded bytes.
 fn foreign() -> Value {
     let mut bytes: Vec<u8> = Vec::new();
     [1.0_f32, 0.0, 0.0, 0.0, 2.0, 0.0].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
@@ -273,7 +273,7 @@ fn foreign() -> Value {
 }
 
 #[test]
-fn gltf_of_others_is_read_where_it_stands() {
+fn foreign_gltf_is_read_in_place() {
     let place = Place::new(Room::default());
     let path = place.path("f.gltf");
     std::fs::write(&path, foreign().to_string()).unwrap();
@@ -304,7 +304,7 @@ fn bad_files_get_one_sentence() {
         let mut document = foreign();
         change(&mut document);
         std::fs::write(place.path("f.gltf"), document.to_string()).unwrap();
-        // In an address space of 4 GB, the program's own libraries included, whatever the file promises.
+        // In an address space of 4 GB, including the program's own libraries, whatever sizes the file declares.
         let (from, to) = (place.text("f.gltf"), place.text("g.ply"));
         sgs_after("ulimit -v 4000000", &["export", &from, "-o", &to]).refused(words);
         assert!(!place.path("g.ply").exists());
@@ -362,7 +362,7 @@ fn bad_files_get_one_sentence() {
 }
 
 #[test]
-fn pictures_of_files_are_those_of_the_run() {
+fn exported_files_render_like_the_run() {
     let place = place();
     fabricate(&place.path("run"), Parts { visibility: VisibilityKind::Traced, ..Parts::ALL });
     export(&place, "run", "r.ply", &[]).ok();
@@ -375,20 +375,20 @@ fn pictures_of_files_are_those_of_the_run() {
         ("relight", "direct", &["--channels", "relit,direct"]),
         ("relight", "open", &["--channels", "direct", "--visibility", "none"]),
     ] {
-        let picture = |source: &str| {
+        let rendered = |source: &str| {
             let (from, to) = (place.text(source), place.text(&format!("{source}-{last}")));
             let mut arguments = vec![command, &from, "--cameras", &cameras, "-o", &to, "--format", "exr"];
             arguments.extend(more);
             sgs(&arguments).ok();
             read_exr(&Path::new(&to).join("000_direct.exr")).unwrap().image
         };
-        let [run, ply, glb] = ["run", "r.ply", "r.glb"].map(picture);
+        let [run, ply, glb] = ["run", "r.ply", "r.glb"].map(rendered);
         let lit = run.data.iter().filter(|v| **v > 0.01).count();
         assert!(lit > run.data.len() / 4, "{command}: {lit} of {} numbers are lit", run.data.len());
         assert_eq!(ply.data, run.data, "{command}");
         assert_eq!(glb.data, run.data, "{command}");
     }
-    // Shadows are there, in files as in the run.
+    // Shadows are present, in files as in the run.
     let of = |file: &str| read_exr(&place.path(file)).unwrap().image.data.iter().map(|v| f64::from(*v)).sum::<f64>();
     let [shadow, open] = ["direct", "open"].map(|d| of(&format!("r.ply-{d}/000_direct.exr")));
     assert!(shadow < 0.9 * open, "{shadow} {open}");
@@ -399,13 +399,13 @@ fn pictures_of_files_are_those_of_the_run() {
     sgs(&["render", &from, "--cameras", &cameras, "-o", &to, "--channels", "pbr"]).refused(&["neither lights"]);
 }
 
-/// The first camera of the room.
+/// Returns the first camera of the room.
 fn camera(place: &Place) -> Camera {
     Camera::read_transforms(&place.path("scene/transforms.json")).unwrap().remove(0)
 }
 
 #[test]
-fn lamps_of_files_light_what_faces_them() {
+fn lights_of_files_light_facing_surfaces() {
     let place = place();
     std::fs::remove_file(place.path("a.environment.exr")).unwrap();
     let (from, cameras) = (place.text("a.ply"), place.text("scene/transforms.json"));
@@ -431,7 +431,7 @@ fn lamps_of_files_light_what_faces_them() {
             });
             let facing = facing.fold(-1.0, f64::max);
             let lit = direct.data[3 * p] > 0.0;
-            // Behind its own horizon nothing is lit; before it, what the rays leave.
+            // Points behind the light's horizon are unlit; points before it get the light that the rays transmit.
             if facing < -0.01 {
                 assert!(!lit, "{} {x} {y}: {facing}", camera.name);
             } else if facing > 0.01 {
@@ -451,7 +451,7 @@ fn lamps_of_files_light_what_faces_them() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Cut and garbled files of every kind are read or refused; they break nothing.
+    /// Reads or refuses truncated and garbled files of every kind, without a panic.
     #[test]
     fn damaged_files_break_nothing(
         kind in 0..8_usize,
@@ -467,7 +467,7 @@ proptest! {
         let mut bytes = std::fs::read(&path).unwrap();
         let whole = bytes.len();
         bytes.truncate((whole as f64 * keep) as usize);
-        // The beginning, where the promises stand, or anywhere.
+        // At the beginning, where sizes are declared, or anywhere.
         let reach = if early { bytes.len().min(1200) } else { bytes.len() };
         if reach > 0 {
             changes.iter().for_each(|(at, value)| bytes[at.index(reach)] = *value);
@@ -482,7 +482,7 @@ proptest! {
 }
 
 #[test]
-fn color_for_who_knows_no_splats_is_linear() {
+fn fallback_color_is_linear() {
     let place = place();
     export(&place, "a.ply", "o.glb", &[]).ok();
     let bytes = place.read("o.glb");

@@ -1,5 +1,6 @@
-//! Failure on purpose: each call that can fail does, in each way it can, and every time there is a typed error that names
-//! the call and what it was for, nothing is left behind, and the same device does its work afterwards.
+//! Failure on purpose: each fallible call fails in each way that it can.
+//!
+//! The typed error names the call and its purpose, nothing leaks, and the same device works afterwards.
 
 use sgs_engine::device::fault::Call;
 use sgs_engine::device::{Fault, FaultKind, Faults, ObjectKind, Objects};
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 
 const WORDS: u64 = 256;
 
-/// Calls whose failure costs something, but no result: a name, a cache on disk.
+/// Calls whose failure loses no result: a name, a cache on disk.
 const TOLERATED: [&str; 2] = ["vkSetDebugUtilsObjectNameEXT", "vkGetPipelineCacheData"];
 
 fn options(faults: &Faults, objects: &Objects) -> DeviceOptions {
@@ -27,8 +28,10 @@ fn options(faults: &Faults, objects: &Objects) -> DeviceOptions {
     }
 }
 
-/// What the engine is used for, in small: buffers, an image, transfers, a graph with a uniform, fills, copies, direct and
-/// indirect dispatches and an arena, timestamps, replays in flight, and growth.
+/// Runs a small workload that covers the engine.
+///
+/// Buffers, an image, transfers, a graph with a uniform, fills, copies, direct and indirect dispatches and an arena,
+/// timestamps, replays in flight, and growth.
 fn workload(device: &Device) -> Result<Vec<u32>> {
     let bytes = 4 * WORDS;
     let seeds: Vec<u32> = (1..=WORDS as u32).collect();
@@ -41,7 +44,7 @@ fn workload(device: &Device) -> Result<Vec<u32>> {
     device.upload_image(&image, bytemuck::cast_slice(&seeds[..64]))?;
     let texels = device.download_image(&image)?;
     assert_eq!(texels, bytemuck::cast_slice::<u32, u8>(&seeds[..64]));
-    pictures(device, &seeds[..64])?;
+    image_copies(device, &seeds[..64])?;
 
     let mut graph = Graph::new("work");
     let settings = graph.uniform("settings", 4);
@@ -66,7 +69,7 @@ fn workload(device: &Device) -> Result<Vec<u32>> {
     exec.finish()?;
     assert!(!exec.take_times().is_empty());
 
-    // Growth: twice the room, the old contents in front.
+    // Growth: twice the capacity, with the old contents in front.
     let grown = device.buffer("data, grown", 2 * bytes, Location::Device)?;
     device.copy(&data, &grown, bytes)?;
     drop(data);
@@ -77,16 +80,16 @@ fn workload(device: &Device) -> Result<Vec<u32>> {
     device.download_as(&out, WORDS as usize)
 }
 
-/// A transient image and a history, replayed.
-fn pictures(device: &Device, texels: &[u32]) -> Result<()> {
+/// Replays a transient image and a history.
+fn image_copies(device: &Device, texels: &[u32]) -> Result<()> {
     let bytes = 4 * texels.len() as u64;
     let mut graph = Graph::new("pictures");
     let (from, to) = (graph.input("texels", bytes), graph.external("texels back", bytes));
-    let (before, picture) =
+    let (before, passing) =
         (graph.external("texels before", bytes), graph.transient_image("passing", [8, 8], ImageFormat::R32Float));
     let history = graph.history("history", bytes, 5);
-    graph.copy_to_image("in", from, picture)?;
-    graph.copy_from_image("out", picture, to)?;
+    graph.copy_to_image("in", from, passing)?;
+    graph.copy_from_image("out", passing, to)?;
     graph.copy("look back", history.previous, before)?;
     graph.copy("keep", from, history.current)?;
     let plan = Arc::new(graph.compile(&CompileOptions::default())?);
@@ -110,13 +113,13 @@ fn expected() -> Vec<u32> {
     (1..=WORDS as u32).map(|v| busy::reference(busy::reference(v, 5), 5)).collect()
 }
 
-/// Everything, from opening to closing; what validation said is part of the outcome.
+/// Runs the workload from opening to closing; the outcome includes validation messages.
 fn everything(faults: &Faults, objects: &Objects) -> Result<Vec<u32>> {
     let device = Device::open(&options(faults, objects))?;
     workload(&device)
 }
 
-/// Whether an error says which call failed, for what, and how.
+/// Checks that an error names the failed call, its purpose, and the failure.
 fn names(error: &Error, call: &Call, kind: FaultKind) -> bool {
     match error {
         Error::Vulkan { call: c, what, .. } => *c == call.call && *what == call.what,
@@ -129,14 +132,14 @@ fn names(error: &Error, call: &Call, kind: FaultKind) -> bool {
     }
 }
 
-/// What may live on in a device between two pieces of work.
+/// Returns the live objects that may not stay in a device between two workloads.
 fn lasting(objects: &Objects) -> Vec<(ObjectKind, u64)> {
     use ObjectKind::{Device, Instance, Messenger, Pipeline, PipelineCache, PipelineLayout, Semaphore, SetLayout};
     let stay = [Instance, Messenger, Device, Semaphore, PipelineCache, Pipeline, PipelineLayout, SetLayout];
     objects.alive().into_iter().filter(|(k, n)| !stay.contains(k) || *n != 1).collect()
 }
 
-/// Fails the given call of the workload on a new device and checks all there is to promise.
+/// Fails the given call of the workload on a new device and checks all promises.
 #[track_caller]
 fn fail_once(n: u64, call: &Call, kind: FaultKind) {
     let (faults, objects) = (Faults::default(), Objects::default());
@@ -156,7 +159,7 @@ fn fail_once(n: u64, call: &Call, kind: FaultKind) {
     }
     let begin = Instant::now();
     if kind == FaultKind::DeviceLost {
-        // Everything says so from now on, at once.
+        // From now on every call reports it, at once.
         for outcome in [workload(&device).map(drop), device.wait(device.last_ticket(), "x")] {
             let error = outcome.unwrap_err();
             assert!(matches!(error, Error::DeviceLost(_)), "{context}: {error}");
@@ -175,11 +178,11 @@ fn fail_once(n: u64, call: &Call, kind: FaultKind) {
     drop(device);
     assert!(begin.elapsed() < Duration::from_secs(20), "{context}: closing took {:?}", begin.elapsed());
     assert_eq!(objects.alive(), [], "{context}");
-    let said = messages.take();
-    assert!(said.is_empty(), "{context}: {}", said.join("\n"));
+    let log = messages.take();
+    assert!(log.is_empty(), "{context}: {}", log.join("\n"));
 }
 
-/// The calls that a piece of work makes.
+/// Returns the calls that a workload makes.
 fn record(work: impl FnOnce(&Faults)) -> Vec<Call> {
     let faults = Faults::default();
     faults.record();
@@ -209,7 +212,7 @@ fn opening_fails_cleanly_at_every_call() {
 }
 
 #[test]
-fn every_call_of_a_piece_of_work_may_fail() {
+fn every_call_of_a_workload_may_fail() {
     let (faults, objects) = (Faults::default(), Objects::default());
     let device = Device::open(&options(&faults, &objects)).unwrap();
     faults.record();
@@ -230,7 +233,7 @@ fn every_call_of_a_piece_of_work_may_fail() {
     let mut runs = 0;
     for (n, call) in calls.iter().enumerate() {
         let ways = FaultKind::of(call.call);
-        // Every call fails once; the first and the last of its name in every way.
+        // Every call fails once; the first and the last of its name fail in every way.
         let all = [kinds[call.call].first(), kinds[call.call].last()].contains(&Some(&n));
         let ways = if all { ways } else { &ways[n % ways.len()..=n % ways.len()] };
         for &kind in ways {
@@ -265,9 +268,9 @@ fn the_cache_on_disk_may_fail() {
     }
 }
 
-/// Whatever a crash or a disk has made of the file, kernels are made, and it is whole again.
+/// Kernels are made and the cache is rebuilt, whatever state its file is in.
 #[test]
-fn a_damaged_cache_on_disk_is_none() {
+fn damaged_cache_on_disk_is_rebuilt() {
     let folder = tempfile::tempdir().unwrap();
     let (faults, objects) = (Faults::default(), Objects::default());
     let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
@@ -294,13 +297,13 @@ fn a_damaged_cache_on_disk_is_none() {
 }
 
 #[test]
-fn what_is_left_behind_shows() {
+fn leaked_objects_are_detected() {
     let (faults, objects) = (Faults::default(), Objects::default());
     let device = Device::open(&options(&faults, &objects)).unwrap();
     std::mem::forget(device.buffer("forgotten", 64, Location::Device).unwrap());
     assert_eq!(lasting(&objects), [(ObjectKind::Buffer, 1), (ObjectKind::Memory, 1)]);
     assert_eq!(device.memory_use().0, 64);
-    // An error that names another call, another thing, or nothing is none that the tests above accept.
+    // The tests above reject an error that names another call, another object, or nothing.
     let call = |call, what: &str| Call { call, what: what.to_owned() };
     faults.inject(Fault { call: "vkCreateBuffer", skip: 0, result: FaultKind::OutOfHostMemory });
     let error = device.buffer("b", 4, Location::Device).unwrap_err();
@@ -344,7 +347,9 @@ const FALLIBLE: [(&str, &str); 30] = [
     ("get_semaphore_counter_value", "vkGetSemaphoreCounterValue"),
 ];
 
-/// Fallible calls in a source that do not stand within a few lines of their name, with which the gate is asked.
+/// Lists fallible calls in a source without a gate check nearby.
+///
+/// The gate is checked with the name of the call, within a few lines.
 fn past_the_gate(source: &str) -> Vec<String> {
     let lines: Vec<&str> = source.lines().collect();
     let mut found = Vec::new();

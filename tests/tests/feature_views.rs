@@ -1,9 +1,9 @@
-//! Gradients of several views in one step of Adam: features compared in two views, geometry moved by both.
+//! Gradients of two views in one Adam step: features in both, geometry by both.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, AdamUnseen, EPSILON, Rate, adam, adam_unseen};
 use sgs_passes::pipeline::Step;
-use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::project::Gaussians;
 use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
@@ -15,16 +15,18 @@ use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
 
 const WIDE: usize = SEMANTIC_FEATURES as usize;
-/// The groups that features of other views move.
+/// Parameter groups that the features of other views move.
 const MOVED: [Group; 4] = [Group::Means, Group::LogScales, Group::Rotations, Group::OpacityLogits];
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// The gradient of both views' features, by the passes that add, against differences of the sum of both losses.
+/// The summed feature gradient of both views matches differences of the losses.
+///
+/// The passes that add are tested.
 #[test]
-fn features_of_two_views_add_up_to_the_gradient_of_the_twin() {
+fn feature_gradients_of_two_views_match_reference() {
     let gpu = Gpu::new();
     let t = gpu.tuning();
     let scene = scenes::with_semantics(scenes::ordinary(10, 0, false, 21), 22);
@@ -68,7 +70,7 @@ fn features_of_two_views_add_up_to_the_gradient_of_the_twin() {
                 })
             };
             let (coarse, fine) = (at(2e-6), at(5e-7));
-            // A threshold of blending lies between.
+            // A blending threshold lies between.
             if (coarse - fine).abs() > 1e-3 * (1.0 + fine.abs()) {
                 skipped += 1;
                 continue;
@@ -102,19 +104,19 @@ fn parameters_mut(g: &mut Gaussians, group: Group) -> &mut [f64] {
     }
 }
 
-/// A step with a training view (color and features) and one other view (features).
+/// Step with a training view (color and features) and one other view (features).
 struct Case {
     scene: Gaussians,
     training: View,
     other: View,
-    /// Gradient of the training view's picture.
+    /// Gradient of the training view's image.
     image: Vec<f32>,
     moments: Vec<Vec<[f32; 2]>>,
     dense: bool,
     flag: u32,
 }
 
-/// What a step left, by group, and the gradients that it worked with.
+/// Results of a step by group, and the gradients that it used.
 struct Left {
     parameters: Vec<Vec<f32>>,
     moments: Vec<Vec<[f32; 2]>>,
@@ -137,8 +139,8 @@ const RATES: [(Group, f64); 8] = [
     (Group::Semantics, 8e-3),
 ];
 
-fn rates(group: Group) -> twin::Rates {
-    twin::Rates::at(RATES.iter().find(|r| r.0 == group).unwrap().1, 3)
+fn rates(group: Group) -> reference::Rates {
+    reference::Rates::at(RATES.iter().find(|r| r.0 == group).unwrap().1, 3)
 }
 
 const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true };
@@ -151,7 +153,7 @@ impl Case {
         let training = View::new([24, 18], 0.0, 3);
         let other = View::new([17, 21], -0.4, 4);
         let mut r = Rng::new(5);
-        // The left half of the training view says nothing: what is there alone is visible, but has no gradient.
+        // The left half of the training view has zero gradients: Gaussians only there are visible without a gradient.
         let silent = |pixel: usize| pixel % 24 < 12;
         let image = (0..24 * 18 * 6).map(|i| if silent(i / 6) { 0.0 } else { r.between(-1.0, 1.0) as f32 }).collect();
         let mut case = Case { scene, training, other, image, moments: Vec::new(), dense, flag: 0 };
@@ -289,9 +291,10 @@ impl Case {
         }
     }
 
-    /// Compares with Adam on the sum of the gradients; returns how many Gaussians both views, the training view alone, the
-    /// other alone though the training view sees them, the other alone, and neither move. Without `whole` the expectation
-    /// lacks the other view.
+    /// Compares with Adam on the sum of the gradients.
+    ///
+    /// Returns the numbers of Gaussians moved by both views, by the training view alone, by the other alone though the
+    /// training view sees them, by the other alone, and by neither. Without `whole` the expectation lacks the other view.
     fn check(&self, left: &Left, whole: bool) -> [usize; 5] {
         let n = self.scene.len();
         let data = scenes::data(&self.scene);
@@ -329,7 +332,7 @@ impl Case {
                 };
                 let skipped = match group {
                     Group::Semantics => !gradient.is_finite(),
-                    // What was not seen is skipped group by group; without a gradient a group's moments just decay.
+                    // Unseen Gaussians are skipped group by group; without a gradient a group's moments just decay.
                     _ if !seen[i] && !MOVED.contains(&group) => false,
                     _ => geometry.iter().any(|x| bad(row(*x, i))) || bad(extra(i)),
                 };
@@ -343,7 +346,7 @@ impl Case {
                     expected_m.push(f64::from(m[0]));
                     expected_v.push(f64::from(m[1]));
                 } else {
-                    let (p, [m, v]) = twin::adam(f64::from(p), m.map(f64::from), gradient, r);
+                    let (p, [m, v]) = reference::adam(f64::from(p), m.map(f64::from), gradient, r);
                     expected.push(p);
                     expected_m.push(m);
                     expected_v.push(v);
@@ -359,7 +362,7 @@ impl Case {
         classes
     }
 
-    /// Which Gaussians the training view sees, by the twin.
+    /// Returns the Gaussians that the training view sees, by the reference.
     fn seen(&self) -> Vec<bool> {
         let mut seen = vec![false; self.scene.len()];
         let visible = sgs_passes::reference::project::project(&self.scene, &self.training.camera, 1, false);
@@ -402,7 +405,7 @@ fn a_step_of_two_views_is_adam_on_the_sum_of_their_gradients() {
 
 #[test]
 #[should_panic(expected = "was touched")]
-fn a_lost_view_is_noticed() {
+fn lost_view_is_detected() {
     let case = Case::new(false);
     let left = case.run(&Gpu::new());
     case.check(&left, false);
@@ -419,7 +422,9 @@ fn a_raised_flag_leaves_a_step_of_two_views_without_effect() {
     }
 }
 
-/// A gradient that is not finite in either view: what it reaches stays as it is in every group, and is counted.
+/// Gradients that are not finite in either view move nothing and are counted.
+///
+/// All groups of the affected Gaussians stay as they are.
 #[test]
 fn gradients_that_are_not_finite_move_nothing_and_are_counted() {
     let gpu = Gpu::new();

@@ -1,10 +1,10 @@
-//! Wide features: the picture of them and their gradients where splats are hard, and their update fused with Adam.
+//! Wide features: rendering, gradients, and the Adam update fused with them.
 
 use half::f16;
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
 use sgs_passes::pipeline::Step;
-use sgs_passes::reference::adam as twin;
+use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::blend::{Blended, render};
 use sgs_passes::reference::project::Gaussians;
 use sgs_passes::reference::stored::stored;
@@ -21,7 +21,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// The picture of features and the gradients of the Gaussians' features.
+/// Rendered features and the gradients of the Gaussians' features.
 fn run(gpu: &Gpu, scene: &Gaussians, view: &View) -> (Vec<f32>, Vec<f32>) {
     let n = scene.len();
     let mut g = Graph::new("features");
@@ -40,11 +40,11 @@ fn run(gpu: &Gpu, scene: &Gaussians, view: &View) -> (Vec<f32>, Vec<f32>) {
     (out.get(d.image), out.get(into))
 }
 
-/// What is off most in a picture of features, where features are wanted and the twin has no doubt.
-fn largest(found: &[f32], twin: &Blended) -> f64 {
+/// Returns the largest error of required features at pixels that are not doubtful.
+fn largest(found: &[f32], blended: &Blended) -> f64 {
     let mut largest = 0.0_f64;
-    for (p, pixel) in found.chunks_exact(WIDE).enumerate().filter(|(p, _)| wants(*p) && !twin.doubtful[*p]) {
-        let expected = &twin.image[p * (3 + WIDE) + 3..][..WIDE];
+    for (p, pixel) in found.chunks_exact(WIDE).enumerate().filter(|(p, _)| wants(*p) && !blended.doubtful[*p]) {
+        let expected = &blended.image[p * (3 + WIDE) + 3..][..WIDE];
         for (x, y) in pixel.iter().zip(expected) {
             let difference = (f64::from(*x) - y).abs();
             largest = if difference.is_nan() { f64::INFINITY } else { largest.max(difference) };
@@ -53,10 +53,12 @@ fn largest(found: &[f32], twin: &Blended) -> f64 {
     largest
 }
 
-/// Needles, giants, specks and the rest: pictures agree with the twin, nothing is written where nothing is wanted, and the
-/// gradients are the weights of the twin (the picture is linear in the features).
+/// Rendered features of hard splats match the reference.
+///
+/// Splats are anisotropic, huge, tiny and others. Pixels without demand are not written. Gradients are the reference's
+/// weights, since the image is linear in the features.
 #[test]
-fn features_of_hard_splats_agree_with_the_twin() {
+fn features_of_hard_splats_match_reference() {
     let gpu = Gpu::new();
     for (seed, size, bits) in
         [(1, [50, 37], 32), (2, [64, 48], 32), (3, [9, 50], 32), (1, [50, 37], 16), (2, [64, 48], 16)]
@@ -71,13 +73,13 @@ fn features_of_hard_splats_agree_with_the_twin() {
         }
         let (image, gradient) = run(&gpu, &scene, &view);
         let exact = largest(&image, &truth);
-        // The twin's are rounded as they are kept; gradients are what they are for any features.
+        // The reference's features are rounded as stored; gradients do not depend on features.
         scene.semantics.iter_mut().for_each(|x| *x = stored(*x, bits));
         let truth = render(&scene, &view.camera, 3, false, [0.0; 3]);
         let off = largest(&image, &truth);
         println!("seed {seed}: largest {off:.2e}; {exact:.2e} in {bits} bits");
         assert!(off < if bits == 16 { 2e-5 } else { 2e-3 }, "seed {seed}: largest difference {off}");
-        // What `Accuracy` promises, of features up to one.
+        // The bound of `Accuracy` for features up to one.
         assert!(bits == 32 || exact > 2.0 * off && exact < 2.0_f64.powi(-11) + 2e-5, "{exact} and {off}");
         for (p, pixel) in image.chunks_exact(WIDE).enumerate() {
             let written = pixel.iter().any(|x| x.to_bits() != u32::MAX);
@@ -86,7 +88,7 @@ fn features_of_hard_splats_agree_with_the_twin() {
         let mut expected = Vec::new();
         let mut one = scene.clone();
         for i in 0..scene.len() {
-            // One Gaussian's first feature is one, all else zero: the picture is its weights.
+            // One Gaussian's first feature is one and all else zero, so the image holds its weights.
             one.semantics.fill(0.0);
             one.semantics[i * WIDE] = 1.0;
             let weights = render(&one, &view.camera, 3, false, [0.0; 3]).image;
@@ -102,7 +104,9 @@ fn features_of_hard_splats_agree_with_the_twin() {
     }
 }
 
-/// Features of every size and none: the copy is what they round to, bit for bit, and nothing lies behind it.
+/// The 16-bit copy equals the rounded features bit for bit.
+///
+/// Features have all sizes, including zero. Nothing is written past the copy.
 #[test]
 fn the_copy_in_16_bits_is_rounded_to_nearest() {
     let gpu = Gpu::new();
@@ -143,15 +147,15 @@ fn a_planted_error_is_caught() {
     assert!(largest(&found, &image(&scene)) > 2e-3);
 }
 
-/// What the counter of skipped gradients begins with.
+/// Initial value of the counter of skipped gradients.
 const SKIPPED: u32 = 5;
 
-/// The update of features fused with the sum of their gradients.
+/// Feature update fused with the sum of the gradients.
 struct Fused {
     scene: Gaussians,
     view: View,
     moments: Vec<[f32; 2]>,
-    /// Dense Adam: which Gaussians are not left to another pass.
+    /// Dense Adam: Gaussians that are not left to another pass.
     seen: Option<Vec<u32>>,
     flag: u32,
 }
@@ -160,7 +164,7 @@ impl Fused {
     fn new(seed: u64, dense: bool) -> Fused {
         let scene = scenes::with_semantics(scenes::ordinary(90, 0, false, seed), seed);
         let mut view = View::new([23, 30], 0.3, seed);
-        // Features 5 and 6 are never asked for, and the upper pixels of all of them are not.
+        // No pixel requests features 5 and 6, and the upper pixels request none.
         let weights = view.weights.iter_mut().enumerate();
         weights.filter(|(i, _)| [5, 6].contains(&(i % WIDE)) || i / WIDE < 200).for_each(|(_, w)| *w = 0.0);
         let n = scene.len();
@@ -176,12 +180,13 @@ impl Fused {
         Fused { scene, view, moments, seen, flag: 0 }
     }
 
-    /// Runs and compares with Adam on the gradients; returns how many scalars moved, how many had no gradient, and for how
-    /// many it was not finite.
+    /// Runs the update and compares it with Adam on the gradients.
+    ///
+    /// Returns the numbers of scalars that moved, that had no gradient, and whose gradient was not finite.
     fn check(&self, gpu: &Gpu, halved: bool) -> [usize; 3] {
         let t = gpu.tuning();
         let n = self.scene.len();
-        let rates = twin::Rates::at(2e-3, 4);
+        let rates = reference::Rates::at(2e-3, 4);
         let mut g = Graph::new("fused");
         let model = Model { semantics: true, ..Default::default() };
         let layout = Layout { model, capacity: n as u32 + 2, training: true, statistics: false };
@@ -234,7 +239,7 @@ impl Fused {
                 expected.push(f64::from(p));
                 expected_moments.extend(m.map(f64::from));
             } else {
-                let (p, m) = twin::adam(f64::from(p), m.map(f64::from), gradient, rates);
+                let (p, m) = reference::adam(f64::from(p), m.map(f64::from), gradient, rates);
                 counts[0] += 1;
                 expected.push(p);
                 expected_moments.extend(m);
@@ -278,6 +283,6 @@ fn features_whose_gradients_are_not_finite_stay_as_they_are() {
 
 #[test]
 #[should_panic(expected = "moments: element")]
-fn a_lost_half_of_the_gradient_is_noticed() {
+fn lost_half_of_the_gradient_is_detected() {
     Fused::new(11, false).check(&Gpu::new(), true);
 }

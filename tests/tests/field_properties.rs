@@ -1,30 +1,32 @@
-//! Visibility fields, every size of which is drawn log-uniformly, against the double-precision twin: what points see of lights, and
-//! gradients of tables, layers and places. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
+//! Property tests of visibility fields against the double-precision reference.
 //!
-//! What single precision may be off by is measured: by how much the twin's answer moves when tables and weights move by some units of
-//! the last place, and by how large what is added up is.
+//! All sizes are drawn log-uniformly. Visibility of lights and gradients of tables, layers and positions are compared.
+//! Failures are shrunk. The numbers are the same every time; `SGS_TEST_CASES` sets their count.
+//!
+//! Bounds of single precision are measured: by the sensitivity of the reference to perturbations of tables and weights by a
+//! few units in the last place, and by the size of the summands.
 
 use proptest::prelude::*;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::visibility as twin;
+use sgs_passes::reference::visibility as reference;
 use sgs_passes::shade::visibility::FieldConfig;
 use sgs_tests::Gpu;
 use sgs_tests::drawn::{runner, signed, spread};
 use sgs_tests::field::{Case, LossGradients};
 
-/// By how much tables and weights are moved.
+/// Relative perturbation of tables and weights.
 const MOVE: f64 = 5e-7;
 
-/// By how much points are moved in the grid, of the box.
+/// Perturbation of points in the grid, as a share of the box.
 const SLIP: f32 = 1e-7;
 
-/// How often.
+/// Number of perturbed fields.
 const DRAWS: u32 = 4;
 
-/// Of a rectified sum's terms: nearer to zero than that, rounding may decide whether there is a gradient.
+/// Margin of a rectified sum, relative to its terms. Below it, rounding may decide about the gradient.
 const MARGIN: f64 = 1e-5;
 
-/// Where a point or a light is along an axis, of the box.
+/// Draws a coordinate of a point or a light, as a share of the box.
 fn place() -> impl Strategy<Value = f64> {
     prop_oneof![
         6 => 0.0..1.0,
@@ -47,9 +49,9 @@ struct Drawn {
     size: [f64; 3],
     points: Vec<[f64; 3]>,
     lights: Vec<[f64; 3]>,
-    /// A point that lies so near to the first light, in boxes.
+    /// Distance of a point near the first light, in boxes.
     near: Option<f64>,
-    asked: f64,
+    loss_scale: f64,
     half: bool,
     seed: u32,
 }
@@ -68,11 +70,26 @@ prop_compose! {
         points in prop::collection::vec([place(), place(), place()], 1..40),
         lights in prop::collection::vec([place(), place(), place()], 1..5),
         near in prop::option::of(spread(-9.0, -2.0)),
-        asked in spread(-12.0, 12.0),
+        loss_scale in spread(-12.0, 12.0),
         half in prop::bool::weighted(0.25),
         seed in 0..1_000_000_u32,
     ) -> Drawn {
-        Drawn { levels, log2_table, coarsest, growth, tables, layers, center, size, points, lights, near, asked, half, seed }
+        Drawn {
+            levels,
+            log2_table,
+            coarsest,
+            growth,
+            tables,
+            layers,
+            center,
+            size,
+            points,
+            lights,
+            near,
+            loss_scale,
+            half,
+            seed,
+        }
     }
 }
 
@@ -89,7 +106,7 @@ impl Drawn {
             *w = (f64::from(*w) * self.layers[layer]) as f32;
         }
         let low = [0, 1, 2].map(|k| (self.center[k] - 0.5 * self.size[k]) as f32);
-        // Boxes are never thinner than what positions have digits for.
+        // Boxes are never thinner than the precision of positions.
         let high = [0, 1, 2].map(|k| (f64::from(low[k]) + self.size[k].max(1e-3 * self.center[k].abs())) as f32);
         let at = |way: &[f64; 3]| [0, 1, 2].map(|k| (f64::from(low[k]) + way[k] * f64::from(high[k] - low[k])) as f32);
         case.points = self.points.iter().map(at).collect();
@@ -110,37 +127,37 @@ impl Drawn {
         case
     }
 
-    fn asked(&self, case: &Case) -> LossGradients {
-        let mut asked = LossGradients::random(case, self.asked, self.seed);
-        asked.options.regularized = false;
-        asked
+    fn losses(&self, case: &Case) -> LossGradients {
+        let mut losses = LossGradients::random(case, self.loss_scale, self.seed);
+        losses.options.regularized = false;
+        losses
     }
 }
 
-/// The same field with its numbers moved by chance.
-fn moved(field: &twin::Field, rng: &mut Pcg) -> twin::Field {
+/// Returns the field with random perturbations.
+fn moved(field: &reference::Field, rng: &mut Pcg) -> reference::Field {
     let mut other = field.clone();
     for x in other.tables.iter_mut().chain(&mut other.mlp) {
         *x *= 1.0 + MOVE * rng.range(-1.0, 1.0);
     }
-    // Sums and products of places need not be rounded together.
+    // Sums and products of positions may be rounded separately.
     other.slip = [(); 3].map(|()| if rng.uniform() < 0.5 { -SLIP } else { SLIP });
     other
 }
 
-/// Fails unless what points see of lights is the twin's.
+/// Fails unless the visibility of lights matches the reference.
 fn check_values(gpu: &Gpu, case: &Case, planted: f64) -> Result<(), TestCaseError> {
     let field = case.reference();
     let mut rng = Pcg::new(1);
-    let others: Vec<twin::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
+    let others: Vec<reference::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
     for (j, light) in case.lights.iter().enumerate() {
         let found = [true, false].map(|split| case.forward(gpu, Some(j as u32), split));
         for (i, point) in case.points.iter().enumerate() {
             let (point, light) = (Case::wide(*point), Case::wide(*light));
             let shaded = case.coverage[i] >= 1e-3;
             let v = if shaded { field.visibility(point, light) } else { 0.0 };
-            let off = |other: &twin::Field| (other.visibility(point, light) - v).abs();
-            // Where it is nearly nothing or all, digits of the exponent go, and more the farther.
+            let off = |other: &reference::Field| (other.visibility(point, light) - v).abs();
+            // Near zero or one, the exponent loses digits.
             let slack = if shaded { 4.0 * others.iter().map(off).fold(0.0, f64::max) } else { 0.0 };
             let t = slack + 4e-7 * v * (1.0 + (1.0 - v) * v.max(1e-300).ln().abs()) + 1e-37;
             for found in &found {
@@ -152,22 +169,24 @@ fn check_values(gpu: &Gpu, case: &Case, planted: f64) -> Result<(), TestCaseErro
     Ok(())
 }
 
-/// Gradients of layers, tables and places in a row.
-fn row(g: &twin::Gradients) -> Vec<f64> {
+/// Concatenates gradients of layers, tables and positions.
+fn row(g: &reference::Gradients) -> Vec<f64> {
     [g.mlp.as_slice(), &g.tables, g.lights.as_flattened()].concat()
 }
 
-/// Fails unless gradients are the twin's; says how many were compared. `planted`: which of them is a hundredth off.
+/// Fails unless gradients match the reference.
+///
+/// Returns the number of compared gradients. Scales the `planted`-th by 1.01, if set.
 fn check_gradients(
     gpu: &Gpu,
     case: &Case,
-    asked: &LossGradients,
+    losses: &LossGradients,
     planted: Option<usize>,
 ) -> Result<usize, TestCaseError> {
     let mut case = case.clone();
     let field = case.reference();
     let lights: Vec<[f64; 3]> = case.lights.iter().map(|l| Case::wide(*l)).collect();
-    // Pixels that rounding may decide about, or whose slopes single precision does not hold, are not shaded.
+    // Pixels that depend on rounding, or whose slopes exceed single precision, are not shaded.
     for (i, point) in case.points.iter().enumerate() {
         let sure = |l: &[f64; 3]| {
             let (margin, logit) = field.margin(Case::wide(*point), *l);
@@ -177,18 +196,18 @@ fn check_gradients(
             case.coverage[i] = 0.0;
         }
     }
-    let found = case.backward(gpu, asked);
+    let found = case.backward(gpu, losses);
     let mut rng = Pcg::new(2);
-    let fields: Vec<twin::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
+    let fields: Vec<reference::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
     let mut sum = row(&field.zeros(lights.len()));
-    // How large what is added up is, and how far it may be off.
+    // Sizes of the summands, and bounds of their errors.
     let (mut size, mut off) = (sum.clone(), sum.clone());
     for i in (0..case.points.len()).filter(|i| case.coverage[*i] >= 1e-3) {
         let point = Case::wide(case.points[i]);
         for j in 0..lights.len() {
-            let of = |field: &twin::Field| {
+            let of = |field: &reference::Field| {
                 let mut into = field.zeros(lights.len());
-                field.visibility_bwd(point, &lights, j, asked.by_visibility(i, j), &mut into);
+                field.visibility_bwd(point, &lights, j, losses.by_visibility(i, j), &mut into);
                 row(&into)
             };
             let pair = of(&field);
@@ -198,10 +217,10 @@ fn check_gradients(
                     *m = m.max((a - b).abs());
                 }
             }
-            // What is asked of a pair is a sum of three, which may cancel.
-            let asked_of = |c: usize| f64::from(asked.pixels[i][c]) * f64::from(asked.lights[j][c]);
-            let all: f64 = (0..3).map(|c| asked_of(c).abs()).sum();
-            let canceled = 1e-7 * all / asked.by_visibility(i, j).abs().max(1e-300);
+            // The loss gradient of a pair is a sum of three terms, which may cancel.
+            let pixel_gradient = |c: usize| f64::from(losses.pixels[i][c]) * f64::from(losses.lights[j][c]);
+            let all: f64 = (0..3).map(|c| pixel_gradient(c).abs()).sum();
+            let canceled = 1e-7 * all / losses.by_visibility(i, j).abs().max(1e-300);
             for k in 0..pair.len() {
                 sum[k] += pair[k];
                 size[k] += pair[k].abs();
@@ -212,7 +231,7 @@ fn check_gradients(
     let is: Vec<f32> = [found.mlp.as_slice(), &found.tables, &found.lights].concat();
     prop_assert_eq!(is.len(), sum.len());
     let tables = found.mlp.len()..found.mlp.len() + found.tables.len();
-    // Of whole numbers, each of which is rounded.
+    // Sums are of integers, each of which is rounded.
     let quantum = 8.0 * (case.points.len() as f64) / f64::from(found.scale);
     let largest = sum.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for (k, x) in is.iter().enumerate() {
@@ -225,19 +244,19 @@ fn check_gradients(
 }
 
 #[test]
-fn what_points_see_agrees_with_the_twin() {
+fn field_visibility_matches_reference() {
     let gpu = Gpu::new();
     runner(48).run(&drawn(), |d| check_values(&gpu, &d.case(), 1.0)).unwrap_or_else(|e| panic!("{e}"));
 }
 
 #[test]
-fn gradients_of_fields_agree_with_the_twin() {
+fn field_gradients_match_reference() {
     let gpu = Gpu::new();
     let compared = std::cell::Cell::new((0, 0));
     let all = runner(48).run(&drawn(), |d| {
         let case = d.case();
-        let asked = d.asked(&case);
-        let n = check_gradients(&gpu, &case, &asked, None)?;
+        let losses = d.losses(&case);
+        let n = check_gradients(&gpu, &case, &losses, None)?;
         compared.set((compared.get().0 + 1, compared.get().1 + n));
         Ok(())
     });
@@ -247,20 +266,22 @@ fn gradients_of_fields_agree_with_the_twin() {
     assert!(numbers > 500 * cases, "{numbers} of {cases} fields");
 }
 
-/// A hundredth is noticed, of values and of the largest gradient of each kind.
+/// Checks that errors fail: of a thousandth in values, of a hundredth in gradients.
+///
+/// The largest gradient of each kind is scaled.
 #[test]
 fn checks_of_fields_can_fail() {
     let gpu = Gpu::new();
     let case = Case::random(FieldConfig::new(5, 8, 4, 40), 9, 2, 3);
     assert!(check_values(&gpu, &case, 1.0).is_ok() && check_values(&gpu, &case, 1.001).is_err());
-    let mut asked = LossGradients::random(&case, 1.0, 9);
-    asked.options.regularized = false;
-    assert!(check_gradients(&gpu, &case, &asked, None).is_ok());
-    let expected = case.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
+    let mut losses = LossGradients::random(&case, 1.0, 9);
+    losses.options.regularized = false;
+    assert!(check_gradients(&gpu, &case, &losses, None).is_ok());
+    let expected = case.expected_gradients(&losses.options, |i, j| losses.by_visibility(i, j));
     let largest = |v: &[f64]| (0..v.len()).max_by(|a, b| v[*a].abs().total_cmp(&v[*b].abs())).unwrap_or(0);
     let (mlp, tables) = (expected.mlp.len(), expected.tables.len());
     let lights = largest(expected.lights.as_flattened());
     for k in [largest(&expected.mlp), mlp + largest(&expected.tables), mlp + tables + lights] {
-        assert!(check_gradients(&gpu, &case, &asked, Some(k)).is_err(), "number {k}");
+        assert!(check_gradients(&gpu, &case, &losses, Some(k)).is_err(), "number {k}");
     }
 }

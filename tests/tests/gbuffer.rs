@@ -1,12 +1,18 @@
-//! Surfaces and the sparse matrix of a view against the twin; materials through it, and their gradients.
+//! Surfaces and the sparse weight matrix of a view against the reference.
+//!
+//! Materials are blended through it, with their gradients.
 
-use sgs_passes::reference::blend::{Blended as TwinBlended, render};
-use sgs_passes::reference::gbuffer::{Materials, gbuffer as twin_gbuffer, stored_rows, weights as twin_weights};
-use sgs_passes::reference::project::{Camera, Gaussians, project as twin_project};
+use sgs_passes::reference::blend::{Blended as ReferenceBlended, render};
+use sgs_passes::reference::gbuffer::{
+    Materials, gbuffer as reference_gbuffer, stored_rows, weights as reference_weights,
+};
+use sgs_passes::reference::project::{Camera, Gaussians, project as reference_project};
 use sgs_tests::gbuffer::{Case, run};
 use sgs_tests::{Gpu, scenes};
 
-/// Checks everything that `run` found against the twin; `metals` and how far raw materials reach.
+/// Checks all results of `run` against the reference.
+///
+/// `metals` enables metallic; `reach` bounds raw materials.
 fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64) {
     for bits in [32, 16] {
         let case = Case::new(scene.clone(), *camera, metals, reach);
@@ -14,15 +20,15 @@ fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64
     }
 }
 
-/// With weights in so many bits.
+/// Checks a case with its number of weight bits.
 fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
     let found = run(gpu, case);
     assert_eq!(found.flags, 0);
     let Case { scene, camera, raw, gradient, bits, .. } = case;
     let (n, pixels, metals) = (scene.len(), gradient.len(), !raw.metallic.is_empty());
-    let truth: TwinBlended = render(scene, camera, 0, true, [0.0; 3]);
-    let surfaces = twin_gbuffer(camera, &truth, 8);
-    let mut rows = twin_weights(&twin_project(scene, camera, 0, true), camera.size);
+    let truth: ReferenceBlended = render(scene, camera, 0, true, [0.0; 3]);
+    let surfaces = reference_gbuffer(camera, &truth, 8);
+    let mut rows = reference_weights(&reference_project(scene, camera, 0, true), camera.size);
     if *bits == 16 {
         rows = stored_rows(&rows);
     }
@@ -55,7 +61,7 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
         for c in 0..3 {
             assert!((f64::from(found.points[p][c]) - point[c]).abs() < 2e-4 * scale, "point of pixel {p}");
             let normal = surfaces.normals[p].to_array();
-            // Opposing normals may nearly cancel; then the direction is anybody's guess.
+            // Opposing normals may nearly cancel; then the direction is arbitrary.
             let at = &truth.image[p * 8 + 3..p * 8 + 6];
             let length = at.iter().map(|v| v * v).sum::<f64>().sqrt() / surfaces.coverage[p];
             assert!(
@@ -85,7 +91,7 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
         transposed.sort_by_key(|e| e.0);
         assert_eq!(&transposed, column, "column {i}");
     }
-    // Gradients: exact sums over the columns that the device itself found, and slopes by differences of the activation.
+    // Gradients: exact sums over the device's own columns, and slopes by differences of the activation.
     let albedo_range = raw.albedo_range;
     let slope = |raw: f64, which: usize| {
         let h = 1e-5 * raw.abs().max(1.0);
@@ -119,7 +125,7 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
 }
 
 #[test]
-fn surfaces_weights_and_materials_agree_with_the_twin() {
+fn gbuffer_and_materials_match_reference() {
     let gpu = Gpu::new();
     for (size, count, metals, reach) in
         [([64, 48], 200, false, 2.0), ([61, 37], 500, true, 4.0), ([17, 3], 40, true, 8.0)]
@@ -129,8 +135,9 @@ fn surfaces_weights_and_materials_agree_with_the_twin() {
     }
 }
 
-/// Weights in 16 bits are those of 32, rounded along their row: each within one part of 65535, rows adding up as they did to
-/// half a part; and the columns hold the same.
+/// Weights in 16 bits are those of 32, rounded along their rows.
+///
+/// Each is within one part of 65535, rows keep their sum to half a part, and the columns hold the same.
 #[test]
 fn weights_in_16_bits_are_rounded_along_their_rows() {
     let gpu = Gpu::new();
@@ -145,27 +152,27 @@ fn weights_in_16_bits_are_rounded_along_their_rows() {
     let (mut largest, mut longest, mut lost) = (0.0_f64, 0, 0);
     for row in wide.row_starts.windows(2).map(|w| w[0] as usize..w[1] as usize) {
         let mut carried = 0.0_f32;
-        let (mut sum, mut kept) = (0.0, 0.0);
+        let (mut sum, mut stored) = (0.0, 0.0);
         longest = longest.max(row.len());
         for e in row {
             let wanted = wide.weights[e] * 65535.0 + carried;
             let parts = (narrow.weights[e] * 65535.0).round();
             assert_eq!(narrow.weights[e], parts * (1.0 / 65535.0), "entry {e}");
-            // A device may work out what is halfway between two a little differently.
+            // A device may round midpoints a little differently.
             assert!((wanted - parts).abs() < 0.51, "entry {e}: {wanted} became {parts}");
             carried = wanted - parts;
             largest = largest.max(f64::from((wide.weights[e] - narrow.weights[e]).abs()));
-            (sum, kept) = (sum + f64::from(wide.weights[e]), kept + f64::from(narrow.weights[e]));
+            (sum, stored) = (sum + f64::from(wide.weights[e]), stored + f64::from(narrow.weights[e]));
             lost += usize::from(parts == 0.0);
         }
-        assert!((sum - kept).abs() < 0.51 / 65535.0 + 1e-6, "{sum} and {kept}");
+        assert!((sum - stored).abs() < 0.51 / 65535.0 + 1e-6, "{sum} and {stored}");
     }
     println!("{count} weights, rows of up to {longest}: off by {largest:.1e}; {lost} are none");
     assert!(
         largest > 0.5 / 65535.0 && largest < 1.01 / 65535.0 && longest > 20 && lost > 0,
         "{largest} {longest} {lost}"
     );
-    // What `Accuracy` promises of materials, which lie between 0 and 1.
+    // The bound of `Accuracy` for materials, which lie between 0 and 1.
     let bound = (longest + 1) as f64 * 0.5 / 65535.0;
     let apart = wide.materials.iter().flatten().zip(narrow.materials.iter().flatten());
     let apart = apart.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
@@ -177,7 +184,7 @@ fn weights_in_16_bits_are_rounded_along_their_rows() {
 }
 
 #[test]
-fn one_pixel_and_nothing_to_see() {
+fn single_pixel_and_empty_views_are_handled() {
     let gpu = Gpu::new();
     check(&gpu, &scenes::ordinary(20, 0, true, 1), &scenes::camera([1, 1]), true, 1.0, 1.0);
     let mut away = scenes::ordinary(20, 0, true, 1);
@@ -186,7 +193,7 @@ fn one_pixel_and_nothing_to_see() {
 }
 
 #[test]
-fn what_does_not_fit_is_counted_and_nothing_is_written_past_the_end() {
+fn overflow_is_counted_and_not_written() {
     let gpu = Gpu::new();
     let scene = scenes::ordinary(200, 0, true, 64);
     let camera = scenes::camera([64, 48]);

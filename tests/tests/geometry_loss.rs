@@ -1,8 +1,8 @@
-//! The losses of normals and depths on a device against their reference and its finite differences.
+//! The normal and depth losses on a device against their reference.
 
 use sgs_passes::Tuning;
 use sgs_passes::loss::octahedral_encode;
-use sgs_passes::reference::geometry_loss as twin;
+use sgs_passes::reference::geometry_loss as reference;
 use sgs_passes::reference::geometry_loss::{Gradient, Scene, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::LossStats;
@@ -13,7 +13,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A scene as a half-trained model shows it: opacities from almost none to almost all, normals that mostly agree.
+/// Builds a half-trained scene: all opacities, normals that mostly agree.
 fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
     let mut rng = Pcg::new(seed);
     let mut s = Scene {
@@ -33,7 +33,7 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
         let direction = [(0.2 * x).sin() + 0.2 * rng.normal(), (0.15 * y).cos(), -0.7 + 0.2 * rng.normal()];
         let norm = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
         let z = 2.0 + 0.5 * (0.1 * x + 0.07 * y).sin() + 0.05 * rng.normal();
-        // Rounding can make variances negative; well away from where it decides about the gradient.
+        // Rounding can make variances negative; values stay away from the threshold of the gradient.
         let variance = if rng.uniform() < 0.2 { -1e-3 } else { rng.range(0.05, 0.2).powi(2) };
         if let (Some(normals), Some(depths), Some(priors)) = (&mut s.normals, &mut s.depths, &mut s.priors) {
             normals.push(direction.map(|d| narrow(length * d / norm)));
@@ -51,24 +51,26 @@ fn flat<const N: usize>(v: &[[f64; N]]) -> Vec<f64> {
     v.as_flattened().to_vec()
 }
 
-/// Absolute part: a share of what is asked of a pixel, or a smaller one of the largest gradient.
+/// Returns the tolerance of gradients.
+///
+/// Absolute: a share of the loss gradient of a pixel, or a smaller share of the largest gradient.
 fn tolerance(expected: &[f64], absolute: f64, relative: f64) -> Tolerance {
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     Tolerance::new(absolute.max(1e-5 * largest), relative)
 }
 
-/// Compares everything, at the device's own sizes and at those of a GPU; returns the last.
+/// Compares all results at the device's own sizes and at a GPU's; returns the last.
 fn check(gpu: &Gpu, s: &Scene, largest: [u32; 2]) -> Found {
     let wide = Tuning { subgroup_size: 64, ..gpu.tuning() };
     let [own, found] = [gpu.tuning(), wide].map(|tuning| run(gpu, tuning, s, largest, &WEIGHTS));
-    let terms = twin::geometry_loss(s);
-    let expected = twin::geometry_loss_bwd(s, &WEIGHTS);
+    let terms = reference::geometry_loss(s);
+    let expected = reference::geometry_loss_bwd(s, &WEIGHTS);
     let (normals, depths, by_t) = (flat(&expected.normals), flat(&expected.depths), expected.transmittance);
     let n = (s.width * s.height) as f64;
     let what = |name| format!("{name} at {}x{}", s.width, s.height);
     for found in [&own, &found] {
         assert_close(&what("normals"), &normals, &found.normals, tolerance(&normals, 1e-5 / n, 1e-4));
-        // The variance is a difference of squares: 1e-6 of its 2.5e-3 and more may be missing.
+        // The variance is a difference of squares: its error is 1e-6 of 2.5e-3 or more.
         assert_close(&what("depths"), &depths, &found.depths, tolerance(&depths, 2e-3 / n, 1e-3));
         assert_close(&what("transmittance"), &by_t, &found.transmittance, tolerance(&by_t, 5e-3 / n, 1e-3));
         check_terms(&terms, &found.stats);
@@ -126,11 +128,11 @@ fn geometry_loss_at_extremes() {
         }
         let found = check(&gpu, &s, [width as u32, height as u32]);
         let all = found.normals.iter().chain(&found.depths).chain(&found.transmittance);
-        // At most a thousand times what is asked of a pixel, times the depth and its square.
+        // At most a thousand times the loss gradient of a pixel, times the depth and its square.
         let bound = 1e3 * 10.0 * 30.0 / n as f32;
         assert!(all.into_iter().all(|g| g.abs() < bound), "opacity {opacity}");
     }
-    // Zero normals, and priors that are not there: no loss but the variance's floor, no gradient.
+    // Zero normals and missing priors: only the floor of the variance in the loss, and no gradient.
     let s = Scene {
         normals: Some(vec![[0.0; 3]; n]),
         depths: Some(vec![[0.0; 2]; n]),
@@ -140,19 +142,19 @@ fn geometry_loss_at_extremes() {
     };
     let found = check(&gpu, &s, [width as u32, height as u32]);
     assert!(found.normals.iter().chain(&found.depths).chain(&found.transmittance).all(|&g| g == 0.0));
-    // With priors they are asked for a direction: a thousand times what is asked of a pixel.
-    let asked = |g: &[f32]| g.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt() * n as f64 / 1e3;
+    // With priors the gradient of a zero normal has a direction: a thousand times the loss gradient of a pixel.
+    let magnitude = |g: &[f32]| g.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt() * n as f64 / 1e3;
     let priors = vec![octahedral_encode([0.6, -0.3, -0.7]); n];
     let mut s = Scene { priors: Some(priors), ..s };
     let found = check(&gpu, &s, [width as u32, height as u32]);
-    assert!(found.normals.chunks_exact(3).all(|g| (asked(g) / WEIGHTS.normal - 1.0).abs() < 1e-3));
-    // Among others, neighbors ask for less than two of each coordinate, in both directions.
+    assert!(found.normals.chunks_exact(3).all(|g| (magnitude(g) / WEIGHTS.normal - 1.0).abs() < 1e-3));
+    // Neighbors contribute less than two to each coordinate, in both directions.
     let others = random_scene(width, height, 3).normals.unwrap();
     s.normals.as_mut().unwrap().iter_mut().zip(others).step_by(2).for_each(|(zero, other)| *zero = other);
     let found = check(&gpu, &s, [width as u32, height as u32]);
     let zeros = || found.normals.chunks_exact(3).skip(1).step_by(2);
     let bound = WEIGHTS.normal + 4.0 * WEIGHTS.normal_smooth;
-    assert!(zeros().all(|g| asked(g) < bound) && zeros().any(|g| asked(g) > 1.5 * WEIGHTS.normal));
+    assert!(zeros().all(|g| magnitude(g) < bound) && zeros().any(|g| magnitude(g) > 1.5 * WEIGHTS.normal));
 }
 
 #[test]
@@ -161,7 +163,7 @@ fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
     let s = random_scene(24, 18, 17);
     let found = run(&gpu, gpu.tuning(), &s, [24, 18], &WEIGHTS);
     let loss = |s: &Scene| {
-        let t = twin::geometry_loss(s);
+        let t = reference::geometry_loss(s);
         WEIGHTS.normal * t.normal
             + WEIGHTS.normal_smooth * t.normal_smooth
             + WEIGHTS.depth_smooth * t.depth_smooth
@@ -214,7 +216,7 @@ fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
 }
 
 #[test]
-fn geometry_loss_is_the_same_every_time() {
+fn geometry_loss_is_deterministic() {
     let gpu = Gpu::new();
     let s = random_scene(97, 61, 13);
     let once = || {
@@ -225,12 +227,12 @@ fn geometry_loss_is_the_same_every_time() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// The comparison would notice a lost border, a lost prior, or a weight that is off by a percent.
+/// Checks that a lost border, a lost prior, or a weight off by a percent fails.
 #[test]
 fn geometry_loss_checks_can_fail() {
     let s = random_scene(24, 18, 17);
     let n = 432.0;
-    let exact = twin::geometry_loss_bwd(&s, &WEIGHTS);
+    let exact = reference::geometry_loss_bwd(&s, &WEIGHTS);
     let differs = |other: &Gradient| {
         let narrow = |v: &[f64]| v.iter().map(|&x| x as f32).collect::<Vec<f32>>();
         let far = |e: &[f64], f: &[f64], t| worst(e, &narrow(f), t).is_some_and(|w| w.3 > 1.0);
@@ -239,12 +241,12 @@ fn geometry_loss_checks_can_fail() {
             || far(&exact.transmittance, &other.transmittance, tolerance(&exact.transmittance, 5e-3 / n, 1e-3))
     };
     assert!(!differs(&exact));
-    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { depth_variance: 0.88, ..WEIGHTS })));
-    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { depth_smooth: 0.51, ..WEIGHTS })));
-    assert!(differs(&twin::geometry_loss_bwd(&s, &Terms { normal_smooth: 0.751, ..WEIGHTS })));
+    assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth_variance: 0.88, ..WEIGHTS })));
+    assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth_smooth: 0.51, ..WEIGHTS })));
+    assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { normal_smooth: 0.751, ..WEIGHTS })));
     let mut other = s.clone();
     other.priors.as_mut().unwrap()[100] ^= 0x8000_0000;
-    assert!(differs(&twin::geometry_loss_bwd(&other, &WEIGHTS)));
+    assert!(differs(&reference::geometry_loss_bwd(&other, &WEIGHTS)));
     let mut other = exact.clone();
     other.depths[0] = other.depths[1];
     assert!(differs(&other));

@@ -1,4 +1,4 @@
-//! Histories on a real device: each replay reads what the one before wrote, and nothing is recorded again.
+//! Histories on a real device: each replay reads the previous replay's output.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph, History};
@@ -33,7 +33,7 @@ fn each_replay_reads_what_the_last_one_wrote() {
         };
         for replays in 1..=9 {
             exec.submit(&[]).unwrap();
-            // Looking after every replay would hide a missing wait between them.
+            // Reading after every replay would hide a missing wait between them.
             if replays % 3 == 0 {
                 exec.finish().unwrap();
                 assert_eq!(read(&exec, state.current), expected(replays), "{frames_in_flight} in flight");

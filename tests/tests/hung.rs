@@ -1,5 +1,6 @@
-//! Work that takes longer than it may: the error comes in time and names the work, and nothing is torn from under the
-//! device or lost.
+//! Work that exceeds its time limit.
+//!
+//! The error arrives in time and names the work. Resources in use are neither freed nor leaked.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -8,7 +9,7 @@ use sgs_tests::busy;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Groups of a pass: lavapipe ends every loop after 65 535 rounds, so that long work needs many of them.
+/// Groups of a pass: lavapipe ends every loop after 65 535 rounds, so long work needs many groups.
 const GROUPS: u32 = 384;
 
 const BYTES: u64 = 4 * (busy::LANES * GROUPS) as u64;
@@ -20,7 +21,7 @@ fn open(options: DeviceOptions) -> Device {
     Device::open(&DeviceOptions { select, validation: true, ..options }).unwrap()
 }
 
-/// Two passes over one buffer of as many rounds as the uniform says.
+/// Builds two passes over one buffer, with the number of rounds in a uniform.
 fn two_passes(device: &Device, timestamps: bool) -> (Executor, Buffer, DeviceBuffer) {
     let mut graph = Graph::new("busy work");
     let settings = graph.uniform("settings", 4);
@@ -38,7 +39,7 @@ fn two_passes(device: &Device, timestamps: bool) -> (Executor, Buffer, DeviceBuf
     (exec, settings, memory)
 }
 
-/// Rounds that keep this device busy for something like a second a pass.
+/// Returns the rounds that keep this device busy for about a second a pass.
 fn a_second(device: &Device) -> u32 {
     if device.info().kind == "cpu" {
         return 65_535;
@@ -57,13 +58,13 @@ fn a_second(device: &Device) -> u32 {
     }
 }
 
-/// Fails unless validation was silent and nothing of a closed device is left.
+/// Fails unless validation was silent and a closed device leaves nothing behind.
 #[track_caller]
 fn close(device: Device) {
     let (messages, objects) = (device.messages().clone(), device.objects().clone());
     drop(device);
-    let said = messages.take();
-    assert!(said.is_empty(), "{}", said.join("\n"));
+    let log = messages.take();
+    assert!(log.is_empty(), "{}", log.join("\n"));
     assert_eq!(objects.alive(), []);
 }
 
@@ -84,16 +85,16 @@ fn a_wait_gives_up_in_time_and_what_is_in_use_is_kept() {
     assert!(text.starts_with("Work submitted as \"busy work\" did not finish within 0.05 s"), "{text}");
     let Error::Timeout { limit: LIMIT, pass, .. } = error else { panic!("{error}") };
     if device.info().kind != "cpu" {
-        // lavapipe cannot tell without waiting.
+        // lavapipe cannot report it without waiting.
         assert!(pass.is_some_and(|p| p == "first" || p == "second"), "{text}");
     }
-    // A wait of its own length works as well, on the device as on the executor.
+    // A wait with its own limit works as well, on the device and on the executor.
     let short = Duration::from_millis(1);
     assert!(matches!(exec.finish_within(short), Err(Error::Timeout { limit, .. }) if limit == short));
     let last = device.last_ticket();
     assert!(matches!(device.wait_within(last, "look", short), Err(Error::Timeout { .. })));
 
-    // The owners go while the work goes on: what it uses stays, and goes when the work is done.
+    // The owners are dropped while the work runs: resources in use are freed when the work is done.
     let copy = memory.clone();
     drop(memory);
     drop(exec);
@@ -102,7 +103,7 @@ fn a_wait_gives_up_in_time_and_what_is_in_use_is_kept() {
     device.wait_within(last, "the end", Duration::from_secs(60)).unwrap();
     assert_eq!(device.collect(), 0);
     assert!(device.memory_use().0 < before, "what was parked is still there");
-    // The work itself was not harmed.
+    // The work itself finished correctly.
     assert_eq!(device.download_as::<u32>(&copy, 4).unwrap(), expected);
     drop(copy);
     assert_eq!(device.memory_use().0, 0);
@@ -116,7 +117,7 @@ fn a_device_closes_when_the_work_ends() {
     let (mut exec, settings, memory) = two_passes(&device, false);
     exec.submit(&[(settings, &rounds.to_ne_bytes())]).unwrap();
     assert!(matches!(exec.finish(), Err(Error::Timeout { pass: None, .. })));
-    // A transfer behind the work gives up too, and its staging memory stays for it.
+    // A transfer behind the work times out too, and its staging memory is retained.
     let error = device.upload(&memory, 0, &[1; 64]).unwrap_err();
     assert!(matches!(&error, Error::Timeout { what, .. } if what == "copy"), "{error}");
     drop((exec, memory));

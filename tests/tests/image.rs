@@ -17,7 +17,7 @@ fn texels_come_back_in_every_format() {
 }
 
 #[test]
-fn images_are_counted_and_given_back() {
+fn images_are_counted_and_released() {
     let gpu = Gpu::new();
     let before = (gpu.device().memory_use().0, gpu.device().activity().images);
     for side in [16, 1024] {

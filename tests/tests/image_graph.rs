@@ -40,8 +40,9 @@ fn reflection_sees_what_is_done_to_texels() {
     assert_eq!(found, expected);
 }
 
-/// Adds an uploaded image twice to a transient one, by way of two transients that can share an image, and leaves an
-/// image of bytes in the state `exit`.
+/// Adds an uploaded image twice to a transient image.
+///
+/// It uses two transients that can share an image, and leaves an image of bytes in the state `exit`.
 fn build(exit: ImageState) -> (Graph, [Image; 2], sgs_engine::graph::Buffer) {
     let mut g = Graph::new("images");
     let source = g.input("source", BYTES);

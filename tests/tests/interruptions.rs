@@ -1,5 +1,6 @@
-//! What happens to a run from outside: interruptions, kills, full disks, damaged checkpoints. The result is that of a run
-//! left alone, and no earlier checkpoint is lost.
+//! Runs under interruptions, kills, full disks and damaged checkpoints.
+//!
+//! The result equals that of an undisturbed run, and no earlier checkpoint is lost.
 
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, sgs_after, signal, start, until, wait};
@@ -16,7 +17,7 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     let steps_logged = place.logged("straight");
     assert_eq!(steps_logged, std::iter::once(1).chain((1..=11).map(|i| 10 * i)).collect::<Vec<_>>());
 
-    // Twice interrupted, as with Ctrl-C.
+    // Interrupted twice, as with Ctrl-C.
     let mut child = start(&place.arguments("interrupted", steps, &[]));
     assert!(until(&mut child, || place.logged("interrupted").last() >= Some(&30)), "it was too fast to interrupt");
     signal(&child, "INT");
@@ -33,7 +34,7 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     place.resume("interrupted").ok();
     place.assert_same("straight", "interrupted");
 
-    // Killed again and again, at whatever it was doing.
+    // Killed repeatedly, at any point.
     let mut child = start(&place.arguments("killed", steps, &[]));
     for step in [10, 40, 70] {
         let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
@@ -55,7 +56,7 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     place.assert_same("straight", "killed");
 }
 
-/// As with Ctrl-Z and `fg`: clocks go on meanwhile, and no wait may take that for a device that does not answer.
+/// Stops and continues a run, as with Ctrl-Z and `fg`. Clocks continue, and no wait may report a lost device.
 #[test]
 fn a_stopped_run_goes_on() {
     let place = Place::new(Room::default());
@@ -72,11 +73,11 @@ fn a_stopped_run_goes_on() {
     place.assert_same("straight", "stopped");
 }
 
-/// A small file system that is gone with the value.
+/// Small file system that is unmounted on drop.
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// None where mounting is not permitted.
+    /// Mounts it; `None` if mounting is not permitted.
     fn mount(at: &Path, size: &str) -> Option<SmallDisk> {
         std::fs::create_dir_all(at).unwrap();
         let mounted =
@@ -103,7 +104,7 @@ fn a_full_disk_leaves_the_earlier_checkpoint() {
     let place = Place::new(Room::default());
     sgs(&place.arguments("straight", 30, &FIXED)).ok();
     let checkpoint = place.read("straight/checkpoint/geometry.safetensors").len();
-    // Room for one checkpoint and the small files, not for a second one beside it.
+    // Capacity for one checkpoint and the small files, not for a second checkpoint.
     let Some(disk) = SmallDisk::mount(&place.path("full"), &format!("{}k", checkpoint * 3 / 2 / 1024 + 16)) else {
         println!("skipped: mounting is not permitted");
         return;
@@ -114,7 +115,7 @@ fn a_full_disk_leaves_the_earlier_checkpoint() {
     let sentence = failed.stderr.lines().last().unwrap();
     assert!(sentence.starts_with("sgs: ") && sentence.contains("No space left"), "{failed:?}");
     let earlier = place.read("full/checkpoint/geometry.safetensors");
-    // Resuming goes on from it, and fails the same way while the disk is full.
+    // Resuming continues from it, and fails the same way while the disk is full.
     let again = place.resume("full");
     assert_eq!(again.status, Some(1), "{again:?}");
     again.assert_no_panic();
@@ -136,7 +137,7 @@ fn a_kill_in_the_middle_of_a_save_leaves_the_earlier_checkpoint() {
     wait(child);
     let earlier = place.read(file);
     let resume = ["train", &place.text("scene"), "-o", &place.text("killed"), "--resume"];
-    // The system kills a program that writes more than it may: here 16 KiB, which is in the middle of a checkpoint.
+    // The system kills a program that exceeds its file size limit: here 16 KiB, in the middle of a checkpoint.
     let killed = sgs_after("ulimit -f 16", &resume);
     assert_ne!(killed.status, Some(0), "{killed:?}");
     assert!(place.read(file) == earlier, "the checkpoint has changed");

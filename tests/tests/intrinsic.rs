@@ -1,4 +1,6 @@
-//! The intrinsic stage as a whole: that it learns, and that the result depends on scene, splats, settings and seed alone.
+//! The whole intrinsic stage: learning and determinism.
+//!
+//! The result depends on scene, splats, settings and seed alone.
 
 use sgs_config::VisibilityKind;
 use sgs_passes::Accuracy;
@@ -16,7 +18,7 @@ fn geometry(gpu: &Gpu, scene: &Scene) -> Splats {
 }
 
 #[test]
-fn it_learns_and_room_and_interruptions_do_not_matter() {
+fn intrinsic_stage_learns_and_ignores_cache_size_and_interruptions() {
     let (place, _) = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -27,17 +29,17 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
         s.accuracy = accuracy;
         let mut losses = Vec::new();
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-        let mut heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+        let mut report = |r: &sgs_passes::pipeline::IntrinsicReport| {
             losses.push((r.step, r.shaded.to_bits(), r.albedo.to_bits(), r.roughness.to_bits(), r.materials));
         };
         if let Some(at) = resumed_at {
             let file = place.path("state");
-            training.train(at, &mut heard, || true).unwrap();
+            training.train(at, &mut report, || true).unwrap();
             training.save(&file).unwrap();
             training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
             training.restore(&file).unwrap();
         }
-        training.train(24, &mut heard, || true).unwrap();
+        training.train(24, &mut report, || true).unwrap();
         (training.splats().unwrap(), training.lights().unwrap(), losses)
     };
     let train = |bytes, resumed_at| train_at(Accuracy::EXACT, bytes, resumed_at);
@@ -59,25 +61,25 @@ fn it_learns_and_room_and_interruptions_do_not_matter() {
         assert!((step % 3 == 1 && *step >= 4) == (materials.own_count > 0), "step {step}: {materials:?}");
     }
     assert!(losses.iter().any(|l| l.4.cross_view > 0.0), "no pseudo-view was compared");
-    // Geometry is as it came; materials are new.
+    // Geometry is unchanged; materials are new.
     assert_eq!((&trained.means, &trained.sh, &trained.normals), (&splats.means, &splats.sh, &splats.normals));
     let albedo = trained.albedo.as_ref().unwrap();
     assert!(albedo.iter().flatten().all(|v| v.is_finite()) && albedo.iter().flatten().any(|v| v.abs() > 0.05));
     assert!(trained.metallic.is_some());
-    // Worked out anew in each step, and interrupted: the same bits.
+    // Recomputed in each step, and interrupted: the same bits.
     for (bytes, resumed_at) in [(1, None), (0, Some(7)), (1, Some(16))] {
-        let (other, other_lights, heard) = train(bytes, resumed_at);
-        assert_eq!(heard, losses, "{bytes} bytes, resumed at {resumed_at:?}");
+        let (other, other_lights, report) = train(bytes, resumed_at);
+        assert_eq!(report, losses, "{bytes} bytes, resumed at {resumed_at:?}");
         assert!(other == trained && other_lights == lights, "{bytes} bytes, resumed at {resumed_at:?}");
     }
-    // With what has 16 bits here in as many: the same again, and not far from it.
+    // With 16-bit storage: deterministic, and close to 32 bits.
     let short = Accuracy { table_bits: 16, weight_bits: 16, ..Accuracy::EXACT };
-    let (trained, lights, heard) = train_at(short, 0, None);
-    let apart = heard.iter().zip(&losses).map(|(a, b)| (f32::from_bits(a.1) / f32::from_bits(b.1) - 1.0).abs());
+    let (trained, lights, report) = train_at(short, 0, None);
+    let apart = report.iter().zip(&losses).map(|(a, b)| (f32::from_bits(a.1) / f32::from_bits(b.1) - 1.0).abs());
     let apart = apart.fold(0.0, f32::max);
-    assert!(heard != losses && apart < 0.05, "losses are {apart} apart");
+    assert!(report != losses && apart < 0.05, "losses are {apart} apart");
     let (other, other_lights, again) = train_at(short, 1, Some(7));
-    assert!(again == heard && other == trained && other_lights == lights, "16 bits are not the same every time");
+    assert!(again == report && other == trained && other_lights == lights, "16 bits are not the same every time");
 }
 
 #[test]
@@ -104,7 +106,7 @@ fn the_command_leaves_what_shades_and_measures() {
         assert!(place.path("a").join(file).is_file(), "{file} is missing");
     }
     assert_eq!(read_lights(&place.path("a/lights.json")).unwrap().lights.len(), 8);
-    // In two commands, the same.
+    // The same with two commands.
     sgs(&arguments("b", &[])).ok();
     assert!(!place.path("b/lights.json").exists());
     sgs(&arguments("b", &["--stage", "intrinsic"])).ok();
@@ -114,12 +116,12 @@ fn the_command_leaves_what_shades_and_measures() {
     // Metadata of these files has no order.
     let field = |run: &str| VisibilityFile::load(&place.path(run).join("visibility.safetensors")).unwrap();
     assert!(field("a") == field("b"));
-    // Geometry from elsewhere.
+    // Geometry from another file.
     let start = place.text("a/scene.ply");
     sgs(&arguments("c", &["--stage", "intrinsic", "--start", &start])).ok();
     assert!(place.read("a/lights.json") == place.read("c/lights.json"));
     sgs(&arguments("d", &["--start", &start])).refused(&["--start", "--stage intrinsic"]);
-    // What it left is measured and shades.
+    // Its output is measured and shades.
     sgs(&["eval", &place.text("a")]).ok();
     let metrics: serde_json::Value = serde_json::from_slice(&place.read("a/metrics.json")).unwrap();
     assert!(metrics["test"]["mean"]["pbr"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
@@ -134,14 +136,14 @@ fn the_command_leaves_what_shades_and_measures() {
     let shaded = shading.shade(&opened.views[0].camera).unwrap();
     let seen = shaded.visibility().unwrap();
     assert!(seen.data.iter().all(|v| (0.0..=1.0).contains(v)) && seen.data.iter().any(|v| *v > 0.01));
-    let picture = displayed(&shaded.radiance([0.0; 3]));
-    assert!(picture.data.iter().all(|v| v.is_finite()) && picture.data.iter().any(|v| *v > 0.1));
+    let displayed_image = displayed(&shaded.radiance([0.0; 3]));
+    assert!(displayed_image.data.iter().all(|v| v.is_finite()) && displayed_image.data.iter().any(|v| *v > 0.1));
     let (all, parts) = (shaded.radiance([0.0; 3]), (shaded.direct(), shaded.ambient()));
     for ((a, d), e) in all.data.iter().zip(&parts.0.data).zip(&parts.1.data) {
         assert!((a - d - e).abs() <= 1e-5 * a.abs().max(1.0));
     }
 
-    // Lamps again, without looking at the geometry again: the same, whatever shone and was seen before.
+    // Direct light without rendering the geometry again: the same result, whatever gains and views came before.
     let gains: Vec<f32> = lights.unwrap().lights.iter().map(|l| l.gain).collect();
     let alone: Vec<f32> = gains.iter().enumerate().map(|(i, g)| if i % 3 == 1 { 2.0 * g } else { 0.0 }).collect();
     let scene = shaded_scene(gpu.device(), &splats, lights, environment, &light.visibility).unwrap();
@@ -158,7 +160,9 @@ fn the_command_leaves_what_shades_and_measures() {
     assert!(quick.shade(&opened.views[0].camera).unwrap().visibility().is_none());
 }
 
-/// What a step takes beside the scene, at the sizes that the published way needs some 90 GB for.
+/// Bounds the memory of a step beside the scene.
+///
+/// The published method needs some 90 GB at these sizes.
 #[test]
 fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicRates, IntrinsicSizes, IntrinsicStep};
@@ -170,7 +174,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::shade::visibility::FieldConfig;
     let gpu = Gpu::new();
     let pixels = 1600 * 1200;
-    // Twenty splats a pixel show, on a million of them.
+    // Twenty splats contribute to each of a million pixels.
     let shape = SurfaceShape { largest: [1600, 1200], gaussians: 1_000_000, weights: 20 * pixels, weight_bits: 32 };
     let environment =
         Environment::new(256, &EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() }).unwrap();
@@ -223,7 +227,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     println!("step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
     assert!(all < 2_500_000_000, "step {step}, one view's surfaces {view}, working them out {builder}: {all} bytes");
     assert!(step > 0 && view > 0, "nothing was counted");
-    // Traced shadows keep what rays found only as far as there is room.
+    // Traced shadows store ray results up to the capacity.
     let sizes_of = |options: &IntrinsicOptions| {
         IntrinsicStep::plan(&gpu.tuning(), &sizes, Some(&environment), options).unwrap().arena_bytes
     };
@@ -234,9 +238,9 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     assert!(traced <= without + room + (8 << 20), "{traced} bytes, {without} without shadows");
 }
 
-/// Leaving nothing out changes nothing; lights that are left out are only those that are allowed to be.
+/// Culling at zero changes nothing; otherwise it skips only lights within the bound.
 #[test]
-fn culling_is_off_at_zero_and_changes_little_at_little() {
+fn culling_stays_within_its_error() {
     let (place, _) = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -245,7 +249,7 @@ fn culling_is_off_at_zero_and_changes_little_at_little() {
         let mut s = settings(1);
         (s.intrinsic.visibility.kind, s.intrinsic.cull_error) = (kind, cull_error);
         s.intrinsic.environment.enabled = false;
-        // From far off, lights are faint.
+        // Distant lights are faint.
         s.intrinsic.lights.start = 0.3;
         let mut loss = 0.0;
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
@@ -257,7 +261,7 @@ fn culling_is_off_at_zero_and_changes_little_at_little() {
         assert!(first(kind, 1e-9) == exact, "{kind:?}: what reaches everywhere was left out");
         let short = first(kind, 0.5);
         assert!(short.1 != exact.1 && short.0.is_finite(), "{kind:?}: nothing was left out");
-        // What was left out moves no light: a light of no pixel keeps its lobes.
+        // Culled contributions move no light: a light of no pixel keeps its lobes.
         assert!(short.1.lights.len() == exact.1.lights.len());
     }
     let mut s = settings(1);
@@ -266,9 +270,9 @@ fn culling_is_off_at_zero_and_changes_little_at_little() {
     assert!(error.contains("intrinsic.cull_error is inf"), "{error}");
 }
 
-/// Texels that move with every third step only, and pictures of half their size.
+/// Trains with an environment map updated every third step, on half-size images.
 #[test]
-fn surroundings_that_move_seldom_and_small_pictures() {
+fn environment_update_interval_and_half_size_images() {
     let (place, _) = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -299,7 +303,7 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     }
     assert!(straight.0.iter().all(|l| l.is_finite()) && straight.0[11] < straight.0[0], "{:?}", straight.0);
 
-    // A quarter of the pixels takes about a quarter of what views see.
+    // A quarter of the pixels needs about a quarter of the view's memory.
     let whole = Intrinsic::new(gpu.device(), &scene, &settings(12), &splats).unwrap().surface_bytes();
     let small = new().surface_bytes();
     assert!(small < whole / 2, "{small} of {whole} bytes");
@@ -314,7 +318,7 @@ fn surroundings_that_move_seldom_and_small_pictures() {
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
 }
 
-/// Albedo stays in the range of the settings, the published one among others; what it begins with keeps its values.
+/// Albedo stays within the range of the settings, including the published one. Initial values are kept.
 #[test]
 fn albedo_stays_in_its_range() {
     let (place, _) = place();
@@ -341,7 +345,7 @@ fn albedo_stays_in_its_range() {
     assert!(values(&published).iter().all(|v| *v > 0.0899), "an albedo is darker than 0.09");
     let narrow = train([0.3, 0.6], &ours, 8);
     assert!(values(&narrow).iter().all(|v| (0.2999..0.6001).contains(v)), "an albedo is out of its range");
-    // Nothing trained: within the range values are those of the start.
+    // Without training, values within the range are those of the start.
     for (before, after) in values(&ours).iter().zip(values(&train([0.05, 0.99], &ours, 0))) {
         assert!((before.clamp(0.0502, 0.9898) - after).abs() < 2e-4, "{before} {after}");
     }

@@ -1,4 +1,6 @@
-//! The log of the intrinsic stage names each loss that runs; warnings name each that has a weight and does not.
+//! The log of the intrinsic stage names each loss that runs.
+//!
+//! Warnings name each loss that has a weight and does not run.
 
 use serde_json::Value;
 use sgs_config::{OwnPrior, Settings};
@@ -11,7 +13,7 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Intrinsic, IntrinsicLog};
 use std::collections::BTreeSet;
 
-/// Keys of every line, whatever runs.
+/// Keys of every line, for any losses.
 const ALWAYS: [&str; 6] = ["stage", "step", "shaded", "l1", "ssim", "skipped"];
 /// Losses that need neither priors nor regions.
 const FREE: [&str; 6] =
@@ -38,7 +40,7 @@ fn arguments(place: &Place, command: &[&str], more: &[&str]) -> Vec<String> {
     all
 }
 
-/// The last line of the intrinsic stage.
+/// Returns the last line of the intrinsic stage.
 fn last(place: &Place) -> Value {
     let text = String::from_utf8(place.read("run/log.jsonl")).unwrap();
     let mut lines = text.lines().map(|l| serde_json::from_str::<Value>(l).unwrap());
@@ -57,9 +59,9 @@ fn settings_of(warnings: &Value) -> Vec<String> {
 #[test]
 fn the_log_has_every_loss_that_runs() {
     let (place, _) = place();
-    let asked = format!("intrinsic.relight.provider={}", provider("misbehave=nothing"));
+    let relight_provider = format!("intrinsic.relight.provider={}", provider("misbehave=nothing"));
     let all = [
-        asked.as_str(),
+        relight_provider.as_str(),
         "intrinsic.losses.own_prior=0.2",
         "geometry.losses.correspondence=0",
         "geometry.semantics=false",
@@ -103,7 +105,7 @@ fn losses_that_cannot_run_are_warnings() {
     let plan = sgs(&arguments(&place, &["plan", "--stage", "all", "--json"], &[])).ok().json();
     assert_eq!(settings_of(&plan["warnings"]), geometry);
     assert_eq!(settings_of(&plan["intrinsic"]["warnings"]), materials);
-    // Where there are regions nothing says that there are none.
+    // With regions, no warning reports missing regions.
     room_with_masks(&place);
     let plan = sgs(&arguments(&place, &["plan", "--stage", "intrinsic"], &[])).ok().stdout;
     assert!(plan.contains("warning     albedo prior"), "{plan}");
@@ -117,7 +119,7 @@ fn room_with_masks(place: &Place) {
     }
 }
 
-/// What is logged does not depend on where a training was interrupted.
+/// The log does not depend on interruptions of the training.
 #[test]
 fn logs_outlive_an_interruption() {
     let (place, _) = place();

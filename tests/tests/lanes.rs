@@ -1,7 +1,7 @@
-//! The device tests again where lavapipe has 16 lanes: wide subgroups take other paths than the 8 lanes that it has by default.
+//! The device tests again on lavapipe with 16 lanes.
 //!
-//! By default a part of them, one program after the other. `SGS_TEST_LANES=all` runs every program that needs a device, which
-//! takes half an hour on two cores.
+//! Wide subgroups take other paths than the default 8 lanes. By default a subset runs, one program after the other.
+//! `SGS_TEST_LANES=all` runs every program that needs a device, which takes half an hour on two cores.
 
 use sgs_tests::Gpu;
 use sgs_tests::cli::sgs_with;
@@ -9,22 +9,24 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
 
-/// Bits of lavapipe's vectors, 32 for each lane. At 1024 it crashes.
+/// Width of lavapipe's vectors in bits, 32 for each lane. At 1024 it crashes.
 const WIDTH: &str = "512";
 
-/// Programs and tests of them that run by default: what sizes or strides anything by the subgroup.
+/// Programs and tests that run by default: those whose sizes or strides depend on the subgroup.
 const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[]), ("long_tiles", &[])];
 
 /// Programs that need no device, or start devices of their own.
 const WITHOUT_DEVICE: &[&str] = &["lanes", "layers", "presets"];
 
-/// The variables of a run at 16 lanes. Mesa's cache of compiled kernels does not tell widths apart, so each has its own.
+/// Returns the environment variables of a run at 16 lanes.
+///
+/// Mesa's cache of compiled kernels does not distinguish widths, so each has its own.
 fn variables() -> [(&'static str, String); 2] {
     let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("lanes16");
     [("LP_NATIVE_VECTOR_WIDTH", WIDTH.to_owned()), ("MESA_SHADER_CACHE_DIR", cache.to_string_lossy().into_owned())]
 }
 
-/// Whether the tests run on lavapipe at its default width.
+/// Returns whether the tests run on lavapipe at its default width.
 fn applies() -> bool {
     let gpu = Gpu::new();
     let applies = gpu.device().info().driver.starts_with("llvmpipe") && gpu.subgroup_size() == 8;
@@ -34,7 +36,7 @@ fn applies() -> bool {
     applies
 }
 
-/// The newest program of these tests; built if there is none.
+/// Returns the newest build of a test program; builds it if missing.
 fn program(name: &str) -> PathBuf {
     let this = std::env::current_exe().unwrap();
     let folder = this.parent().unwrap();
@@ -57,7 +59,7 @@ fn program(name: &str) -> PathBuf {
     })
 }
 
-/// Runs tests of a program at 16 lanes; the end of what it printed if they failed.
+/// Runs tests of a program at 16 lanes; returns the end of its output if they failed.
 fn run(name: &str, filters: &[&str]) -> Result<(), String> {
     let mut command = Command::new(program(name));
     command.args(filters).envs(variables()).env_remove("SGS_TEST_LANES");
@@ -70,7 +72,7 @@ fn run(name: &str, filters: &[&str]) -> Result<(), String> {
     Err(format!("{name} at 16 lanes: {}\n{}", output.status, lines[lines.len().saturating_sub(60)..].join("\n")))
 }
 
-/// Every program of this folder that needs a device.
+/// Lists every program of this folder that needs a device.
 fn programs() -> Vec<String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
     let files = std::fs::read_dir(folder).unwrap().flatten();
@@ -80,7 +82,7 @@ fn programs() -> Vec<String> {
     names
 }
 
-/// Not a test by itself: [`lavapipe_has_16_lanes`] runs it.
+/// Helper of [`lavapipe_has_16_lanes`], which runs it.
 #[test]
 #[ignore = "says how many lanes there are"]
 fn says_lanes() {

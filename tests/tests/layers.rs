@@ -1,5 +1,6 @@
-//! The house's layers: engine ← passes ← tools, shaders under passes alone, Vulkan and `unsafe` in the engine alone.
+//! Crate layers: engine ← passes ← tools; Vulkan and `unsafe` in the engine alone.
 //!
+//! Shaders are used by passes alone.
 //! The checks read `cargo metadata` and the sources; each has a control that must be caught.
 
 use serde_json::{Value, json};
@@ -34,8 +35,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("bench", &["engine", "shaders-glsl", "passes", "tools/*"]),
 ];
 
-/// Crates that only some folders may name, in a manifest or in code. The tests of embedding have a host with a device of
-/// its own, written as any application would write it.
+/// Crates that only some folders may name, in a manifest or in code.
+///
+/// The embedding tests have a host with its own device, written as any application would write it.
 const RESERVED: &[(&str, &[&str])] = &[
     ("ash", &["engine", "tests/embedding"]),
     ("ash-window", &["engine"]),
@@ -44,8 +46,9 @@ const RESERVED: &[(&str, &[&str])] = &[
     ("spirq", &["shaders-glsl/compiler"]),
 ];
 
-/// Where `unsafe` may stand: the engine, the border to C, an allocator that counts and a function that the compiler's counters call, which
-/// cannot be otherwise, and the host of the tests.
+/// Places where `unsafe` is allowed.
+///
+/// The engine, the C interface, an allocator that counts, a function that the compiler's counters call, and the test host.
 const UNSAFE: &[&str] =
     &["engine", "tools/capi", "tests/embedding", "tests/fuzz/src/count.rs", "tests/fuzz/src/hook.rs"];
 
@@ -63,7 +66,7 @@ fn metadata() -> Value {
     serde_json::from_slice(&output.stdout).expect("cargo metadata is JSON")
 }
 
-/// The entry of `ALLOWED` that a path in the workspace belongs to: the longest one that it begins with.
+/// Returns the entry of `ALLOWED` for a path: the longest one that is its prefix.
 fn folder(path: &str) -> Option<&'static str> {
     let within = |f: &str| path == f || path.strip_prefix(f).is_some_and(|rest| rest.starts_with('/'));
     ALLOWED.iter().map(|(f, _)| *f).filter(|f| within(f)).max_by_key(|f| f.len())
@@ -73,7 +76,7 @@ fn relative(root: &str, path: &str) -> String {
     path.strip_prefix(root).map_or(path, |p| p.trim_start_matches('/')).to_owned()
 }
 
-/// What is wrong with the edges of a workspace, one sentence each.
+/// Lists forbidden edges of a workspace, one sentence each.
 fn wrong_edges(metadata: &Value) -> Vec<String> {
     let root = metadata["workspace_root"].as_str().expect("a workspace");
     let mut wrong = Vec::new();
@@ -86,7 +89,7 @@ fn wrong_edges(metadata: &Value) -> Vec<String> {
             continue;
         };
         let allowed = ALLOWED.iter().find(|(f, _)| *f == floor).map_or(&[][..], |(_, a)| a);
-        // Dependencies for building and testing count like any others.
+        // Build and test dependencies count like any others.
         for dependency in package["dependencies"].as_array().expect("dependencies") {
             let needs = dependency["name"].as_str().unwrap_or_default();
             if let Some((_, owners)) = RESERVED.iter().find(|(n, owners)| *n == needs && !owners.contains(&floor)) {
@@ -104,7 +107,7 @@ fn wrong_edges(metadata: &Value) -> Vec<String> {
     wrong
 }
 
-/// The words of Rust source outside comments and literals.
+/// Returns the words of Rust source outside comments and literals.
 fn words(source: &str) -> Vec<String> {
     let c: Vec<char> = source.chars().collect();
     let at = |i: usize| c.get(i).copied().unwrap_or('\0');
@@ -136,7 +139,7 @@ fn words(source: &str) -> Vec<String> {
             }
             i += 1;
         } else if at(i) == '\'' && (at(i + 1) == '\\' || at(i + 2) == '\'') {
-            // A character; a lifetime has no closing quote so near.
+            // A character; a lifetime has no closing quote this close.
             i += if at(i + 1) == '\\' { 3 } else { 2 };
             while i < c.len() && c[i] != '\'' {
                 i += 1;
@@ -166,7 +169,7 @@ fn words(source: &str) -> Vec<String> {
     found
 }
 
-/// What a source file may not say where it lies.
+/// Lists words that a source file may not use at its path.
 fn wrong_words(path: &str, source: &str) -> Vec<String> {
     let inside = |f: &str| Path::new(path).starts_with(f);
     let mut wrong = Vec::new();
@@ -184,7 +187,7 @@ fn wrong_words(path: &str, source: &str) -> Vec<String> {
     wrong
 }
 
-/// Every Rust file of the workspace's crates, build products left out.
+/// Collects every Rust file of the workspace's crates, without build products.
 fn sources(folder: &Path, into: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
@@ -224,7 +227,7 @@ fn unsafe_and_vulkan_stay_in_the_engine() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Changes a copy of the real metadata: package `name` also depends on something.
+/// Returns the metadata after package `name` gains a dependency.
 fn planted(name: &str, dependency: Value) -> Vec<String> {
     let mut metadata = metadata();
     let packages = metadata["packages"].as_array_mut().expect("packages");

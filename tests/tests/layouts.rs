@@ -1,4 +1,6 @@
-//! One synthesized scene in three layouts: readers find the same cameras, images and ground truth, and training runs on each.
+//! One synthesized scene in three layouts.
+//!
+//! Readers find the same cameras, images and ground truth, and training runs on each.
 
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Layout, Scene, SceneOptions};
 use sgs_synth::{SynthLayout, SynthOptions, generate};
@@ -12,13 +14,13 @@ fn make(out: &Path, layout: SynthLayout) -> Scene {
     Scene::open(out, &SceneOptions::default()).unwrap()
 }
 
-/// Largest difference of two images.
+/// Returns the largest difference of two images.
 fn apart(a: &Image, b: &Image) -> f32 {
     assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
     a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// The same with values beyond white clipped, at pixels that count.
+/// Returns the same with values beyond white clipped, at pixels that count.
 fn clipped_apart(a: &Image, b: &Image, counts: &Image) -> f32 {
     let clip = |image: &Image| {
         let value = |(i, v): (usize, &f32)| if counts.data[i / 3] > 0.5 { v.min(1.0) } else { 0.0 };
@@ -27,7 +29,7 @@ fn clipped_apart(a: &Image, b: &Image, counts: &Image) -> f32 {
     apart(&clip(a), &clip(b))
 }
 
-/// Compares a scene with the same one in nerfstudio's layout, view by view: `names` gives the other's name of each view.
+/// Compares a scene with its nerfstudio layout view by view; `names` maps the names.
 fn assert_same(scene: &Scene, other: &Scene, test: &str) {
     assert_eq!((scene.split.train.len(), scene.split.test.len()), (4, 1));
     assert_eq!(

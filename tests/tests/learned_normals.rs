@@ -1,10 +1,11 @@
-//! Normals that are learned through what lamps shade: gradients of the Gaussians' normals against differences of the reference,
-//! under lights that nothing hides, that a field dims and that Gaussians hide; and bent ones are pulled back.
+//! Normals learned through shading: gradients against the reference.
+//!
+//! Lights are unoccluded, dimmed by a visibility field, or occluded by Gaussians. Perturbed normals are restored.
 
 use sgs_config::{Settings, VisibilityKind};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::reference::brdf::{V3, unit};
-use sgs_passes::reference::lights as twin;
+use sgs_passes::reference::lights as reference;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::lights::{Axes, LightModel, Lights, Shape, lights_normals_bwd, lights_prepare, lights_train};
 use sgs_passes::shade::{Weights, normals, normals_bwd};
@@ -17,7 +18,7 @@ use sgs_train::{Geometry, Intrinsic};
 
 const MODEL: LightModel = LightModel { lights: 4, lobes: 3, axes: Axes::Free };
 
-/// A view whose normals come from a few Gaussians.
+/// View whose normals come from a few Gaussians.
 struct Seen {
     case: Lit,
     /// By pixel: Gaussians and their weights.
@@ -44,20 +45,20 @@ impl Seen {
             row.iter_mut().for_each(|e| e.1 = narrow(e.1 / sum));
             rows.push(row);
         }
-        // Where nothing is there is no row either.
+        // Empty pixels have no row.
         case.pixels[size[0] / 2].coverage = 0.0;
         rows[size[0] / 2].clear();
         Seen { case, rows, normals, weight_bits: 32 }
     }
 
-    /// With weights that 16 bits hold, kept in as many.
+    /// Rounds the weights to 16 bits and stores them in 16 bits.
     fn in_16_bits(mut self) -> Seen {
         self.rows.iter_mut().flatten().for_each(|e| e.1 = (e.1 * 65535.0).round() / 65535.0);
         Seen { weight_bits: 16, ..self }
     }
 
-    /// The pixels with the normals that the Gaussians' make.
-    fn pixels(&self, normals: &[V3]) -> Vec<twin::Pixel> {
+    /// Returns the pixels with normals blended from those of the Gaussians.
+    fn pixels(&self, normals: &[V3]) -> Vec<reference::Pixel> {
         let mut pixels = self.case.pixels.clone();
         for (pixel, row) in pixels.iter_mut().zip(&self.rows) {
             let mut sum = [0.0; 3];
@@ -69,11 +70,11 @@ impl Seen {
 
     fn loss(&self, normals: &[V3]) -> f64 {
         let c = &self.case;
-        let [d, s] = twin::lights(&self.pixels(normals), &c.lights(), c.camera, c.normalizer());
+        let [d, s] = reference::lights(&self.pixels(normals), &c.lights(), c.camera, c.normalizer());
         d.iter().zip(&s).zip(&c.gradient).map(|((d, s), g)| (d + s) * g).sum()
     }
 
-    /// By central differences of the reference.
+    /// Computes the expected gradient by central differences of the reference.
     fn expected(&self) -> Vec<f64> {
         let mut normals = self.normals.clone();
         let mut found = Vec::new();
@@ -90,7 +91,7 @@ impl Seen {
         found
     }
 
-    /// The matrix in a graph, with its contents.
+    /// Declares the matrix in a graph, with its contents.
     fn weights(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> Weights {
         let count = self.rows.iter().map(Vec::len).sum::<usize>();
         let mut put = |name: &str, data: Vec<u8>| {
@@ -99,7 +100,7 @@ impl Seen {
             buffer
         };
         let words = |v: &[u32]| bytemuck::cast_slice(v).to_vec();
-        // Contents are what 16 bits hold.
+        // Contents are exact in 16 bits.
         let floats = |v: &[f32]| match self.weight_bits {
             16 => {
                 let parts = |w: &f32| (w * 65535.0).round() as u32;
@@ -136,7 +137,7 @@ impl Seen {
         }
     }
 
-    /// Radiance and the gradient of the Gaussians' normals.
+    /// Returns radiance and the gradient of the Gaussians' normals.
     fn run(&self, gpu: &Gpu) -> [Vec<f32>; 2] {
         let t = gpu.tuning();
         let mut g = Graph::new("learned_normals");
@@ -178,21 +179,23 @@ fn gradients_are_differences_of_the_reference() {
     for seen in cases.into_iter().chain([Seen::random([17, 9], 40, 2).in_16_bits()]) {
         let [direct, gradient] = seen.run(&gpu);
         let c = &seen.case;
-        let [d, s] = twin::lights(&seen.pixels(&seen.normals), &c.lights(), c.camera, c.normalizer());
+        let [d, s] = reference::lights(&seen.pixels(&seen.normals), &c.lights(), c.camera, c.normalizer());
         let whole: Vec<f64> = d.iter().zip(&s).map(|(d, s)| d + s).collect();
         assert_close("radiance", &whole, &direct, tolerance(&whole));
         let expected = seen.expected();
         assert!(expected.iter().any(|e| e.abs() > 1e-3));
         assert_close("gradient of normals", &expected, &gradient, tolerance(&expected));
         assert!(seen.run(&gpu) == [direct, gradient], "not the same every time");
-        // What compares would notice a lost weight, and a length that was left out.
+        // The comparison fails for a lost weight and for a missing length.
         let scaled: Vec<f32> =
             expected.iter().enumerate().map(|(i, x)| (x * if i % 5 == 0 { 1.01 } else { 1.0 }) as f32).collect();
         assert!(worst(&expected, &scaled, tolerance(&expected)).is_some_and(|w| w.3 > 1.0));
     }
 }
 
-/// Normals that cancel, that are zero, huge and tiny: numbers come out, and nothing is asked where there is no direction.
+/// Gradients stay finite for canceling, zero, huge and tiny normals.
+///
+/// They are zero without a direction.
 #[test]
 fn extremes_are_finite() {
     let gpu = Gpu::new();
@@ -223,7 +226,7 @@ fn settings(steps: u32) -> Settings {
     s
 }
 
-/// Mean angle between the normals of pixels of the training views, degrees.
+/// Computes the mean angle between pixel normals of the training views, degrees.
 fn apart(gpu: &Gpu, scene: &Scene, a: &sgs_scene::Splats, b: &sgs_scene::Splats) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     let mut shading = [a, b].map(|s| {
@@ -240,8 +243,9 @@ fn apart(gpu: &Gpu, scene: &Scene, a: &sgs_scene::Splats, b: &sgs_scene::Splats)
     sum / count
 }
 
-/// Photographs are what the stage itself shows of true normals under the lights that it starts with; of all that is learned
-/// only normals move.
+/// Training restores perturbed normals from rendered photographs.
+///
+/// Photographs are the stage's own renders of true normals under the initial lights. Only normals are trained.
 #[test]
 fn bent_normals_are_pulled_back() {
     let place = Place::new(Room { priors: true, ..Room::default() });
@@ -259,11 +263,11 @@ fn bent_normals_are_pulled_back() {
     let shown = shaded_scene(gpu.device(), &right, lights.as_ref(), None, &Visibility::None).unwrap();
     let mut shading = Shading::new(gpu.device(), shown).unwrap();
     for view in &scene.views {
-        let picture: Image = displayed(&shading.shade(&view.camera).unwrap().radiance([0.0; 3]));
-        let mean = picture.data.iter().sum::<f32>() / picture.data.len() as f32;
+        let rendered: Image = displayed(&shading.shade(&view.camera).unwrap().radiance([0.0; 3]));
+        let mean = rendered.data.iter().sum::<f32>() / rendered.data.len() as f32;
         println!("{}: mean {mean}", view.camera.name);
         assert!((0.2..0.8).contains(&mean), "pictures are too dark or too bright: {mean}");
-        write_png(&view.image_path, &picture).unwrap();
+        write_png(&view.image_path, &rendered).unwrap();
     }
     let scene = Scene::open(&place.path("scene"), &options).unwrap();
     // Half of them lean one way, half another.

@@ -1,38 +1,39 @@
-//! Shading under lights on a device against its reference and the reference's differences.
+//! Shading under lights on a device against the reference and its differences.
 
 use sgs_passes::reference::brdf::unit;
-use sgs_passes::reference::lights as twin;
+use sgs_passes::reference::lights as reference;
 use sgs_passes::shade::lights::{Axes, LightModel, Perturbation, Shape};
 use sgs_tests::lit::{BEFORE, Found, Lit, run, run_culled};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
-/// Shapes of other devices than this one; small, so that processors compile them quickly.
+/// Shapes of other devices; small, so that CPUs compile them quickly.
 fn shapes(gpu: &Gpu) -> [Shape; 2] {
     let own = Shape::for_device(gpu.tuning());
     [Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
 }
 
-/// Root of the mean square.
+/// Computes the root of the mean square.
 fn scale(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
-/// Radiance and materials' gradients of a case are those of the reference. Errors may be `relative` of a value, or a
-/// hundredth of that of the usual value.
+/// Checks radiance and material gradients of a case against the reference.
+///
+/// Errors are at most `relative` of a value, or a hundredth of that of the usual value.
 fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
     let lights = case.lights();
-    let [diffuse, specular] = twin::lights(&case.pixels, &lights, case.camera, case.normalizer());
+    let [diffuse, specular] = reference::lights(&case.pixels, &lights, case.camera, case.normalizer());
     let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
-    let bwd = twin::lights_materials_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient);
+    let bwd = reference::lights_materials_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient);
     let normals =
-        twin::lights_normals_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient).concat();
+        reference::lights_normals_bwd(&case.pixels, &lights, case.camera, case.normalizer(), &case.gradient).concat();
     for &shape in shapes {
         let found = run(gpu, shape, case, largest, None);
         let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-30, relative);
-        // Where there is no normal, differences see lights that a step in any direction would face; the kernel sees none.
+        // Without a normal, differences include lights that a step in any direction would face; the kernel has none.
         let bent = |(i, g): (usize, &f64)| if case.pixels[i / 3].normal == [0.0; 3] { 0.0 } else { *g };
         let normals: Vec<f64> = normals.iter().enumerate().map(bent).collect();
-        // In the middle of the sharpest highlight it is the rounding of the half vector, 1e-7, over its width, 1e-3.
+        // At the center of the sharpest highlight the error is the rounding of the half vector, 1e-7, over its width, 1e-3.
         let t = Tolerance::new(1e-4 * scale(&normals) + 1e-20, 1e-3);
         assert_close("gradient of normals", &normals, &found.normals, t);
         assert_close("radiance", &whole, &found.direct, tolerance(&whole));
@@ -51,9 +52,11 @@ fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
     }
 }
 
-/// Gradients of lights are the reference's differences. `relative` as in [`check_pixels`], of each kind of number by itself.
+/// Checks light gradients against differences of the reference.
+///
+/// `relative` as in [`check_pixels`], for each kind of number by itself.
 fn check_lights(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
-    let expected = twin::lights_bwd(&case.raw, &case.pixels, case.camera, case.normalizer(), &case.gradient);
+    let expected = reference::lights_bwd(&case.raw, &case.pixels, case.camera, case.normalizer(), &case.gradient);
     let row = case.raw.model.row() as usize;
     for &shape in shapes {
         let found = run(gpu, shape, case, largest, None);
@@ -70,7 +73,7 @@ fn check_lights(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
 #[track_caller]
 fn check_added(what: &str, expected: &[f64], found: &[f32], t: Tolerance) {
     let after: Vec<f64> = expected.iter().map(|e| e + f64::from(BEFORE)).collect();
-    // What was there before has rounding of its own.
+    // The previous contents have rounding of their own.
     let size = expected.iter().fold(f64::from(BEFORE), |m, e| m.max(e.abs()));
     assert_close(what, &after, found, Tolerance::new(t.absolute + 1e-7 * size, t.relative));
 }
@@ -103,7 +106,7 @@ fn lights_of_any_number_of_lobes() {
     }
 }
 
-/// One pixel and one light, turned to whatever is hard.
+/// Values for one pixel and one light: hard configurations.
 struct Hard {
     name: &'static str,
     change: fn(&mut Lit),
@@ -115,7 +118,9 @@ fn set_all(case: &mut Lit, at: usize, value: f64) {
     case.raw.lobes.chunks_mut(row).for_each(|r| r[at] = sgs_tests::lit::narrow(value));
 }
 
-/// Places the lights in a given direction from the middle of the pixels, which all lie at one place but for little.
+/// Places the lights in a direction from the middle of the pixels.
+///
+/// All pixels lie at nearly one position.
 fn aim(case: &mut Lit, normal: [f64; 3], view: [f64; 3], light: [f64; 3], distance: f64) {
     let narrow = |v: [f64; 3]| v.map(sgs_tests::lit::narrow);
     for (i, p) in case.pixels.iter_mut().enumerate() {
@@ -210,7 +215,7 @@ fn lights_at_extremes() {
     for (i, hard) in HARD.iter().enumerate() {
         let mut case = Lit::random([9, 4], SMALL, true, 40 + i as u32);
         (hard.change)(&mut case);
-        // Coverage is what 32 bits make of it.
+        // Coverage is rounded to 32 bits.
         case.pixels.iter_mut().for_each(|p| p.coverage = sgs_tests::lit::narrow(p.coverage));
         case.pixels.iter_mut().for_each(|p| p.material.roughness = sgs_tests::lit::narrow(p.material.roughness));
         eprintln!("{}", hard.name);
@@ -219,7 +224,7 @@ fn lights_at_extremes() {
     }
 }
 
-/// The camera behind a surface, opposite the light: there is no half vector, and next to nothing of one beside it.
+/// The camera behind a surface, opposite the light: the half vector is zero, and tiny beside it.
 #[test]
 fn a_light_opposite_the_camera_is_finite() {
     let gpu = Gpu::new();
@@ -234,9 +239,11 @@ fn a_light_opposite_the_camera_is_finite() {
     }
 }
 
-/// Whatever pixels without a surface hold, they are black, and so are their gradients; and a light in a point itself.
+/// Pixels without a surface are black with zero gradients, whatever they hold.
+///
+/// A light at the position of a pixel's point is tested too.
 #[test]
-fn lights_of_nothing_are_nothing() {
+fn lights_skip_pixels_without_surface() {
     let gpu = Gpu::new();
     let mut case = Lit::random([11, 3], SMALL, true, 3);
     for (i, p) in case.pixels.iter_mut().enumerate() {
@@ -254,7 +261,7 @@ fn lights_of_nothing_are_nothing() {
     case.raw.positions[..3].copy_from_slice(&case.pixels[2].point);
     let found = run(&gpu, shapes(&gpu)[0], &case, [11, 3], None);
     assert!(found.positions.iter().chain(&found.lobes).all(|x| x.is_finite()));
-    // Where the camera is in the point there is no direction of view to compare.
+    // Where the camera is at the point, the view direction is undefined.
     let mut seen = case.clone();
     seen.pixels.iter_mut().skip(1).step_by(3).for_each(|p| p.coverage = 0.0);
     check_lights(&gpu, &shapes(&gpu), &seen, [11, 3], 1e-3);
@@ -282,17 +289,17 @@ fn lights_that_are_off_cost_nothing_and_send_nothing() {
 }
 
 #[test]
-fn perturbed_lights_are_those_of_the_reference() {
+fn perturbed_lights_match_reference() {
     let gpu = Gpu::new();
     let model = LightModel { lights: 40, lobes: 3, axes: Axes::Free };
     let case = Lit::random([13, 7], model, false, 8);
     let mut seen = Vec::new();
     for copy in [0, 1] {
         let p = Perturbation::published(copy, 1.0);
-        let moved = Lit { raw: twin::perturb(&case.raw, case.seed, &p), ..case.clone() };
+        let moved = Lit { raw: reference::perturb(&case.raw, case.seed, &p), ..case.clone() };
         let off = moved.raw.gains.iter().filter(|g| **g == 0.0).count();
         assert!((4..24).contains(&off), "{off} of 40 lights are off");
-        let [diffuse, specular] = twin::lights(&case.pixels, &moved.lights(), case.camera, case.normalizer());
+        let [diffuse, specular] = reference::lights(&case.pixels, &moved.lights(), case.camera, case.normalizer());
         let whole: Vec<f64> = diffuse.iter().zip(&specular).map(|(d, s)| d + s).collect();
         let found = run(&gpu, shapes(&gpu)[0], &case, [13, 7], Some(&p));
         assert_close("radiance", &whole, &found.direct, Tolerance::new(1e-5 * scale(&whole), 2e-4));
@@ -302,7 +309,7 @@ fn perturbed_lights_are_those_of_the_reference() {
 }
 
 #[test]
-fn lights_are_the_same_every_time() {
+fn lights_are_deterministic() {
     let gpu = Gpu::new();
     let case = Lit::random([31, 9], SMALL, true, 12);
     let once = || {
@@ -317,12 +324,12 @@ fn lights_are_the_same_every_time() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// The checks above would notice what is wrong by a thousandth, or one light too few.
+/// Checks that an error of a thousandth or a missing light fails the checks.
 #[test]
 fn checks_of_lights_can_fail() {
     let case = Lit::random([9, 4], SMALL, true, 21);
     let sum = |case: &Lit| -> Vec<f64> {
-        let [d, s] = twin::lights(&case.pixels, &case.lights(), case.camera, case.normalizer());
+        let [d, s] = reference::lights(&case.pixels, &case.lights(), case.camera, case.normalizer());
         d.iter().zip(&s).map(|(d, s)| d + s).collect()
     };
     let expected = sum(&case);
@@ -343,14 +350,15 @@ fn checks_of_lights_can_fail() {
     assert!(excess(&sum(&other)) > 1.0);
 }
 
-/// What is missing where faint lights are left out is no more than was allowed, and lights that are left out everywhere have
-/// no gradient; with nothing allowed, nothing changes.
+/// Culling of faint lights stays within its bound.
+///
+/// Lights that are culled everywhere have no gradient. With a bound of zero, nothing changes.
 #[test]
 fn culling_keeps_within_its_bound() {
     let gpu = Gpu::new();
     let model = LightModel { lights: 30, lobes: 4, axes: Axes::Free };
     let mut case = Lit::random([48, 9], model, false, 15);
-    // Pixels of a row are together, and lights far and wide: some reach everywhere, some nowhere.
+    // Pixels of a row are close together and lights far apart: some reach all pixels, some none.
     for (i, p) in case.pixels.iter_mut().enumerate() {
         p.point = [i % 48, i / 48, i % 5].map(|x| sgs_tests::lit::narrow(0.1 * x as f64));
         p.material.roughness = 1.0;
@@ -375,28 +383,31 @@ fn culling_keeps_within_its_bound() {
                     let d = f64::from(full.direct[3 * i + c]) - f64::from(less.direct[3 * i + c]);
                     let shine = f64::from(missing) * case.normalizer() / std::f64::consts::TAU;
                     assert!(d <= bound + shine + 1e-6);
-                    // Of albedo, what is asked times the irradiance over pi, so that the bound is that of white.
+                    // The albedo gradient is the loss gradient times the irradiance over pi, so a white albedo sets the bound.
                     let at = |f: &Found| f64::from(f.materials[4 * i + c]);
                     let white = f64::from(missing) * case.normalizer() / std::f64::consts::PI;
-                    let asked = case.gradient[3 * i + c].abs();
+                    let loss_gradient = case.gradient[3 * i + c].abs();
                     let off = (at(&full) - at(&less)).abs();
-                    assert!(off <= asked * white + 1e-5 * (1.0 + at(&full).abs()), "{missing}: {off} of {white}");
+                    assert!(
+                        off <= loss_gradient * white + 1e-5 * (1.0 + at(&full).abs()),
+                        "{missing}: {off} of {white}"
+                    );
                     by_albedo = by_albedo.max(off);
                 }
             }
-            // Of a light's logarithmic amplitudes, all together: what is asked of a pixel times what it is short of.
+            // Log-amplitude gradients, summed: at most the loss gradient of each pixel times the light that it lacks.
             let amplitudes = |f: &Found| -> Vec<f64> {
                 f.lobes.chunks(row).map(|r| r[row - 3..].iter().map(|x| f64::from(*x)).sum()).collect()
             };
             let off: f64 = amplitudes(&full).iter().zip(amplitudes(&less)).map(|(a, b)| (a - b).abs()).sum();
             let most_of =
                 f64::from(missing) * case.normalizer() * (1.0 / std::f64::consts::PI + 1.0 / std::f64::consts::TAU);
-            let asked: f64 = case.gradient.iter().map(|g| g.abs()).sum();
-            assert!(off <= 1.001 * asked * most_of + 1e-4, "{missing}: {off} of {}", asked * most_of);
+            let loss_gradient: f64 = case.gradient.iter().map(|g| g.abs()).sum();
+            assert!(off <= 1.001 * loss_gradient * most_of + 1e-4, "{missing}: {off} of {}", loss_gradient * most_of);
             assert!(off > 0.0 && by_albedo > 0.0, "{missing}: gradients are the same");
             let dark = |f: &Found| f.positions.chunks(3).filter(|g| g.iter().all(|x| *x == 0.0)).count();
             assert!(dark(&less) > dark(&full), "{missing} leaves out {} lights", dark(&less));
-            // The bound is one, not a rule of thumb: it is no more than some hundred times too careful here.
+            // The bound is not loose: at most some hundred times the error here.
             assert!(most > 1e-3, "{missing}: {most}");
         }
         assert_eq!(full.direct, run_culled(&gpu, shape, &case, [48, 9], None, 0.0).direct);

@@ -1,7 +1,7 @@
-//! What is asked of lights for their own sake, and which are switched off, against the reference.
+//! Regularization and pruning of lights against the reference.
 
 use sgs_engine::graph::Graph;
-use sgs_passes::reference::lights as twin;
+use sgs_passes::reference::lights as reference;
 use sgs_passes::shade::lights::{
     Axes, LightGradients, LightModel, LightParameterGradients, LightParameters, Lights, Shape, lights_prepare,
     lights_prepare_bwd, lights_prune, lights_regularize,
@@ -11,9 +11,11 @@ use sgs_tests::{Gpu, Tolerance, assert_close};
 
 const SMALL: LightModel = LightModel { lights: 5, lobes: 12, axes: Axes::Grid };
 
-/// Both losses and both gradients, as differences of the reference; lights that are off have neither.
+/// Both losses and both gradients match differences of the reference.
+///
+/// Lights that are off have neither.
 #[test]
-fn regularizers_are_those_of_the_reference() {
+fn light_regularizers_match_reference() {
     let gpu = Gpu::new();
     let weights = [0.3_f32, 0.7];
     for (size, model, far) in [
@@ -25,7 +27,7 @@ fn regularizers_are_those_of_the_reference() {
         case.pixels.iter_mut().step_by(3).for_each(|p| (p.coverage, p.point) = (0.0, [f64::NAN; 3]));
         case.raw.gains[1] = 0.0;
         case.raw.lobes[5] = 16.0;
-        // A light in a point, and one that is too near for a gradient.
+        // A light at a point, and one that is too near for a gradient.
         case.raw.positions[..3].copy_from_slice(&case.pixels[1].point);
         case.raw.positions[6..9].copy_from_slice(&case.pixels[2].point.map(|x| sgs_tests::lit::narrow(x + 0.01)));
         if far {
@@ -50,15 +52,15 @@ fn regularizers_are_those_of_the_reference() {
             let gradients = LightGradients { buffer: sums };
             lights_prepare_bwd(&mut g, &prepared, &bound.parameters, &gradients, Some(&regularizers), &into).unwrap();
             let out = gpu.run(g, &bound.inputs);
-            let expected = twin::lights_regularize(&case.raw, &case.pixels);
+            let expected = reference::lights_regularize(&case.raw, &case.pixels);
             assert_close("losses", &expected, &out.get::<f32>(losses), Tolerance::new(0.0, 1e-5));
             assert_eq!(far, expected[0] == 0.0);
-            let total = |raw: &twin::Raw| {
-                let [near, bright] = twin::lights_regularize(raw, &case.pixels);
+            let total = |raw: &reference::Raw| {
+                let [near, bright] = reference::lights_regularize(raw, &case.pixels);
                 f64::from(weights[0]) * near + f64::from(weights[1]) * bright
             };
             let mut raw = case.raw.clone();
-            let mut slopes = |which: fn(&mut twin::Raw) -> &mut Vec<f64>| -> Vec<f64> {
+            let mut slopes = |which: fn(&mut reference::Raw) -> &mut Vec<f64>| -> Vec<f64> {
                 (0..which(&mut raw).len())
                     .map(|i| {
                         let x = which(&mut raw)[i];
@@ -72,7 +74,7 @@ fn regularizers_are_those_of_the_reference() {
                     .collect()
             };
             let (places, lobes) = (slopes(|r| &mut r.positions), slopes(|r| &mut r.lobes));
-            // Differences of a sum that one bright light rules are good to that light's rounding.
+            // Differences of a sum dominated by one bright light have that light's rounding.
             let floor = 1e-9 * (1.0 + total(&case.raw));
             assert_close("places", &places, &out.get::<f32>(into.positions), Tolerance::new(floor, 1e-3));
             assert_close("lobes", &lobes, &out.get::<f32>(into.lobes), Tolerance::new(floor, 1e-3));
@@ -97,7 +99,7 @@ fn faint_lights_are_pruned() {
             let parameters = LightParameters { gains, ..bound.parameters };
             lights_prune(&mut g, gpu.tuning(), model, &parameters, share).unwrap();
             let found: Vec<f32> = gpu.run(g, &bound.inputs).get(gains);
-            let expected = twin::lights_prune(&case.raw, f64::from(share));
+            let expected = reference::lights_prune(&case.raw, f64::from(share));
             assert_close("gains", &expected, &found, Tolerance::new(0.0, 0.0));
             let on = expected.iter().filter(|x| **x != 0.0).count();
             assert!(on >= 1 && on < model.lights as usize);

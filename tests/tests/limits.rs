@@ -1,4 +1,4 @@
-//! Limits of single buffers and kernels: what exceeds them is refused with figures, before anything is allocated.
+//! Limits of buffers and kernels: excess is refused before any allocation.
 
 use sgs_config::Settings;
 use sgs_engine::device::Limits;
@@ -17,7 +17,7 @@ fn open(limits: Limits) -> Device {
     Device::open(&DeviceOptions { select, validation: true, limits, ..Default::default() }).unwrap()
 }
 
-/// That nothing was allocated, and that validation has nothing to say.
+/// Fails unless nothing was allocated and validation was silent.
 fn assert_untouched(device: &Device) {
     assert_eq!((device.memory_use(), device.activity().made), ((0, 0), 0));
     assert_eq!(device.messages().take(), Vec::<String>::new());
@@ -107,7 +107,7 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     let error = Intrinsic::new(&device, &scene, &s, &splats).err().unwrap();
     assert!(error.to_string().starts_with("The photographs need 18432 bytes in one buffer"), "{error}");
     assert_untouched(&device);
-    // What a step leaves between its passes comes next.
+    // The intermediate buffers of a step come next.
     let device = open(Limits { buffer: photographs, ..Default::default() });
     let error = Geometry::new(&device, &scene, &s, None).err().unwrap().to_string();
     assert!(error.starts_with("The intermediate results of a step need "), "{error}");

@@ -1,4 +1,6 @@
-//! Long trainings of a tiny room with every loss on: numbers stay finite, losses do not creep up, memory does not grow.
+//! Long trainings of a tiny room with every loss on.
+//!
+//! Numbers stay finite, losses do not increase, memory does not grow.
 //!
 //! `SGS_TEST_LONG=1` asks for 100 000 steps of each stage, `SGS_TEST_LONG=N` for N.
 
@@ -10,7 +12,7 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Intrinsic, Progress};
 use std::sync::{Mutex, PoisonError};
 
-/// Steps of a stage: so many in the suite, and what is asked for otherwise.
+/// Returns the steps of a stage: `usual`, or those of `SGS_TEST_LONG`.
 fn steps(usual: u32) -> u32 {
     match std::env::var("SGS_TEST_LONG").ok().and_then(|n| n.parse().ok()) {
         None => usual,
@@ -44,20 +46,20 @@ fn settings() -> Settings {
     s
 }
 
-/// One training at a time: both are in this process's memory.
+/// Lock for one training at a time: both use this process's memory.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// Bytes that this process has in memory.
+/// Returns the resident bytes of this process.
 fn resident() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find(|l| l.starts_with("VmRSS:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Losses that must not creep up, the first ones of a course.
+/// Number of losses that must not increase, the first of a course.
 const HELD: usize = 4;
 
-/// What is kept of a long training: the losses of its tenths, and memory at the middle and the end.
+/// Record of a long training: mean losses of its tenths, memory at the middle and the end.
 #[derive(Default)]
 struct Course {
     steps: u32,
@@ -72,13 +74,15 @@ impl Course {
         let tenth = ((step - 1) as u64 * 10 / u64::from(self.steps)) as usize;
         self.counts[tenth] += 1;
         self.sums[tenth].iter_mut().zip(losses).for_each(|(s, l)| *s += f64::from(*l));
-        // In the second half the device's compiler has made all that it will make, and Gaussians are as many as there may be.
+        // In the second half the device's compiler is done, and the number of Gaussians is at its cap.
         if step == self.steps / 2 || step == self.steps {
             self.resident[usize::from(step == self.steps)] = resident();
         }
     }
 
-    /// Fails if it has got worse, or larger, or if a loss was off in some tenth; `names` are those of the losses that were seen.
+    /// Fails if losses or memory grew, or a loss was zero in a tenth.
+    ///
+    /// `names` are those of the recorded losses.
     fn check(&self, what: &str, names: &[&str], device: &sgs_engine::Device) {
         let mean = |tenth: usize| self.sums[tenth].map(|s| s / f64::from(self.counts[tenth]));
         for tenth in 0..10 {
@@ -108,7 +112,7 @@ fn geometry_with_every_loss() {
     let mut course = Course { steps: s.geometry.steps, ..Course::default() };
     let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
     let (mut compared, mut skipped) = (0, 0);
-    let heard = |p: &Progress| {
+    let progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             let l = &r.losses;
             assert!(l.total.is_finite() && l.depth_variance.is_finite() && l.correspondence.is_finite());
@@ -119,7 +123,7 @@ fn geometry_with_every_loss() {
             skipped = r.skipped;
         }
     };
-    training.train(s.geometry.steps, heard, || true).unwrap();
+    training.train(s.geometry.steps, progress, || true).unwrap();
     let names = ["photographs", "normals", "features", "classes", "smoothness of normals", "smoothness of depth"];
     let others = ["spread of depth", "correspondence", "correspondence of classes"];
     course.check("geometry", &[&names[..], &others].concat(), gpu.device());
@@ -142,7 +146,7 @@ fn materials_with_every_loss() {
     let unreported = [l.environment_smooth, l.light_position, l.light_value, l.visibility_jitter];
     assert!(unreported.iter().all(|weight| *weight > 0.0), "{unreported:?}");
     if s.intrinsic.steps > 10_000 {
-        // Filtering them takes three quarters of a step that shades so few pixels.
+        // Filtering the map takes three quarters of a step with this few pixels.
         s.intrinsic.environment.every = 8;
     }
     let mut geometry = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
@@ -152,13 +156,13 @@ fn materials_with_every_loss() {
     let mut course = Course { steps: s.intrinsic.steps, ..Course::default() };
     let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
     let (mut crossed, mut relit, mut skipped) = (0, 0, 0);
-    let heard = |r: &sgs_passes::pipeline::IntrinsicReport| {
+    let progress = |r: &sgs_passes::pipeline::IntrinsicReport| {
         let m = &r.materials;
         let others = [m.albedo_msg, m.roughness_msg, m.albedo_edge, m.roughness_edge, m.cross_view, m.own_prior];
         course.see(r.step, &[&[r.shaded, r.albedo, r.roughness, r.metallic][..], &others].concat());
         (crossed, relit, skipped) = (crossed + r.materials.cross_pairs, relit + r.materials.own_count, r.skipped);
     };
-    training.train(s.intrinsic.steps, heard, || true).unwrap();
+    training.train(s.intrinsic.steps, progress, || true).unwrap();
     let names = ["photographs", "albedo", "roughness", "metallic", "gradients of albedo", "gradients of roughness"];
     let others = ["edges of albedo", "edges of roughness", "cross-view", "own prior"];
     course.check("materials", &[&names[..], &others].concat(), gpu.device());

@@ -1,7 +1,7 @@
-//! Tiles with more entries than usual: none may be lost on the way.
+//! Tiles with more entries than usual: no entry may be lost.
 //!
-//! Drivers have limits of their own: llvmpipe leaves loops after 65535 iterations, those of all loops of an invocation
-//! together, without a word.
+//! Drivers have limits of their own: llvmpipe silently leaves loops after 65535 iterations, summed over all loops of an
+//! invocation.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_engine::graph::{Graph, Slice};
@@ -22,8 +22,9 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// Specks that barely show, all over one small picture: no pixel is ever full, so that every entry counts. Behind a wall,
-/// if asked for, none of them does.
+/// Builds faint specks all over one small image.
+///
+/// No pixel saturates, so every entry counts. With `wall`, none behind the wall counts.
 fn specks(count: usize, wall: bool) -> Gaussians {
     let mut r = Rng::new(1);
     let mut g = Gaussians::default();
@@ -102,7 +103,7 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
     assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
     let found = out.get::<u32>(total)[0] as usize;
     assert!(found > count / 4, "{found} entries");
-    // Everything is gray and every feature one, so that picture, features and sums of gradients are sums of weights.
+    // Every color is gray and every feature one, so image, features and gradient sums are sums of weights.
     let transmittance = out.get::<f32>(blended.transmittance);
     let range = if wall { 1e-4..0.011 } else { 2e-4..0.99 };
     assert!(transmittance.iter().all(|t| range.contains(t)), "{transmittance:?}");
@@ -137,7 +138,7 @@ fn no_entry_of_a_long_tile_is_lost() {
     }
 }
 
-/// Once a tile is full the rest of its entries still get their zeros.
+/// Entries after a full tile still get their zeros.
 #[test]
 fn entries_behind_a_wall_are_written() {
     let gpu = Gpu::new();

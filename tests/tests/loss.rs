@@ -1,16 +1,18 @@
-//! The losses on a device against their references and against finite differences of these.
+//! The photometric losses on a device against references and differences.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
 use sgs_passes::loss::{Photometric, photometric, photometric_bwd_in_place};
-use sgs_passes::reference::photometric as twin;
+use sgs_passes::reference::photometric as reference;
 use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::Step;
 use sgs_tests::photographs::{OFFSET, SPARE, WEIGHTS, bytes, padded, run_photometric, step};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
 
-/// The device's own sizes, and those of a GPU, with which any device gets the same.
+/// Returns the device's own sizes and those of a GPU.
+///
+/// Any device gives the same result with the latter.
 fn tunings(gpu: &Gpu) -> [Tuning; 2] {
     [gpu.tuning(), Tuning { subgroup_size: 64, ..gpu.tuning() }]
 }
@@ -28,7 +30,7 @@ fn random_case(shape: Shape, seed: u32) -> (Vec<f32>, Vec<u32>) {
     let image = (0..shape.pixels() * shape.channels)
         .map(|i| {
             let c = i % shape.channels;
-            let near = twin::unpack(targets[i / shape.channels], c.min(3));
+            let near = reference::unpack(targets[i / shape.channels], c.min(3));
             (if rng.uniform() < 0.3 { rng.uniform() } else { near + 0.05 * rng.normal() }) as f32
         })
         .collect();
@@ -37,8 +39,8 @@ fn random_case(shape: Shape, seed: u32) -> (Vec<f32>, Vec<u32>) {
 
 fn check_photometric(gpu: &Gpu, shape: Shape, largest: [u32; 2], image: &[f32], targets: &[u32]) {
     let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
-    let expected = twin::photometric_bwd(&wide, targets, shape, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
-    let loss = twin::photometric(&wide, targets, shape);
+    let expected = reference::photometric_bwd(&wide, targets, shape, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
+    let loss = reference::photometric(&wide, targets, shape);
     let n = 3.0 * shape.pixels() as f64;
     let what = format!("gradient of {shape:?}");
     let rgb = |p: &usize| p % shape.channels < 3;
@@ -50,7 +52,7 @@ fn check_photometric(gpu: &Gpu, shape: Shape, largest: [u32; 2], image: &[f32], 
         // Relative to the gradient of L1, which is WEIGHTS[0] / n.
         assert_close(&what, &expected, &found, Tolerance::new(2e-4 / n, 2e-4));
         assert_close("L1", &[loss.l1], &[stats.l1], Tolerance::new(1e-7, 2e-6));
-        // A variance is a difference of squares: what is left of it relative to C2 falls with the square of the values.
+        // A variance is a difference of squares: its remainder relative to C2 falls with the square of the values.
         let square = image.iter().map(|&x| f64::from(x * x)).fold(1.0, f64::max);
         let tolerance = Tolerance::new(3e-6 * square, 1e-5);
         assert_close("SSIM", &[loss.ssim], &[stats.ssim], tolerance);
@@ -84,7 +86,7 @@ fn photometric_of_a_view_smaller_than_the_largest() {
     check_photometric(&gpu, shape, [64, 70], &image, &targets);
 }
 
-/// More tiles than a grid has workgroups along x, one row of them.
+/// Uses more tiles than a grid has workgroups along x, in one row.
 #[test]
 fn photometric_of_a_folded_grid() {
     let gpu = Gpu::new();
@@ -96,7 +98,7 @@ fn photometric_of_a_folded_grid() {
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, largest, &vec![0.25; 3 * n], &targets);
     let l1 = (0..n).map(|p| if target(p) == u32::MAX { 0.75 } else { 0.25 }).sum::<f64>() / n as f64;
     assert_close("L1", &[l1], &[stats.l1], Tolerance::new(0.0, 1e-5));
-    // The picture repeats itself, so the gradient does.
+    // The image is periodic, so the gradient is.
     for p in 1010..n - 1010 {
         let (a, b) = (gradient[3 * p], gradient[3 * (p - 1000)]);
         assert!((a - b).abs() <= 1e-4 * a.abs() && a != 0.0, "{p}: {a} {b}");
@@ -113,9 +115,9 @@ fn photometric_at_extremes() {
     for (value, target) in cases {
         check_photometric(&gpu, shape, [30, 21], &vec![value; 3 * n], &vec![target | 0xff00_0000; n]);
     }
-    // Equal where it is not exact in 32 bits: the sign of L1 there may be anything, SSIM's part must vanish.
+    // Equal, but inexact in 32 bits: the sign of L1 is arbitrary there, and SSIM's term must vanish.
     let target = 0xff80_4020_u32;
-    let image: Vec<f32> = (0..3 * n).map(|i| twin::unpack(target, i % 3) as f32).collect();
+    let image: Vec<f32> = (0..3 * n).map(|i| reference::unpack(target, i % 3) as f32).collect();
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [30, 21], &image, &vec![target; n]);
     assert!((stats.ssim - 1.0).abs() < 1e-5 && stats.l1 < 1e-7, "{stats:?}");
     let l1 = WEIGHTS[0] / (3 * n) as f32;
@@ -125,9 +127,11 @@ fn photometric_at_extremes() {
     }
 }
 
-/// Where rounding of squares is more than variances are, similarities are still none above one, and gradients none that drown L1's.
+/// SSIM stays at most one where rounding of squares exceeds the variances.
+///
+/// Its gradients do not exceed those of L1.
 #[test]
-fn photometric_of_pictures_far_too_bright() {
+fn photometric_of_overbright_images() {
     let gpu = Gpu::new();
     let shape = Shape { width: 40, height: 33, channels: 3 };
     let n = 3.0 * shape.pixels() as f32;
@@ -142,7 +146,7 @@ fn photometric_of_pictures_far_too_bright() {
     }
 }
 
-/// Pixels with alpha 0 do not count, whatever the render is there, and neither do they for their neighbors.
+/// Pixels with alpha 0 count neither themselves nor for their neighbors.
 #[test]
 fn photometric_leaves_out_what_does_not_count() {
     let gpu = Gpu::new();
@@ -162,7 +166,7 @@ fn photometric_leaves_out_what_does_not_count() {
     let (after, again) = run(&image, &targets);
     assert_eq!(before[..3 * shape.pixels()], after[..3 * shape.pixels()]);
     assert_eq!((stats.l1, stats.ssim), (again.l1, again.ssim));
-    // Without the mask the change shows.
+    // Without the mask the change is visible.
     targets.iter_mut().for_each(|t| *t |= 0xff00_0000);
     assert!(run(&image, &targets).1.l1 > 2.0 * stats.l1);
 }
@@ -175,7 +179,7 @@ fn photometric_gradient_is_the_finite_difference_of_the_reference() {
     let (gradient, _) = run_photometric(&gpu, gpu.tuning(), shape, [26, 19], &image, &targets);
     let mut wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
     let loss = |x: &[f64]| {
-        let r = twin::photometric(x, &targets, shape);
+        let r = reference::photometric(x, &targets, shape);
         f64::from(WEIGHTS[0]) * r.l1 + f64::from(WEIGHTS[1]) * (1.0 - r.ssim)
     };
     let n = 3.0 * shape.pixels() as f64;
@@ -193,7 +197,9 @@ fn photometric_gradient_is_the_finite_difference_of_the_reference() {
     }
 }
 
-/// The same numbers as beside the image, bit for bit, nothing behind the view touched, and the debt of every pixel.
+/// The in-place gradient equals the separate one, bit for bit.
+///
+/// Nothing past the view is touched, and every pixel has its debt.
 #[test]
 fn photometric_in_place_is_the_same_gradient_and_its_debt() {
     let gpu = Gpu::new();
@@ -238,7 +244,7 @@ fn photometric_in_place_is_the_same_gradient_and_its_debt() {
 }
 
 #[test]
-fn photometric_is_the_same_every_time() {
+fn photometric_is_deterministic() {
     let gpu = Gpu::new();
     let shape = Shape { width: 97, height: 61, channels: 3 };
     let (image, targets) = random_case(shape, 13);
@@ -250,13 +256,13 @@ fn photometric_is_the_same_every_time() {
     assert!((0..3).all(|_| run() == first));
 }
 
-/// The checks above would notice a gradient that is wrong by a thousandth, or in one pixel.
+/// Checks that a gradient off by a thousandth, or in one pixel, fails.
 #[test]
 fn photometric_checks_can_fail() {
     let shape = Shape { width: 26, height: 19, channels: 3 };
     let (image, targets) = random_case(shape, 11);
     let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
-    let expected = twin::photometric_bwd(&wide, &targets, shape, 0.8, 0.2);
+    let expected = reference::photometric_bwd(&wide, &targets, shape, 0.8, 0.2);
     let tolerance = Tolerance::new(2e-4 / (3.0 * shape.pixels() as f64), 2e-4);
     let exact: Vec<f32> = expected.iter().map(|&g| g as f32).collect();
     assert!(sgs_tests::worst(&expected, &exact, tolerance).unwrap().3 < 1.0);
@@ -265,7 +271,7 @@ fn photometric_checks_can_fail() {
     let mut one = exact.clone();
     one[100] = one[103];
     assert!(sgs_tests::worst(&expected, &one, tolerance).unwrap().3 > 1.0);
-    let reweighted = twin::photometric_bwd(&wide, &targets, shape, 0.8, 0.21);
+    let reweighted = reference::photometric_bwd(&wide, &targets, shape, 0.8, 0.21);
     let reweighted: Vec<f32> = reweighted.iter().map(|&g| g as f32).collect();
     assert!(sgs_tests::worst(&expected, &reweighted, tolerance).unwrap().3 > 1.0);
 }

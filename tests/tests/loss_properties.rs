@@ -1,8 +1,10 @@
-//! Losses of pictures whose numbers are drawn log-uniformly, against their double-precision twins: colors, normals and depths,
-//! materials. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
+//! Property tests of losses against their double-precision references.
 //!
-//! What single precision may be off by is measured: by how much the twins' answers move with their inputs, or with the means of
-//! windows, by some units of the last place.
+//! Image values are drawn log-uniformly: colors, normals and depths, materials. Failures are shrunk. The numbers are the
+//! same every time; `SGS_TEST_CASES` sets their count.
+//!
+//! Bounds of single precision are measured: by the sensitivity of the references to perturbations of inputs, or of window
+//! means, by a few units in the last place.
 
 use proptest::prelude::*;
 use sgs_passes::loss::octahedral_encode;
@@ -17,18 +19,18 @@ use sgs_tests::materials::{self, Asked, Painted};
 use sgs_tests::photographs::{WEIGHTS, run_photometric};
 use sgs_tests::surfaces::{self, narrow};
 
-/// By how much inputs are moved, of themselves, and how often.
+/// Relative perturbation of inputs, and the number of draws.
 const MOVE: f64 = 4e-7;
 const DRAWS: usize = 4;
 
-/// A picture: how large it is, how far it is from its photograph, how much of that everywhere alike, which pixels count.
+/// Rendered image: size, distance from its photograph, constant share, masked pixels.
 #[derive(Clone, Debug)]
 struct Colors {
     size: [usize; 2],
     channels: usize,
-    /// Powers of ten between which differences to the photograph are.
+    /// Powers of ten that bound the differences to the photograph.
     off: [f64; 2],
-    /// A picture that is one color all over, times noise.
+    /// Image of one color, times noise.
     flat: Option<(f64, f64)>,
     holes: f64,
     seed: u32,
@@ -44,7 +46,7 @@ prop_compose! {
         holes in prop_oneof![Just(0.0), 0.0..1.0],
         seed in 0..1_000_000_u32,
     ) -> Colors {
-        // Half of the pictures stay within what a camera sees.
+        // Half of the images stay within the range of a camera.
         let high = if seed % 2 == 0 { 0.0 } else { high };
         Colors { size, channels, off: [low, high], flat, holes, seed }
     }
@@ -55,7 +57,7 @@ impl Colors {
         Shape { width: self.size[0], height: self.size[1], channels: self.channels }
     }
 
-    fn pictures(&self) -> (Vec<f32>, Vec<u32>) {
+    fn inputs(&self) -> (Vec<f32>, Vec<u32>) {
         let (shape, mut rng) = (self.shape(), Pcg::new(self.seed));
         let (rough, flat) = (rng.uniform(), rng.next_u32());
         let target = |rng: &mut Pcg| {
@@ -77,16 +79,16 @@ impl Colors {
     }
 }
 
-/// With gradients times `planted`.
+/// Compares colors with gradients times `planted`.
 fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
-    let (shape, (image, targets)) = (drawn.shape(), drawn.pictures());
+    let (shape, (image, targets)) = (drawn.shape(), drawn.inputs());
     let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
     let weights = WEIGHTS.map(f64::from);
     let (expected, size) = color::photometric_bwd_off(&wide, &targets, shape, weights, &mut |_| 0.0);
     let mut rng = Pcg::new(1);
     let mut off = vec![0.0_f64; expected.len()];
     for draw in 0..DRAWS {
-        // Where a picture is one color, every window's mean is rounded alike.
+        // In an image of one color, every window's mean has the same rounding.
         let up = |rng: &mut Pcg| if draw < 2 { draw == 0 } else { rng.uniform() < 0.5 };
         let mut moved = |size: f64| MOVE * size * if up(&mut rng) { 1.0 } else { -1.0 };
         let (other, _) = color::photometric_bwd_off(&wide, &targets, shape, weights, &mut moved);
@@ -94,7 +96,7 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) ->
     }
     let (found, stats) = run_photometric(gpu, gpu.tuning(), shape, drawn.size.map(|n| n as u32), &image, &targets);
     let n = 3.0 * shape.pixels() as f64;
-    // Where squares are so large that little more than rounding is left of variances, draws say how large errors are, not what they are.
+    // If squares are so large that variances are mostly rounding, draws estimate the size of errors only.
     let largest = wide.iter().fold(1.0_f64, |m, x| m.max(x.abs()));
     let blind = (MOVE * largest * largest / 9e-4).min(1.0);
     for i in (0..expected.len()).filter(|i| i % shape.channels < 3) {
@@ -106,7 +108,7 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) ->
     let losses = color::photometric(&wide, &targets, shape);
     let l1 = f64::from(stats.l1);
     prop_assert!((l1 - losses.l1).abs() <= 1e-5 * losses.l1 + 1e-7, "L1 is {} and not {}", l1, losses.l1);
-    // Derivatives by windowed means, times what these are off by, add up to this at most.
+    // Bound of the derivatives by windowed means, times the errors of these means.
     let ssim = f64::from(stats.ssim);
     let t = 3e-6 * largest * largest + off.iter().sum::<f64>() * n / weights[1];
     prop_assert!(ssim.abs() <= 1.0 + 1e-5, "SSIM is {}", ssim);
@@ -115,14 +117,14 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) ->
 }
 
 #[test]
-fn losses_of_colors_agree_with_the_twin() {
+fn color_losses_match_reference() {
     let gpu = Gpu::new();
     let compared = Compared::default();
     runner(32).run(&colors(), |d| check_colors(&gpu, &d, 1.0, &compared)).unwrap_or_else(|e| panic!("{e}"));
     compared.check(20_000, 0.6);
 }
 
-/// What was blended at the pixels of a view: log-uniform opacities, depths, spreads and lengths of normals.
+/// Blended values of a view: log-uniform opacities, depths, spreads and lengths of normals.
 #[derive(Clone, Debug)]
 struct Surfaces {
     size: [usize; 2],
@@ -167,7 +169,7 @@ impl Surfaces {
                 opacity * log_uniform(&mut rng, self.length) / direction.iter().map(|d| d * d).sum::<f64>().sqrt();
             normals.push(direction.map(|d| narrow(length * d)));
             let z = log_uniform(&mut rng, self.depth);
-            // Where a variance is not told from none, its gradient is that of what rounding left.
+            // Where a variance is indistinguishable from zero, its gradient is that of the rounding error.
             let deviation = log_uniform(&mut rng, self.spread);
             let sign = if rng.uniform() < 0.2 { -0.1 } else { 1.0 };
             depths.push([narrow(opacity * z), narrow(opacity * z * z * (1.0 + sign * deviation * deviation))]);
@@ -193,12 +195,12 @@ impl Surfaces {
     }
 }
 
-/// Normals, depths and transmittances in a row.
+/// Concatenates normals, depths and transmittances.
 fn row(g: &surface::Gradient) -> Vec<f64> {
     [g.normals.as_flattened(), g.depths.as_flattened(), &g.transmittance].concat()
 }
 
-/// The same scene with its numbers moved by chance; transmittances by so much of one.
+/// Returns the scene with perturbed numbers; transmittances are perturbed by a share of one.
 fn moved(s: &Scene, rng: &mut Pcg) -> Scene {
     let mut other = s.clone();
     for x in other.normals.iter_mut().flatten().flatten().chain(other.depths.iter_mut().flatten().flatten()) {
@@ -210,7 +212,7 @@ fn moved(s: &Scene, rng: &mut Pcg) -> Scene {
     other
 }
 
-/// With the `planted`-th gradient a hundredth larger, if there is one.
+/// Compares surfaces; the `planted`-th gradient is scaled by 1.01, if set.
 fn check_surfaces(
     gpu: &Gpu,
     drawn: &Surfaces,
@@ -240,19 +242,19 @@ fn check_surfaces(
 }
 
 #[test]
-fn losses_of_surfaces_agree_with_the_twin() {
+fn surface_losses_match_reference() {
     let gpu = Gpu::new();
     let compared = Compared::default();
     runner(48).run(&views(), |d| check_surfaces(&gpu, &d, None, &compared)).unwrap_or_else(|e| panic!("{e}"));
     compared.check(60_000, 0.9);
 }
 
-/// Views of materials: log-uniform distances of albedo and roughness from their priors, and what is asked of them.
+/// Views of materials: log-uniform distances of albedo and roughness from their priors, and the losses.
 #[derive(Clone, Debug)]
 struct Materials {
     sizes: Vec<[usize; 2]>,
     off: [f64; 2],
-    /// How much of a picture is one color.
+    /// Share of an image that is one color.
     flat: f64,
     asked: Asked,
     seed: u32,
@@ -291,7 +293,7 @@ impl Materials {
     }
 }
 
-/// With gradients times `planted`.
+/// Compares materials with gradients times `planted`.
 fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
     let views = drawn.views();
     let found = materials::run(gpu, gpu.tuning(), &views, drawn.asked);
@@ -304,7 +306,7 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compar
     for draw in 0..DRAWS {
         let mut other = views.clone();
         for v in &mut other {
-            // Coarse levels are means of many pixels, in which what each is off by is lost; so blocks are off together, too.
+            // Coarse levels average out per-pixel errors, so whole blocks are perturbed together, too.
             let width = v.size[0];
             let block = |p: usize| (p % width / (5 << (2 * draw)) + p / width / (5 << (2 * draw))) % 2;
             let mut by = |p: usize| MOVE * if draw < 2 { 2.0 * block(p) as f64 - 1.0 } else { rng.range(-1.0, 1.0) };
@@ -314,7 +316,7 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compar
         let other = row(&materials::expected(&other, drawn.asked));
         off.iter_mut().zip(other.iter().zip(&all)).for_each(|(o, (a, b))| *o = o.max((a - b).abs()));
     }
-    // Each is a sum of some hundred terms that are as large as the largest of them.
+    // Each gradient is a sum of some hundred terms as large as the largest.
     let largest = all.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for (i, x) in is.iter().enumerate() {
         let x = f64::from(*x) * planted;
@@ -329,14 +331,14 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compar
 }
 
 #[test]
-fn losses_of_materials_agree_with_the_twin() {
+fn material_losses_match_reference() {
     let gpu = Gpu::new();
     let compared = Compared::default();
     runner(32).run(&materials(), |d| check_materials(&gpu, &d, 1.0, &compared)).unwrap_or_else(|e| panic!("{e}"));
     compared.check(50_000, 0.7);
 }
 
-/// A hundredth is noticed.
+/// Checks that an error of a hundredth fails.
 #[test]
 fn checks_of_losses_can_fail() {
     let (gpu, compared) = (Gpu::new(), Compared::default());

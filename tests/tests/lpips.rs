@@ -1,5 +1,6 @@
-//! LPIPS against the package of that name, with the same made-up weights, which no file could hold: `make_lpips.py` in
-//! `tests/data/metrics` wrote what it says. And from the command line: what is measured, and what is refused.
+//! LPIPS against the package of that name, with the same synthetic weights.
+//!
+//! `make_lpips.py` in `tests/data/metrics` wrote the expected values. The command line is tested too: metrics and refusals.
 
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -32,7 +33,7 @@ const VGG: [Shape; 13] = [
 ];
 const ALEX: [Shape; 5] = [(0, 64, 3, 11), (3, 192, 64, 5), (6, 384, 192, 3), (8, 256, 384, 3), (10, 256, 256, 3)];
 
-/// The same numbers as `uniform` in `make_lpips.py`.
+/// Yields the same numbers as `uniform` in `make_lpips.py`.
 fn uniform(tensor: u32, count: usize) -> impl Iterator<Item = f64> {
     (0..count as u32).map(move |i| {
         let mut x = i.wrapping_mul(0x85eb_ca6b).wrapping_add((tensor + 1).wrapping_mul(0x9e37_79b1));
@@ -46,7 +47,7 @@ fn uniform(tensor: u32, count: usize) -> impl Iterator<Item = f64> {
 /// Tensors by name: shape and numbers.
 type Tensors = Vec<(String, Vec<usize>, Vec<f32>)>;
 
-/// The weights of `made_up` there.
+/// Returns the weights of `made_up` in `make_lpips.py`.
 fn made_up(net: &str) -> Tensors {
     let (shapes, heads) = match net {
         "vgg" => (&VGG[..], [64, 128, 256, 512, 512]),
@@ -87,17 +88,17 @@ fn data() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/metrics")
 }
 
-fn picture(name: &str) -> Image {
+fn load_image(name: &str) -> Image {
     let stored = image::open(data().join(format!("{name}.png"))).unwrap().into_rgb8();
     let (width, height) = stored.dimensions();
     Image::from_data(width, height, 3, stored.iter().map(|v| f32::from(*v) / 255.0).collect()).unwrap()
 }
 
 #[test]
-fn distances_are_those_of_the_package() {
+fn lpips_matches_package() {
     let expected: Value = serde_json::from_slice(&std::fs::read(data().join("lpips.json")).unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let truth = picture("truth");
+    let truth = load_image("truth");
     for net in ["vgg", "alex"] {
         let path = folder.path().join(net);
         write(&path, &made_up(net), &meta(net));
@@ -107,8 +108,8 @@ fn distances_are_those_of_the_package() {
         let pairs = expected["nets"][net].as_object().unwrap();
         assert!(pairs.len() >= 6);
         for (name, pair) in pairs {
-            let image = picture(name);
-            // Within a ten thousandth of 1, and of themselves.
+            let image = load_image(name);
+            // Within 1e-4 of 1, and of themselves.
             let near = |found: f64, expected: &Value, what: &str| {
                 let expected = expected.as_f64().unwrap();
                 let apart = (found - expected).abs();
@@ -121,8 +122,8 @@ fn distances_are_those_of_the_package() {
             near(signed.distance(&image, &truth, None).unwrap(), &pair["normalized"], "signed");
         }
         assert_eq!(plain.distance(&truth, &truth, None).unwrap(), 0.0);
-        // Where nothing counts, nothing differs.
-        let image = picture("missing");
+        // If no pixel counts, the distance is zero.
+        let image = load_image("missing");
         let mut mask = Image::new(truth.width, truth.height, 1);
         mask.data.iter_mut().enumerate().for_each(|(p, v)| *v = f32::from(p as u32 % truth.width > 36));
         let part = plain.distance(&image, &truth, Some(&mask)).unwrap();
@@ -136,12 +137,12 @@ fn distances_are_those_of_the_package() {
     }
 }
 
-/// One tensor after the other is changed by little, and the distance by more than is tolerated.
+/// A small change of any tensor changes the distance beyond the tolerance.
 #[test]
 fn every_tensor_counts() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("alex");
-    let (image, truth) = (picture("dark"), picture("truth"));
+    let (image, truth) = (load_image("dark"), load_image("truth"));
     let distance = |tensors: &Tensors| {
         write(&path, tensors, &meta("alex"));
         Lpips::load(&path, LpipsRange::Plain).unwrap().distance(&image, &truth, None).unwrap()
@@ -213,7 +214,7 @@ fn runs_are_measured_and_bad_files_refused() {
     assert_eq!(eval(&["--lpips-signed"]).status, Some(2));
     assert!(place.read("run/metrics.json") == before);
 
-    // What is too small for the network is no measure.
+    // An image below the size of the network has no distance.
     let place = Place::new(Room::default());
     sgs(&place.arguments("run", 2, &["-q"])).ok();
     write(&path, &tensors, &meta("alex"));

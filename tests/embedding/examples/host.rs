@@ -1,11 +1,11 @@
-//! An application with a Vulkan device of its own that shows splats in its own image, frame by frame.
+//! Application with its own Vulkan device that shows splats in its own image.
 //!
 //!     cargo run -p sgs-embedding --example host [RUN]
 //!
 //! `run` shows splats, `relight` a run whose materials were trained, under light that changes.
 //!
 //! `Host` is the application: its instance and device made with `ash`, its queue behind its own lock, its image, its
-//! commands. What it says to the engine is in this file: adopt, wrap, record, and when a recording is done.
+//! commands. This file holds all calls to the engine: adopt, wrap, record, and the end of a recording.
 
 use ash::vk;
 use sgs_embedding::Host;
@@ -24,9 +24,11 @@ use vk::ImageLayout as L;
 
 const SIZE: [u32; 2] = [80, 60];
 
-/// Shows some frames; returns how many texels the application's own renderer gives otherwise.
+/// Shows some frames.
+///
+/// Returns the number of texels that differ from the application's own renderer.
 pub fn run(frames: u64) -> usize {
-    // The host makes its device with what `requirements` asked for.
+    // The host makes its device as `requirements` states.
     let host = Host::new();
     let image = host.image(SIZE, vk::Format::B8G8R8A8_SRGB);
     let back = host.buffer(u64::from(SIZE[0] * SIZE[1] * 4));
@@ -84,13 +86,13 @@ pub fn run(frames: u64) -> usize {
         // SAFETY: the semaphore is alive.
         unsafe { host.device.wait_semaphores(&wait, u64::MAX) }.expect("done");
 
-        // The same picture, in between, by way of the engine's own submissions.
+        // The same image, in between, through the engine's own submissions.
         let channels = Channels { colors: true, normals: false, depth: false };
         let mut renderer = Renderer::new(&device, tuning, &gaussians, SIZE, channels).expect("memory");
-        let picture = renderer.render(&gaussians, &frame.camera, 2, frame.background).expect("a picture");
+        let rendered = renderer.render(&gaussians, &frame.camera, 2, frame.background).expect("a picture");
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-        let shown = host.read(&back, u64::from(SIZE[0] * SIZE[1] * 4));
-        for ((texel, c), t) in shown.chunks(4).zip(picture.image.chunks(3)).zip(&picture.transmittance) {
+        let displayed = host.read(&back, u64::from(SIZE[0] * SIZE[1] * 4));
+        for ((texel, c), t) in displayed.chunks(4).zip(rendered.image.chunks(3)).zip(&rendered.transmittance) {
             differ += usize::from(texel != [byte(c[2]), byte(c[1]), byte(c[0]), byte(1.0 - t)]);
         }
     }
@@ -101,9 +103,11 @@ pub fn run(frames: u64) -> usize {
     differ
 }
 
-/// Shows a run whose materials were trained under all light, without one light, under that light alone, and with it
-/// elsewhere. Returns how far the first two pictures are from what `sgs relight` gives, how far switched off and alone are
-/// from all light, and what the move changes, each over the largest value.
+/// Relights a run whose materials were trained, one light at a time.
+///
+/// Shows it under all light, without one light, under that light alone, and with that light moved. Returns three
+/// differences over the largest value: of the first two images from `sgs relight`, of the sum of switched off and alone
+/// from all light, and of the move.
 pub fn relight(directory: &Path) -> [f32; 3] {
     let host = Host::new();
     let format = vk::Format::R32G32B32A32_SFLOAT;
@@ -139,13 +143,13 @@ pub fn relight(directory: &Path) -> [f32; 3] {
         host.read_image(commands, image.raw, SIZE, back.raw);
         let fence = host.fence();
         host.submit(commands, &[], &[], fence);
-        // SAFETY: the fence covers the submission, and is waited for before the recording is given up.
+        // SAFETY: the fence covers the submission and is waited for before the recording is released.
         unsafe {
             host.device.wait_for_fences(&[fence], true, u64::MAX).expect("done");
             recorded.expect("a slot is free").release();
             host.device.destroy_fence(fence, None);
         }
-        // A frame that lacked room is shown again; the next one has it.
+        // A frame that lacked capacity is shown again; the next one has it.
         if view.report().expect("visible").incomplete == before {
             let texels = host.read(&back, bytes);
             let light = bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&texels);
@@ -158,16 +162,16 @@ pub fn relight(directory: &Path) -> [f32; 3] {
         view.radiance([0.0; 3]).data
     };
     let (all, all_relit) = (show(&run), relit(&run));
-    let mut lamp = run.light(0).expect("a light");
-    lamp.on = false;
-    run.set_light(0, lamp).expect("a light");
+    let mut changed_light = run.light(0).expect("a light");
+    changed_light.on = false;
+    run.set_light(0, changed_light).expect("a light");
     let (without, without_relit) = (show(&run), relit(&run));
     run.edit(&Edit::parse(r#"{"lights": {"only": [0]}}"#, Path::new("")).expect("an edit")).expect("a light");
     run.set_environment_gain([0.0; 3]).expect("factors");
     let alone = show(&run);
-    lamp.on = true;
-    lamp.position[0] += 0.5;
-    run.set_light(0, lamp).expect("a light");
+    changed_light.on = true;
+    changed_light.position[0] += 0.5;
+    run.set_light(0, changed_light).expect("a light");
     let moved = show(&run);
     let largest = all_relit.iter().fold(0.0f32, |m, v| m.max(*v));
     let most = |off: &dyn Fn(usize) -> f32| (0..all.len()).fold(0.0f32, |m, i| m.max(off(i).abs())) / largest;

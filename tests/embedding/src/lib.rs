@@ -1,8 +1,8 @@
 //! A host: an application that has an instance, a device, a queue with its lock, and commands of its own.
 //!
-//! Written with `ash` and nothing of the engine but what a host has to say to it. The host switches validation on, with
-//! synchronization validation across submissions, and listens itself; dropping it fails the test if the layer has said
-//! anything.
+//! Written with `ash`; of the engine it uses only the calls that a host needs. The host enables validation, including
+//! synchronization validation across submissions, and collects the messages itself. Dropping it fails the test if the layer
+//! has reported anything.
 
 use ash::{ext, vk};
 use sgs_engine::device::{Feature, HostDevice, HostInstance, HostQueue, QueueLock, Requirements, requirements};
@@ -11,14 +11,14 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
-/// The host's lock around its queue. Knows whether it is held and how often it was.
+/// Lock of the host around its queue. Records whether it is held and how often it was taken.
 #[derive(Default)]
 pub struct Lock {
     held: Mutex<bool>,
     free: Condvar,
-    /// How often it was taken.
+    /// Number of times it was taken.
     pub taken: AtomicU64,
-    /// Whether it was ever given back without being held.
+    /// Whether it was ever released without being held.
     pub misused: AtomicBool,
 }
 
@@ -42,7 +42,7 @@ impl QueueLock for Lock {
     }
 }
 
-/// Lends the lock to the engine, which wants to own what it is given.
+/// Lends the lock to the engine, which takes ownership of its lock.
 struct Lent(Arc<Lock>);
 
 impl QueueLock for Lent {
@@ -55,7 +55,7 @@ impl QueueLock for Lent {
     }
 }
 
-/// What a host leaves out when it makes its device.
+/// Parts that a host leaves out when it makes its device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Without {
     /// Optional features and extensions.
@@ -77,7 +77,7 @@ pub struct Host {
     pub queue: vk::Queue,
     /// The queue's lock.
     pub lock: Arc<Lock>,
-    /// What the engine asked for.
+    /// Requirements that the engine reported.
     pub needs: Requirements,
     /// Features that are enabled.
     pub features: Vec<Feature>,
@@ -124,7 +124,7 @@ impl Host {
         // SAFETY: the sink is boxed and outlives the messenger.
         let messenger = unsafe { debug.create_debug_utils_messenger(&listener, None) }.expect("a messenger");
         let get = entry.static_fn().get_instance_proc_addr;
-        // The engine is asked about every device, before there is a device.
+        // The engine evaluates every physical device before a device exists.
         // SAFETY: the instance is alive.
         let all = unsafe { instance.enumerate_physical_devices() }.expect("physical devices");
         let wanted = std::env::var("SGS_TEST_DEVICE").unwrap_or_default().to_lowercase();
@@ -178,7 +178,7 @@ impl Host {
         }
     }
 
-    /// What the engine needs to know of the instance.
+    /// Describes the instance to the engine.
     pub fn at(&self) -> HostInstance {
         HostInstance {
             get_instance_proc_addr: self.get,
@@ -189,7 +189,7 @@ impl Host {
         }
     }
 
-    /// What the engine needs to know of the device; with the queue if it is to submit itself.
+    /// Describes the device to the engine; with the queue if the engine submits itself.
     pub fn offer(&self, with_queue: bool) -> HostDevice<'_> {
         HostDevice {
             instance: self.at(),
@@ -207,13 +207,13 @@ impl Host {
         }
     }
 
-    /// The engine in this host's device.
+    /// Opens the engine on this host's device.
     pub fn adopt(&self) -> sgs_engine::Device {
-        // SAFETY: all that the host says is so, and it outlives what the tests make.
+        // SAFETY: the host's statements are true, and it outlives the objects of the tests.
         unsafe { sgs_engine::Device::adopt(self.offer(true)) }.unwrap_or_else(|e| panic!("{e}"))
     }
 
-    /// A command buffer, begun.
+    /// Allocates a command buffer and begins it.
     pub fn begin(&self) -> vk::CommandBuffer {
         let info = vk::CommandBufferAllocateInfo::default()
             .command_pool(self.pool)
@@ -228,7 +228,7 @@ impl Host {
         }
     }
 
-    /// Ends and submits, between semaphores and with a fence if wanted.
+    /// Ends and submits, between semaphores, and with a fence on request.
     pub fn submit(
         &self,
         commands: vk::CommandBuffer,
@@ -313,7 +313,7 @@ impl Host {
         }
     }
 
-    /// What a buffer of [`Host::buffer`] holds; the device is done with it.
+    /// Returns the contents of a buffer of [`Host::buffer`]; the device is done with it.
     pub fn read(&self, buffer: &Owned<vk::Buffer>, bytes: u64) -> Vec<u8> {
         let mut data = vec![0; bytes as usize];
         // SAFETY: the memory is visible and as long.
@@ -336,7 +336,7 @@ impl Host {
         }
     }
 
-    /// An image of the host's, to be copied to and from and cleared.
+    /// Creates an image of the host that supports copies both ways and clears.
     pub fn image(&self, size: [u32; 2], format: vk::Format) -> Owned<vk::Image> {
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
@@ -444,7 +444,7 @@ impl Host {
         }
     }
 
-    /// What validation has said so far, emptied.
+    /// Takes the validation messages collected up to now.
     pub fn messages(&self) -> Vec<String> {
         std::mem::take(&mut *self.messages.lock().unwrap())
     }
@@ -458,7 +458,7 @@ impl Default for Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        // SAFETY: the host is done with everything it made; whatever the engine made must be gone, or validation speaks.
+        // SAFETY: the host is done with its objects; validation reports any object of the engine that is left.
         unsafe {
             self.device.destroy_command_pool(self.pool, None);
             self.device.destroy_device(None);
@@ -473,14 +473,14 @@ impl Drop for Host {
     }
 }
 
-/// A host's object with its memory.
+/// Object of the host with its memory.
 pub struct Owned<T> {
     /// The object.
     pub raw: T,
     memory: vk::DeviceMemory,
 }
 
-/// All of a color image.
+/// Subresource range that covers a color image.
 pub const COLOR: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
     aspect_mask: vk::ImageAspectFlags::COLOR,
     base_mip_level: 0,

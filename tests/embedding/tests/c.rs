@@ -1,4 +1,4 @@
-//! The C program of `tools/capi/examples`, compiled by gcc against an installed library and run on a real device.
+//! The C program of `tools/capi/examples`, built by gcc and run on a real device.
 
 use sgs_passes::scene::Model;
 use sgs_tests::scenes;
@@ -13,7 +13,7 @@ fn capi() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/capi")
 }
 
-/// Runs a tool that tools/setup installs; its absence is a failure, so that nothing is skipped unseen.
+/// Runs a tool that tools/setup installs. Fails if it is missing, so no test is skipped silently.
 #[track_caller]
 fn run(command: &mut Command) -> Output {
     match command.output() {
@@ -29,7 +29,7 @@ fn ok(output: Output) -> String {
     text(&output.stdout)
 }
 
-/// An installation in a folder of its own.
+/// Installs the library in a folder of its own.
 fn installed() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let built = std::env::current_exe().unwrap().parent().unwrap().to_owned();
@@ -47,7 +47,7 @@ fn flags(prefix: &Path, more: &[&str]) -> Vec<String> {
     ok(run(&mut command)).split_whitespace().map(str::to_owned).collect()
 }
 
-/// Some splats in front of a camera that looks along z.
+/// Writes some splats in front of a camera that looks along z.
 fn scene(folder: &Path) -> PathBuf {
     let data = scenes::data(&scenes::ordinary(200, 2, false, 5));
     let path = folder.join("scene.ply");
@@ -61,25 +61,27 @@ fn works(compiler: &[&str], link: &[String], prefix: &Path) {
     let mut command = Command::new(compiler[0]);
     command.args(&compiler[1..]).arg(capi().join("examples/host.c")).arg("-o").arg(&program);
     ok(run(command.args(link).arg("-lm")));
-    let picture = prefix.join("out.ppm");
+    let ppm = prefix.join("out.ppm");
     let mut host = Command::new(&program);
     let lit = prefix.join("run");
     sgs_tests::runs::fabricate(&lit, sgs_tests::runs::Parts::ALL);
-    host.arg(scene(prefix)).arg(&picture).arg(&lit).env("LD_LIBRARY_PATH", prefix.join("lib"));
-    let said = ok(run(&mut host));
+    host.arg(scene(prefix)).arg(&ppm).arg(&lit).env("LD_LIBRARY_PATH", prefix.join("lib"));
+    let printed = ok(run(&mut host));
     assert!(
-        said.starts_with("4 lights, ") && said.contains("200 Gaussians, ") && said.contains("2 frames, 0 incomplete"),
-        "{said}"
+        printed.starts_with("4 lights, ")
+            && printed.contains("200 Gaussians, ")
+            && printed.contains("2 frames, 0 incomplete"),
+        "{printed}"
     );
-    let picture = std::fs::read(picture).unwrap();
-    let pixels = picture.strip_prefix(b"P6\n96 64\n255\n").expect("a PPM");
+    let ppm = std::fs::read(ppm).unwrap();
+    let pixels = ppm.strip_prefix(b"P6\n96 64\n255\n").expect("a PPM");
     assert_eq!(pixels.len(), 96 * 64 * 3);
     // Neither the host's red nor the background alone.
     assert!(pixels.chunks(3).all(|p| p != [255, 0, 0]));
     assert!(pixels.chunks(3).any(|p| p != [0, 0, 64]));
 }
 
-// Structs are begun with their first field, the rest being zero, as Vulkan and this library mean it.
+// Structs are initialized by their first field, with the rest zero, as in Vulkan and this library.
 const WARNINGS: [&str; 7] =
     ["gcc", "-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-missing-field-initializers"];
 

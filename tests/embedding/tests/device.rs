@@ -1,4 +1,4 @@
-//! The engine in a host's device: what it refuses, what it uses, what it leaves alone.
+//! The engine on a host's device: refusals, used features, untouched state.
 
 use ash::vk;
 use sgs_embedding::{Host, Without};
@@ -12,7 +12,7 @@ use std::ffi::{CStr, c_char};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Runs a kernel on some device and looks at what it wrote.
+/// Runs a kernel on a device and checks its output.
 fn works(device: &Device) {
     let mut g = Graph::new("fill");
     let out = g.external("out", 4 * 500);
@@ -33,7 +33,7 @@ fn works(device: &Device) {
     assert_eq!(exec.take_times().len(), 1);
 }
 
-/// The host can still use its device.
+/// Checks that the host can still use its device.
 fn host_works(host: &Host) {
     let (image, buffer) = (host.image([4, 4], vk::Format::R8G8B8A8_UNORM), host.buffer(64));
     let commands = host.begin();
@@ -78,12 +78,12 @@ fn what_the_host_does_not_enable_is_not_used() {
     assert!(matches!(refused, Error::MissingExtension { extension: "VK_KHR_external_memory_fd", .. }), "{refused}");
 }
 
-/// The words of a refusal.
+/// Returns the message of a refusal.
 fn refused(change: impl FnOnce(&mut HostDevice<'_>)) -> String {
     let host = Host::new();
     let mut offer = host.offer(true);
     change(&mut offer);
-    // SAFETY: what is wrong with the offer is found before it is used.
+    // SAFETY: errors in the description are found before it is used.
     let error = unsafe { Device::adopt(offer) }.err().expect("it is refused");
     assert!(matches!(error, Error::Host(_) | Error::MissingFeatures { .. }), "{error}");
     error.to_string()
@@ -203,12 +203,12 @@ fn nothing_waits_for_the_whole_device_or_destroys_it() {
     let mut offer = host.offer(true);
     REAL.get_or_init(|| offer.instance.get_instance_proc_addr);
     offer.instance.get_instance_proc_addr = watched;
-    // SAFETY: the entry point is the real one but for calls that the engine does not make.
+    // SAFETY: the entry point is the real one except for calls that the engine does not make.
     let device = unsafe { Device::adopt(offer) }.unwrap();
     works(&device);
     drop(device);
     assert_eq!(CAUGHT.load(Ordering::SeqCst), 0);
-    // The trap is one.
+    // The trap works.
     // SAFETY: the name is a string; what is returned takes no arguments.
     unsafe { watched(vk::Instance::null(), c"vkDeviceWaitIdle".as_ptr()).expect("a trap")() };
     assert_eq!(CAUGHT.load(Ordering::SeqCst), 1);

@@ -1,4 +1,4 @@
-//! The example runs, and shows what the renderer gives.
+//! The example runs and shows the renderer's image.
 
 #[path = "../examples/host.rs"]
 mod host;

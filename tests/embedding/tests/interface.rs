@@ -1,4 +1,4 @@
-//! The C interface, called as a C program calls it: what it gives, and what it answers to nonsense.
+//! The C interface as a C program calls it: results, and answers to invalid calls.
 
 #[macro_use]
 mod support;
@@ -34,7 +34,7 @@ fn layers_in_memory_are_those_of_the_renderer() {
     let channels = Channels { colors: true, normals: true, depth: true };
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, size, channels).unwrap();
     let view = scenes::gpu_camera(&scenes::camera(size));
-    let picture = renderer.render(&gaussians, &view, 1, [0.3, 0.2, 0.1]).unwrap();
+    let rendered = renderer.render(&gaussians, &view, 1, [0.3, 0.2, 0.1]).unwrap();
     let pixels = 40 * 30;
     for (layer, from, floats) in [
         (SGS_LAYER_COLOR, 0, 3),
@@ -50,9 +50,9 @@ fn layers_in_memory_are_those_of_the_renderer() {
         context.ok(unsafe { sgs_render(context.0, scene, &camera, &info, into.as_mut_ptr(), into.len()) });
         for (i, got) in into.chunks(floats).enumerate() {
             let want: Vec<f32> = if layer == SGS_LAYER_ALPHA {
-                vec![1.0 - picture.transmittance[i]]
+                vec![1.0 - rendered.transmittance[i]]
             } else {
-                picture.image[8 * i + from..8 * i + from + floats].to_vec()
+                rendered.image[8 * i + from..8 * i + from + floats].to_vec()
             };
             // The camera's position comes from the matrix here, which rounds differently.
             assert!(got.iter().zip(&want).all(|(g, w)| (g - w).abs() < 1e-4 * (1.0 + w.abs())), "{got:?} {want:?}");
@@ -150,7 +150,7 @@ fn null_is_answered_everywhere() {
     use SgsResult::SGS_ERROR_NULL as NULL;
     let context = Context::new();
     let none = null::<SgsContext>();
-    // SAFETY: null is what is tried; all else is real.
+    // SAFETY: the null pointers are under test; all else is real.
     unsafe {
         let mut why = [1 as c_char; 8];
         assert_eq!(sgs_context_open(null(), null_mut(), why.as_mut_ptr(), why.len()), NULL);
@@ -210,7 +210,7 @@ fn sizes_of_structs_are_checked_both_ways() {
         wrong.struct_size = size;
         context.refused(draw(&wrong), SIZE, "SgsCamera.struct_size");
     }
-    // A program of a later version: fields that we do not know are fine while they are zero.
+    // A program of a later version may pass unknown fields as long as they are zero.
     #[repr(C)]
     struct Later {
         camera: SgsCamera,
@@ -369,8 +369,8 @@ fn random_calls_are_answered_with_codes() {
         let mut light = sized!(SgsLight { on: 1, gain: pick(3) as f32 - 1.0 });
         let room = pick(2 * pixels.len());
         let c = context.0;
-        // SAFETY: pointers are null or real; what is no handle is a number. Frames have no image, so that nothing of a
-        // host's is touched.
+        // SAFETY: pointers are null or real; numbers stand for invalid handles. Frames have no image, so nothing of a host
+        // is touched.
         let result = unsafe {
             match which {
                 0 => sgs_scene_load(c, path, &mut made),
@@ -405,14 +405,14 @@ fn random_calls_are_answered_with_codes() {
             handles.push(made);
         }
         if handles.len() > 40 {
-            // The oldest are let go; they may be stale already.
+            // The oldest handles may be stale already.
             let old = handles.remove(5);
             // SAFETY: a number.
             unsafe { sgs_destroy(c, old) };
             handles[2] = old;
         }
     }
-    // Something of everything, or it would be no test.
+    // The test covers some of every kind.
     for code in [0, -1, -2, -3, -4, -5] {
         assert!(codes.contains_key(&code), "{code} never came: {codes:?}");
     }

@@ -1,4 +1,4 @@
-//! Plans for two queues on a host's device, which lends one: between the host's semaphores and in its command buffers.
+//! Plans for two queues on a host's device that lends one queue.
 
 use ash::vk;
 use sgs_embedding::Host;
@@ -16,8 +16,9 @@ struct Chains {
     outs: [Buffer; 2],
 }
 
-/// Two chains of moves by one word, one for each lane, from one source; the shorter leaves by the second output, which
-/// gets the end of the longer one in its second half.
+/// Builds two chains of one-word moves, one per lane, from one source.
+///
+/// The shorter chain leaves by the second output, whose second half gets the end of the longer chain.
 fn chains(device: &Device) -> Chains {
     let mut g = Graph::new("chains");
     let (source, state) = (g.external("source", BYTES), g.transient("state", BYTES));
@@ -45,7 +46,7 @@ fn data() -> Vec<u32> {
     (0..WORDS as u32).map(|word| word.wrapping_mul(2_654_435_761)).collect()
 }
 
-/// What the chains leave of [`data`].
+/// Returns the expected result of the chains for [`data`].
 fn expected() -> [Vec<u32>; 2] {
     let moved = |by: usize| -> Vec<u32> {
         let front = std::iter::repeat_n(7, by);
@@ -72,7 +73,7 @@ fn both_lanes_run_between_a_hosts_semaphores() {
         }
     }
     for replay in 0..4u64 {
-        // Nothing may begin before the host says so, and nothing may be missing when the host is told.
+        // Work waits for the host's signal, and all of it is done before the host is signaled.
         let stale = vec![0; WORDS];
         for memory in outs.iter().chain([&source]) {
             host.write(memory, bytemuck::cast_slice(&stale));

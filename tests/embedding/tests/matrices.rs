@@ -1,7 +1,7 @@
-//! A host whose device has cooperative matrices: what the engine asks of it, and what it takes as told.
+//! Cooperative matrices on a host's device: requirements and reported features.
 //!
-//! The device is the tests' own behind an entry point that answers like one with `VK_KHR_cooperative_matrix`; nothing of it is ever
-//! switched on, so only what is asked before a device is made is seen here.
+//! The device is the tests' own behind an entry point that reports `VK_KHR_cooperative_matrix`. The extension is never
+//! enabled, so the tests see only the queries before a device is made.
 
 use ash::{khr, vk};
 use sgs_embedding::Host;
@@ -11,7 +11,7 @@ use std::ffi::{CStr, c_char};
 use std::mem::transmute;
 use std::sync::OnceLock;
 
-/// The entry point behind ours, and the functions that ours stand before.
+/// Real entry point, and the functions that ours wrap.
 static REAL: OnceLock<vk::PFN_vkGetInstanceProcAddr> = OnceLock::new();
 static ENUMERATE: OnceLock<vk::PFN_vkEnumerateDeviceExtensionProperties> = OnceLock::new();
 static FEATURES: OnceLock<vk::PFN_vkGetPhysicalDeviceFeatures2> = OnceLock::new();
@@ -25,7 +25,7 @@ unsafe extern "system" fn enumerate(
 ) -> vk::Result {
     let real = ENUMERATE.get().expect("it was looked up");
     let name = khr::cooperative_matrix::NAME;
-    // SAFETY: pointers as Vulkan's callers give them; the list has room for as many as the first call said, one more than there are.
+    // SAFETY: pointers as Vulkan's callers pass them; the list holds the first call's count, one more than the driver's.
     unsafe {
         let room = *count;
         let result = real(device, layer, count, into);
@@ -45,7 +45,9 @@ unsafe extern "system" fn enumerate(
     }
 }
 
-/// Calls `real` without the struct of that type in a chain, which older layers do not know, and gives the struct.
+/// Calls `real` without a struct of that type in the chain and returns it.
+///
+/// Older layers do not know the struct.
 unsafe fn without<T>(
     head: *mut vk::BaseOutStructure<'_>,
     kind: vk::StructureType,
@@ -117,7 +119,7 @@ unsafe extern "system" fn shapes(
         .c_type(single)
         .result_type(single)
         .scope(vk::ScopeKHR::SUBGROUP);
-    // SAFETY: as above; the first call has said two.
+    // SAFETY: as above; the first call has returned two.
     unsafe {
         if !into.is_null() {
             *into = mine;
@@ -164,7 +166,7 @@ fn matrices_are_found_and_used_as_far_as_the_host_says() {
     let plain = host.at();
     REAL.get_or_init(|| plain.get_instance_proc_addr);
     let at = HostInstance { get_instance_proc_addr: entry, ..plain };
-    // SAFETY: entry point and instance are real, but for what is added to the answers.
+    // SAFETY: entry point and instance are real except for the added answers.
     let needs = unsafe { requirements(&at) }.unwrap();
     let shape = MatrixShape { rows: 16, columns: 8, depth: 16 };
     assert_eq!(needs.info.matrices, [shape]);
@@ -189,7 +191,7 @@ fn matrices_are_found_and_used_as_far_as_the_host_says() {
         let mut offer = host.offer(true);
         offer.instance = at;
         (offer.features, offer.extensions) = (&features, &extensions);
-        // SAFETY: no kernel is made, so nothing needs what is not switched on.
+        // SAFETY: no kernel is made, so nothing needs the features that are not enabled.
         let device = unsafe { Device::adopt(offer) }.unwrap();
         let info = device.info();
         assert_eq!(info.optional.cooperative_matrix, !info.matrices.is_empty());

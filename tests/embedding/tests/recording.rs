@@ -1,4 +1,4 @@
-//! Plans in a host's command buffers and between its semaphores; its buffers and images; memory that is shared.
+//! Plans in a host's command buffers and between its semaphores; shared memory.
 
 use ash::vk;
 use sgs_embedding::Host;
@@ -10,8 +10,9 @@ use sgs_shaders::regroup;
 use sgs_shaders::structs::Work;
 use std::sync::Arc;
 
-/// A plan whose kernel makes groups of `size` of the count in `work`, by way of a transient, with the next count beside
-/// it, so that it can be replayed on its own result.
+/// Plan whose kernel divides the count in `work` into groups of `size`.
+///
+/// It uses a transient and writes the next count beside it, so it can be replayed on its own result.
 struct Groups {
     exec: Executor,
     work: Buffer,
@@ -112,7 +113,7 @@ fn held_slots_are_not_recorded_from_again() {
     host.submit(commands, &[], &signal, fence);
     let (semaphores, values) = ([timeline], [5]);
     let both = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-    // SAFETY: alive. Which of the two is signaled first is left open.
+    // SAFETY: alive. Either may be signaled first.
     unsafe {
         host.device.wait_semaphores(&both, u64::MAX).unwrap();
         host.device.wait_for_fences(&[fence], true, u64::MAX).unwrap();
@@ -121,7 +122,7 @@ fn held_slots_are_not_recorded_from_again() {
     let commands = host.begin();
     // SAFETY: run once, below.
     let again = unsafe { groups.exec.record_into(commands, &[]) }.unwrap();
-    // Binding anew frees nothing that a recording uses.
+    // Binding again frees nothing that a recording uses.
     let other = device.buffer("other", 16, Location::Device).unwrap();
     device.upload(&other, 0, &count(41)).unwrap();
     drop(memory);
@@ -154,7 +155,7 @@ fn a_plan_that_is_dropped_waits_for_what_was_recorded() {
     unsafe { groups.exec.record_into(commands, &[]).unwrap().until(Completion::Timeline(timeline, 1)) };
     host.submit(commands, &[], &signal, vk::Fence::null());
     drop(groups);
-    // Validation would speak of pools that are in use.
+    // Validation would report pools that are in use.
     // SAFETY: alive.
     assert_eq!(unsafe { host.device.get_semaphore_counter_value(timeline) }.unwrap(), 1);
     drop(device);

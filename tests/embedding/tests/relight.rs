@@ -20,9 +20,9 @@ const SIZE: [u32; 2] = [48, 36];
 const PIXELS: usize = 48 * 36;
 const BEHIND: [f32; 3] = [0.3, 0.1, 0.6];
 
-/// A host with one image, and what is shown in it.
+/// Host with one image, and the contents of that image.
 struct Stage {
-    // Before the host, also where a test fails.
+    // Dropped before the host, also if a test fails.
     target: Option<DeviceImage>,
     device: Device,
     host: Host,
@@ -82,7 +82,7 @@ impl Stage {
         self.host.read(&self.back, self.bytes)
     }
 
-    /// A frame in the host's commands, until one had the room that it needs.
+    /// Records frames in the host's commands until one has the capacity that it needs.
     fn show(&self, view: &mut LitView, r: &Relighter, exposure: f32) -> Vec<[f32; 4]> {
         loop {
             let before = view.report().unwrap().incomplete;
@@ -119,7 +119,7 @@ fn options(layer: LitLayer) -> LitOptions {
     }
 }
 
-/// What `sgs relight` makes of it.
+/// Renders the layer as `sgs relight` does.
 fn expected(device: &Device, r: &Relighter, layer: LitLayer) -> Vec<[f32; 3]> {
     of_relit(device, &r.relit(), layer)
 }
@@ -143,7 +143,7 @@ fn of_relit(device: &Device, relit: &Relit, layer: LitLayer) -> Vec<[f32; 3]> {
     image.data.chunks(c).map(|p| [0, 1, 2].map(|k| p[k % c])).collect()
 }
 
-/// Largest difference over the largest value.
+/// Returns the largest difference over the largest value.
 fn apart(a: &[[f32; 4]], b: &[[f32; 3]]) -> f32 {
     assert_eq!((a.len(), b.len()), (PIXELS, PIXELS));
     let largest = b.iter().flatten().fold(0.0f32, |m, v| m.max(v.abs()));
@@ -156,10 +156,10 @@ fn thirds(a: &[[f32; 4]]) -> Vec<[f32; 3]> {
     a.iter().map(|t| [t[0], t[1], t[2]]).collect()
 }
 
-fn lamp(r: &Relighter, light: usize, change: impl FnOnce(&mut Lamp)) -> Lamp {
-    let mut lamp = r.light(light).unwrap();
-    change(&mut lamp);
-    lamp
+fn changed_light(r: &Relighter, light: usize, change: impl FnOnce(&mut Lamp)) -> Lamp {
+    let mut changed = r.light(light).unwrap();
+    change(&mut changed);
+    changed
 }
 
 #[test]
@@ -191,9 +191,9 @@ fn every_layer_is_that_of_relight() {
             assert!(off < 1e-5, "{parts:?} {layer:?}: {off}");
         }
         // And after changes of every kind.
-        let changed = lamp(&r, 0, |l| (l.position, l.color) = ([0.1, -0.6, 0.3], [0.2, 1.0, 3.0]));
+        let changed = changed_light(&r, 0, |l| (l.position, l.color) = ([0.1, -0.6, 0.3], [0.2, 1.0, 3.0]));
         r.set_light(0, changed).unwrap();
-        r.set_light(2, lamp(&r, 2, |l| l.on = true)).unwrap();
+        r.set_light(2, changed_light(&r, 2, |l| l.on = true)).unwrap();
         r.remove_light(1).unwrap();
         let new = NewLight { position: Some([0.3, 0.4, 0.2]), intensity: Some([0.5, 1.0, 0.2]), ..Default::default() };
         assert_eq!(r.add_light(&new).unwrap(), runs::LIGHTS - 1);
@@ -216,31 +216,31 @@ fn changes_of_light_take_no_plan_and_no_memory() {
     let mut view = stage.view(&r, options(LitLayer::Shaded)).unwrap();
     let all = stage.show(&mut view, &r, 1.0);
     let (plans, memory, activity) = (view.plans(), stage.device.memory_use(), stage.device.activity());
-    // Light is the sum of its parts: off and alone.
-    r.set_light(3, lamp(&r, 3, |l| l.on = false)).unwrap();
+    // Light is the sum of its terms: one light off, and that light alone.
+    r.set_light(3, changed_light(&r, 3, |l| l.on = false)).unwrap();
     let without = stage.show(&mut view, &r, 1.0);
     for light in [0, 1] {
-        r.set_light(light, lamp(&r, light, |l| l.on = false)).unwrap();
+        r.set_light(light, changed_light(&r, light, |l| l.on = false)).unwrap();
     }
-    r.set_light(3, lamp(&r, 3, |l| l.on = true)).unwrap();
+    r.set_light(3, changed_light(&r, 3, |l| l.on = true)).unwrap();
     r.set_environment_gain([0.0; 3]).unwrap();
     let alone = stage.show(&mut view, &r, 1.0);
-    // What lies behind is in both.
+    // The background is in both.
     let behind: Vec<[f32; 3]> = alone.iter().map(|t| BEHIND.map(|b| b * (1.0 - t[3]))).collect();
     let sum: Vec<[f32; 3]> =
         (0..PIXELS).map(|p| [0, 1, 2].map(|k| without[p][k] + alone[p][k] - behind[p][k])).collect();
     let off = apart(&all, &sum);
-    assert!(off < 1e-3, "{off}"); // Pixels that are hardly there have no surface, and all of what lies behind.
+    assert!(off < 1e-3, "{off}"); // Pixels of low coverage have no surface, and all of the background.
     let lit: f32 = (0..PIXELS).map(|p| alone[p][1] - behind[p][1]).sum();
     assert!(lit > 1.0 && apart(&all, &thirds(&without)) > 0.01, "light 3 does nothing: {lit}");
-    // Gain and exposure are factors of light, a move is something else.
-    r.set_light(3, lamp(&r, 3, |l| l.gain *= 3.0)).unwrap();
+    // Gain and exposure scale the light; a move changes it otherwise.
+    r.set_light(3, changed_light(&r, 3, |l| l.gain *= 3.0)).unwrap();
     let (tripled, exposed) = (stage.show(&mut view, &r, 1.0), stage.show(&mut view, &r, 2.0));
     let of = |a: &[[f32; 4]]| -> f32 { (0..PIXELS).map(|p| a[p][1] - behind[p][1]).sum() };
     assert!((of(&tripled) / lit - 3.0).abs() < 1e-2 && (of(&exposed) / lit - 6.0).abs() < 1e-2);
-    r.set_light(3, lamp(&r, 3, |l| l.position[0] += 0.7)).unwrap();
+    r.set_light(3, changed_light(&r, 3, |l| l.position[0] += 0.7)).unwrap();
     assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&tripled)) > 0.01);
-    // A light more and a light less, within the room there is; an edit of lights.
+    // One light more and one light fewer, within the capacity; an edit of lights.
     let new = NewLight { position: Some([0.0; 3]), intensity: Some([1.0; 3]), ..Default::default() };
     r.add_light(&new).unwrap();
     stage.show(&mut view, &r, 1.0);
@@ -258,7 +258,7 @@ fn changes_of_light_take_no_plan_and_no_memory() {
     assert_eq!((now.made, now.uploads), (activity.made, activity.uploads));
     assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
     assert!(apart(&edited, &of_relit(&stage.device, &as_edited, LitLayer::Shaded)) < 1e-5);
-    // Beyond the room the plan is another one, and what is shown is right.
+    // Beyond the capacity a new plan is compiled, and the displayed image is right.
     for _ in 0..17 {
         r.add_light(&new).unwrap();
     }
@@ -285,11 +285,11 @@ fn a_recorded_frame_keeps_its_lights_and_room_is_made() {
     let mut view = stage.view(&r, options(LitLayer::Shaded)).unwrap();
     let before = stage.show(&mut view, &r, 1.0);
     let recorded = stage.record(&mut view, &r, 1.0);
-    r.set_light(0, lamp(&r, 0, |l| l.on = false)).unwrap();
+    r.set_light(0, changed_light(&r, 0, |l| l.on = false)).unwrap();
     r.set_environment(&runs::map(32, 77), [32, 16]).unwrap();
     assert!(apart(&stage.finish(recorded), &thirds(&before)) == 0.0);
     assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&before)) > 0.01);
-    // Materials and insertions: other memory, other Gaussians.
+    // Materials and insertions replace memory and Gaussians.
     let guest = folder.path().join("guest.ply");
     runs::with_materials(30, false, 4).write_ply(&guest).unwrap();
     for edit in [
@@ -300,9 +300,9 @@ fn a_recorded_frame_keeps_its_lights_and_room_is_made() {
         let earlier = stage.show(&mut view, &r, 1.0);
         r.edit(&Edit::parse(edit, folder.path()).unwrap()).unwrap();
         assert!(apart(&stage.finish(recorded), &thirds(&earlier)) == 0.0);
-        let shown = stage.show(&mut view, &r, 1.0);
-        let off = apart(&shown, &expected(&stage.device, &r, LitLayer::Shaded));
-        assert!(off < 1e-5 && apart(&shown, &thirds(&earlier)) > 0.01, "{off}");
+        let displayed = stage.show(&mut view, &r, 1.0);
+        let off = apart(&displayed, &expected(&stage.device, &r, LitLayer::Shaded));
+        assert!(off < 1e-5 && apart(&displayed, &thirds(&earlier)) > 0.01, "{off}");
     }
     drop((view, r));
     stage.done();
@@ -313,7 +313,7 @@ fn light_is_encoded_as_the_image_wants_it() {
     let folder = tempfile::tempdir().unwrap();
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as i32;
     let encoded = |v: f32| byte(sgs_scene::linear_to_srgb(v.clamp(0.0, 1.0)));
-    for (raw, format, encoding, shown) in [
+    for (raw, format, encoding, encode) in [
         (vk::Format::R8G8B8A8_UNORM, TexelFormat::Rgba8Unorm, Encoding::Display, &encoded as &dyn Fn(f32) -> i32),
         (vk::Format::R8G8B8A8_UNORM, TexelFormat::Rgba8Unorm, Encoding::Linear, &byte),
         (vk::Format::B8G8R8A8_SRGB, TexelFormat::Bgra8Srgb, Encoding::Linear, &encoded),
@@ -332,7 +332,7 @@ fn light_is_encoded_as_the_image_wants_it() {
             let swapped = format == TexelFormat::Bgra8Srgb;
             for (texel, light) in texels.chunks(4).zip(expected(&stage.device, &r, layer)) {
                 for k in 0..3 {
-                    let want = if layer.is_value() { byte(light[k]) } else { shown(light[k]) };
+                    let want = if layer.is_value() { byte(light[k]) } else { encode(light[k]) };
                     let got = i32::from(texel[if swapped { 2 - k } else { k }]);
                     assert!((got - want).abs() <= 1, "{format:?} {layer:?}: {got} {want}");
                 }
@@ -350,11 +350,11 @@ fn frames_are_submitted_too() {
     let mut r = stage.relighter(folder.path(), Parts::ALL);
     let mut view = stage.view(&r, LitOptions { entry: ImageState::Undefined, ..options(LitLayer::Shaded) }).unwrap();
     for on in [true, false, true] {
-        r.set_light(1, lamp(&r, 1, |l| l.on = on)).unwrap();
+        r.set_light(1, changed_light(&r, 1, |l| l.on = on)).unwrap();
         let camera = scenes::gpu_camera(&scenes::camera(SIZE));
         let frame = LitFrame { camera, background: BEHIND, exposure: 1.0 };
         let target = stage.target.as_ref().unwrap();
-        // The first one finds out how much room it takes.
+        // The first frame measures the capacity that it needs.
         for _ in 0..2 {
             view.frame(r.scene(), r.lighting(), target, &frame, |exec, uniforms| exec.submit(uniforms)).unwrap();
             view.finish().unwrap();

@@ -1,4 +1,4 @@
-//! Relighting through the C interface, as a C program calls it: what it gives, and what it answers to nonsense.
+//! Relighting through the C interface: results, and answers to invalid calls.
 
 #[macro_use]
 mod support;
@@ -20,8 +20,8 @@ fn opened(context: &Context, run: &Path) -> SgsRelight {
     relight
 }
 
-/// All light over black, or another layer.
-fn picture(context: &Context, relight: SgsRelight, layer: u32, exposure: f32) -> Vec<f32> {
+/// Renders all light over black, or another layer.
+fn render_layer(context: &Context, relight: SgsRelight, layer: u32, exposure: f32) -> Vec<f32> {
     let info = sized!(SgsRelitInfo { layer: layer, exposure: exposure });
     let mut pixels = vec![f32::NAN; 3 * PIXELS];
     let camera = camera([40, 30]);
@@ -61,11 +61,11 @@ fn lights_change_by_calls_as_by_edits() {
     assert_eq!((about.lights, about.light_capacity, about.gaussians), (lights, lights + 16, 220));
     assert_eq!((about.metallic, about.visibility, about.environment, about.environment_size), (1, 1, 1, 16));
     assert_eq!((light(&context, relight, 2).on, light(&context, relight, 2).gain), (0, 1.0));
-    let all = picture(&context, relight, SGS_LAYER_SHADED, 0.0);
+    let all = render_layer(&context, relight, SGS_LAYER_SHADED, 0.0);
     let edit = |json: &std::ffi::CStr| {
         // SAFETY: all pointers are real.
         context.ok(unsafe { sgs_relight_edit(c, relight, json.as_ptr(), null()) });
-        picture(&context, relight, SGS_LAYER_SHADED, 0.0)
+        render_layer(&context, relight, SGS_LAYER_SHADED, 0.0)
     };
     // SAFETY: all pointers are real.
     unsafe {
@@ -75,11 +75,11 @@ fn lights_change_by_calls_as_by_edits() {
             let mut one = first;
             change(&mut one);
             context.ok(sgs_relight_light_set(c, relight, 0, &one));
-            picture(&context, relight, SGS_LAYER_SHADED, 0.0)
+            render_layer(&context, relight, SGS_LAYER_SHADED, 0.0)
         };
         let off = set(&|l| l.on = 0);
         assert_eq!(apart(&off, edit(cr#"{"lights": {"change": [{"light": 0, "on": false}]}}"#).into_iter()), 0.0);
-        // Switched off and alone are the whole.
+        // The image with the light off plus the image of that light alone is the whole image.
         let alone = edit(cr#"{"lights": {"only": [0]}, "environment": {"off": true}}"#);
         assert!(apart(&all, off.iter().zip(&alone).map(|(a, b)| a + b)) < 1e-5);
         assert!(apart(&all, off.iter().copied()) > 0.01);
@@ -87,41 +87,41 @@ fn lights_change_by_calls_as_by_edits() {
         let same =
             cr#"{"lights": {"change": [{"light": 0, "by": [0, 0.5, 0], "intensity": 2, "color": [1, 0.5, 0]}]}}"#;
         assert!(apart(&moved, edit(same).into_iter()) < 1e-5);
-        // A new one, and the surroundings.
+        // A new light, and the environment map.
         context.ok(sgs_relight_reset(c, relight));
         let new = sized!(SgsNewLight { position: [0.1, 0.2, 0.3], intensity: [1.0, 2.0, 3.0] });
         let mut index = 9;
         context.ok(sgs_relight_light_add(c, relight, &new, &mut index));
         assert_eq!((index, state(&context, relight).lights), (lights, lights + 1));
         context.ok(sgs_relight_environment_gain(c, relight, [0.5f32, 1.0, 2.0].as_ptr()));
-        let added = picture(&context, relight, SGS_LAYER_SHADED, 0.0);
+        let added = render_layer(&context, relight, SGS_LAYER_SHADED, 0.0);
         let same = cr#"{"lights": {"add": [{"position": [0.1, 0.2, 0.3], "intensity": [1, 2, 3]}]},
             "environment": {"color": [0.5, 1, 2]}}"#;
         assert!(apart(&added, edit(same).into_iter()) < 1e-5);
-        // An edit begins from the run again, and so does a reset.
+        // An edit starts from the run again, and so does a reset.
         context.ok(sgs_relight_light_remove(c, relight, lights));
-        assert!(apart(&added, picture(&context, relight, SGS_LAYER_SHADED, 0.0).into_iter()) > 0.01);
+        assert!(apart(&added, render_layer(&context, relight, SGS_LAYER_SHADED, 0.0).into_iter()) > 0.01);
         context.ok(sgs_relight_reset(c, relight));
         let narrow = sized!(SgsNewLight { sharpness: 3.0, axis: [0.0, 0.0, -2.0], intensity: [1.0; 3] });
         context.ok(sgs_relight_light_add(c, relight, &narrow, null_mut()));
-        let lobes = picture(&context, relight, SGS_LAYER_SHADED, 0.0);
+        let lobes = render_layer(&context, relight, SGS_LAYER_SHADED, 0.0);
         let same = cr#"{"lights": {"add": [{"position": [0, 0, 0], "lobes":
             [{"axis": [0, 0, -2], "sharpness": 3, "amplitude": [1, 1, 1]}]}]}}"#;
         assert!(apart(&lobes, edit(same).into_iter()) < 1e-5);
         // The same map from a pointer and from the run's file.
         context.ok(sgs_relight_environment_set(c, relight, runs::map(32, 6).as_ptr(), 32, 16));
-        let other = picture(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0);
+        let other = render_layer(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0);
         context.ok(sgs_relight_environment_set(c, relight, runs::map(32, 5).as_ptr(), 32, 16));
-        let own = picture(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0);
+        let own = render_layer(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0);
         context.ok(sgs_relight_reset(c, relight));
-        assert!(apart(&own, picture(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0).into_iter()) < 1e-5);
+        assert!(apart(&own, render_layer(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0).into_iter()) < 1e-5);
         assert!(apart(&own, other.into_iter()) > 0.01);
     }
-    assert_eq!(apart(&all, picture(&context, relight, SGS_LAYER_SHADED, 0.0).into_iter()), 0.0);
-    let brighter = picture(&context, relight, SGS_LAYER_SHADED, 1.0);
+    assert_eq!(apart(&all, render_layer(&context, relight, SGS_LAYER_SHADED, 0.0).into_iter()), 0.0);
+    let brighter = render_layer(&context, relight, SGS_LAYER_SHADED, 1.0);
     assert!(apart(&brighter, all.iter().map(|v| 2.0 * v)) < 1e-6);
     for layer in SGS_LAYER_SHADED..=SGS_LAYER_DIRECT {
-        assert!(picture(&context, relight, layer, 0.0).iter().any(|v| *v > 0.0), "{layer} is black");
+        assert!(render_layer(&context, relight, layer, 0.0).iter().any(|v| *v > 0.0), "{layer} is black");
     }
 }
 
@@ -215,7 +215,7 @@ fn nonsense_is_answered_with_codes() {
             context.refused(result, code, words);
         }
         assert_eq!(state(&context, relight).lights, 4, "something has changed");
-        // Views and pictures.
+        // Views and images.
         let shape = sized!(SgsViewInfo { width: 8, height: 6, format: 109, layer: SGS_LAYER_SHADED, final_layout: 1 });
         let mut make = |change: &dyn Fn(&mut SgsViewInfo)| {
             let mut info = shape;

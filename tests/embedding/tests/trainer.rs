@@ -1,4 +1,4 @@
-//! Training through the C interface: it is the training of `sgs train`, bit by bit, with both stages, resuming and rollback.
+//! Training through the C interface: bit-identical to `sgs train`.
 
 #[macro_use]
 mod support;
@@ -122,8 +122,8 @@ fn both_stages_give_the_bits_of_the_command_line() {
         let taken = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(taken, SgsResult::SGS_ERROR_FILE, "holds a run");
         (info.run, info.stages) = (null(), both);
-        let given = sgs_trainer_open(context.0, &info, &mut trainer);
-        context.refused(given, SgsResult::SGS_ERROR_ARGUMENT, "trained and given at once");
+        let both_given = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(both_given, SgsResult::SGS_ERROR_ARGUMENT, "trained and given at once");
         info.stages = 8;
         let unknown = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(unknown, SgsResult::SGS_ERROR_ARGUMENT, "SgsTrainerInfo.stages is 8");

@@ -49,16 +49,16 @@ fn frame(k: u32) -> Frame {
     Frame { camera, sh_degree: 3, background: [0.2, 0.0, 0.4] }
 }
 
-/// What our own renderer gives, as bytes.
+/// Renders with our own renderer and returns bytes.
 fn expected(e: &Engine, k: u32) -> Vec<u8> {
     let channels = Channels { colors: true, normals: false, depth: false };
     let tuning = Tuning::for_device(e.device.info());
     let mut renderer = Renderer::new(&e.device, tuning, &e.gaussians, SIZE, channels).unwrap();
     let f = frame(k);
-    let picture = renderer.render(&e.gaussians, &f.camera, 3, f.background).unwrap();
+    let rendered = renderer.render(&e.gaussians, &f.camera, 3, f.background).unwrap();
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
     let texel = |(c, t): (&[f32], &f32)| [byte(c[0]), byte(c[1]), byte(c[2]), byte(1.0 - t)];
-    picture.image.chunks(3).zip(&picture.transmittance).flat_map(texel).collect()
+    rendered.image.chunks(3).zip(&rendered.transmittance).flat_map(texel).collect()
 }
 
 fn wrap(device: &Device, image: &Owned<vk::Image>) -> DeviceImage {
@@ -93,7 +93,7 @@ fn frames_are_recorded_between_a_hosts_commands() {
         }
         let image = &images[k as usize % 2];
         let commands = host.begin();
-        // The host draws first, and looks at what it drew.
+        // The host draws first and inspects its result.
         host.transition(commands, image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
         host.clear(commands, image.raw, [1.0, 0.0, 0.0, 1.0]);
         host.transition(commands, image.raw, L::TRANSFER_DST_OPTIMAL, L::TRANSFER_SRC_OPTIMAL);
@@ -178,14 +178,14 @@ fn room_is_made_while_the_host_holds_recordings() {
     };
     let (first, background) = shot(&mut e, 0);
     assert!(background.chunks(4).all(|t| t == [51, 0, 102, 0]));
-    // The first is still held; the plan with more room has slots of its own.
-    let (second, picture) = shot(&mut e, 0);
-    assert!(picture == expected(&e, 0));
+    // The first recording is still in use; the plan with more capacity has slots of its own.
+    let (second, displayed) = shot(&mut e, 0);
+    assert!(displayed == expected(&e, 0));
     assert_eq!(e.view.recordings().unwrap(), 2);
     let commands = host.begin();
     host.transition(commands, image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
-    let held = record(&mut e, commands, &wrapped, 0).err();
-    assert!(matches!(held, Some(ViewError::Engine(Error::SlotsInUse { slots: 1, .. }))), "{held:?}");
+    let error = record(&mut e, commands, &wrapped, 0).err();
+    assert!(matches!(error, Some(ViewError::Engine(Error::SlotsInUse { slots: 1, .. }))), "{error:?}");
     host.run(commands);
     // SAFETY: all has been waited for.
     unsafe {

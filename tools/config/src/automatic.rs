@@ -2,37 +2,36 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What may be left out when the scene does not require it; docs/how/model.md says by which measure.
+/// Automatic model selection (docs/how/model.md).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AutomaticSettings {
-    /// Whether anything is. What the settings have is then the most that there may be.
+    /// Selects parts by measurement. The other settings are then upper bounds.
     pub enabled: bool,
-    /// What a part must be worth to stay: decibels of the shaded picture at training views.
+    /// PSNR gain in dB of the shaded image that keeps a part.
     pub gain: f32,
-    /// Nothing is judged by pictures as long as the shaded ones are more than so many decibels worse than those of the splats' own
-    /// colors: what has not been learned yet is worth nothing yet.
+    /// Measures nothing while shaded images are more than this many dB below those of the Gaussians' own colors.
     pub ready: f32,
-    /// What still learns is not made smaller or slower: lobes, levels of the field and the pace of the surroundings are judged once shaded
-    /// pictures change by no more than so many decibels from look to look.
+    /// Measures lobes, levels and the update interval once shaded images change by at most this many dB between
+    /// measurements.
     pub settled: f32,
-    /// Sizes of the environment and of the visibility field, by what cameras can tell; false: as set.
+    /// Chooses sizes of environment map and visibility field from the cameras.
     pub sizes: bool,
-    /// Metallic, by its priors; false: as intrinsic.metallic says.
+    /// Removes metallic by its priors.
     pub metallic: bool,
-    /// Lights, one by one; false: all stay.
+    /// Removes lights.
     pub lights: bool,
-    /// Lobes of lights, merged until those that are left are worth it; false: all stay.
+    /// Merges lobes of lights.
     pub lobes: bool,
-    /// Surroundings; false: as set.
+    /// Removes the environment map.
     pub environment: bool,
-    /// Shadows; false: as set.
+    /// Removes visibility.
     pub visibility: bool,
-    /// Levels of the visibility field, the finest of which go; false: all stay that its size has.
+    /// Removes the finest levels of the visibility field.
     pub levels: bool,
-    /// Texels of the surroundings, fewer where the finest are worth nothing; false: as many as their size has.
+    /// Reduces the texels of the environment map.
     pub texels: bool,
-    /// How often surroundings move, once they are learned; false: as intrinsic.environment.every says.
+    /// Lengthens the update interval of the environment map.
     pub pace: bool,
 }
 

@@ -31,35 +31,36 @@ impl DensifyStatistic {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensifyOptions {
-    /// Whether it happens at all.
+    /// Densifies.
     pub enabled: bool,
-    /// First step after which it happens.
+    /// First step after which densification runs.
     pub from: u32,
-    /// Fraction of the steps after which it ends. It always ends at least `interval` steps before the last step.
+    /// Fraction of the steps after which densification ends. It ends at least `interval` steps before the last step.
     pub until: f64,
-    /// Steps between.
+    /// Steps between densifications.
     pub interval: u32,
-    /// Which losses' gradients count.
+    /// Losses whose gradients select Gaussians: `photometric`, `geometric` or `total`.
     pub statistic: DensifyStatistic,
-    /// Mean screen gradient (NDC) from which a Gaussian is refined. The published value for "geometric" is 1e-4.
+    /// Mean screen gradient (NDC) from which a Gaussian is refined. Published for `geometric`: 1e-4.
     pub grad_threshold: f32,
-    /// Mean gradient by its raw normal from which a Gaussian is refined as well. Only "geometric" uses it; 0 for none.
+    /// Mean gradient by the raw normal from which a Gaussian is refined; `geometric` only. 0 disables it.
     pub normal_threshold: f32,
-    /// Largest scale that is cloned rather than split, as a fraction of the extent.
+    /// Largest scale that is cloned instead of split, as a fraction of the extent.
     pub split_size: f64,
-    /// Fainter Gaussians are pruned.
+    /// Opacity below which a Gaussian is pruned.
     pub prune_opacity: f32,
-    /// Gaussians that gathered less blending weight since the last time are pruned, if all views were seen since.
+    /// Blending weight per interval below which a Gaussian is pruned, if the interval showed all views.
     pub prune_weight: f32,
-    /// The last time those are pruned whose weights in all pixels of all views add up to less than so many of 255 gray levels; 0 for none.
+    /// Summed blending weight over all views, in gray levels of 255, below which the last densification prunes; 0 disables
+    /// it.
     pub final_prune: f32,
-    /// Larger Gaussians are pruned after the first opacity reset, as a fraction of the extent.
+    /// Scale above which a Gaussian is pruned after the first opacity reset, as a fraction of the extent.
     pub prune_size: f64,
-    /// Steps between opacity resets; 0 for none.
+    /// Steps between opacity resets; 0 disables them.
     pub reset_interval: u32,
-    /// Most Gaussians.
+    /// Number of Gaussians at most.
     pub max_gaussians: u32,
-    /// Most device memory in MiB that training may take, all in; 0 for what the device has.
+    /// Device memory of training in MiB at most; 0 uses the limit of the device.
     pub max_mib: u64,
 }
 

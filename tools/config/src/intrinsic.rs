@@ -9,44 +9,43 @@ use sgs_passes::shade::visibility::FieldConfig;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IntrinsicSettings {
-    /// Training steps.
+    /// Number of training steps.
     pub steps: u32,
-    /// Share of the pictures' width and height that materials and lights are learned at: 0.5 shades a quarter of the pixels.
+    /// Factor on the size of images in this stage: 0.5 shades a quarter of the pixels.
     pub scale: f64,
-    /// Whether there is a metallic value for each Gaussian.
+    /// Trains a metallic value per Gaussian: `auto` (by its priors), `on` or `off`.
     pub metallic: Metallic,
-    /// Lowest and highest albedo that training may reach. Files hold 0.01 to 0.99. Published: 0.09 to 0.99.
+    /// Lowest and highest albedo in training. Published: 0.09 to 0.99. Files hold 0.01 to 0.99.
     pub albedo_range: [f32; 2],
-    /// Where materials begin.
+    /// Initial materials: `priors` or `gray`.
     pub start: MaterialStart,
     /// Point lights.
     pub lights: LightSettings,
-    /// The light of the surroundings.
+    /// Environment map.
     pub environment: EnvironmentSettings,
-    /// What lights see.
+    /// Visibility of lights.
     pub visibility: VisibilitySettings,
-    /// Whether what the scene does not require is left out.
+    /// Automatic model selection.
     pub automatic: AutomaticSettings,
     /// Learning rates.
     pub rates: IntrinsicRates,
     /// Weights of the losses.
     pub losses: IntrinsicLosses,
-    /// What diffuse light of lamps may be short of, in units of the picture's white: lights too faint to matter to a block of pixels
-    /// are left out there. 0 leaves none out.
+    /// Diffuse radiance that culled lights may lack at a pixel, with white as 1; 0 disables culling.
     pub cull_error: f32,
-    /// Pixels that are too bright for the picture keep the gradients that lead them back.
+    /// Keeps gradients that darken pixels above white.
     pub returning: bool,
-    /// Of how many steps one compares albedo with pseudo-views, and the next one under other lights.
+    /// Of this many steps one compares albedo with pseudo-views, and the next one under other lights.
     pub consistency_interval: u32,
-    /// The first step that compares albedo with pseudo-views.
+    /// First step that compares albedo with pseudo-views.
     pub cross_view_from: u32,
-    /// The first step that compares albedo under other lights.
+    /// First step that compares albedo under other lights.
     pub relight_from: u32,
-    /// Who estimates albedo under other lights.
+    /// Provider of materials under other lights.
     pub relight: RelightSettings,
-    /// Most bytes for what views see of the geometry; beyond that it is worked out anew in each step. 0 for what fits.
+    /// Bytes at most for stored blending weights; beyond that each step recomputes them. 0 stores what fits.
     pub surface_bytes: u64,
-    /// Steps between checkpoints; 0 keeps only the last.
+    /// Steps between checkpoints; 0 writes only the last.
     pub checkpoint_interval: u32,
 }
 
@@ -76,18 +75,17 @@ impl Default for IntrinsicSettings {
     }
 }
 
-/// Who estimates materials under other lights.
+/// Provider of materials under other lights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RelightSettings {
-    /// Command line of a provider of materials, which is shown the view under perturbed lights. `own`: none is asked, and
-    /// L_relight does not run.
+    /// Command line of a provider of materials; `own` uses none, and L_relight does not run.
     pub provider: String,
-    /// What it has said of a view serves for so many steps. 1 asks each time, as published.
+    /// Steps for which an answer is reused. Published: 1.
     pub every: u32,
-    /// Copies of the lights, each perturbed in its own way: 1 or 2.
+    /// Perturbed copies of the lights per query: 1 or 2.
     pub copies: u32,
-    /// What its roughness weighs beside its albedo. Published: 0, which asks for albedo alone.
+    /// Weight of the estimated roughness relative to albedo. Published: 0.
     pub roughness: f32,
 }
 
@@ -131,17 +129,17 @@ pub enum MaterialStart {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightSettings {
-    /// Whether there are any.
+    /// Trains point lights.
     pub enabled: bool,
-    /// Lights along each axis of the scene's box at first.
+    /// Initial lights along each axis of the scene's box.
     pub grid: u32,
-    /// Lobes of a light: 1 to 32.
+    /// Spherical-Gaussian lobes per light: 1 to 32.
     pub lobes: u32,
-    /// How lobes are laid out.
+    /// Initial directions of lobes: `free` or `grid`.
     pub layout: LobeLayout,
-    /// Lights that come to less than this share of the brightest one's largest amplitude are switched off; 0 keeps all.
+    /// Fraction of the brightest light's largest amplitude below which a light is switched off; 0 keeps all.
     pub prune: f32,
-    /// Factor on the brightness that they begin with, which is the published one for the size of the scene's box.
+    /// Factor on the published initial brightness, which depends on the size of the scene's box.
     pub start: f32,
 }
 
@@ -161,19 +159,17 @@ pub enum LobeLayout {
     Free,
 }
 
-/// The light of the surroundings.
+/// Environment map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentSettings {
-    /// Whether there is any.
+    /// Trains an environment map.
     pub enabled: bool,
-    /// Texels along an edge of the cube: 16 to 512, a power of two.
+    /// Texels along an edge of the cube: a power of two from 16 to 512.
     pub resolution: u32,
-    /// Mean of its texels at first. The published start is 1, which in closed rooms takes long to go away: pictures of the White
-    /// Room are 2 to 3 dB better from 0.1 (docs/project/ablation.md).
+    /// Initial mean radiance. Published: 1, which closed rooms unlearn slowly.
     pub start: f32,
-    /// Its texels move after one of so many steps, as far, by what all of these asked of them; its mips are filtered then and not in
-    /// between.
+    /// Steps between updates of texels and mips. An update uses the mean gradient of these steps.
     pub every: u32,
 }
 
@@ -183,28 +179,27 @@ impl Default for EnvironmentSettings {
     }
 }
 
-/// What lights see.
+/// Visibility of lights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VisibilitySettings {
-    /// How it is found.
+    /// `field` (learned), `traced` (rays through the Gaussians) or `none`.
     pub kind: VisibilityKind,
     /// Levels of the hash grid.
     pub levels: u32,
-    /// Logarithm to base 2 of the largest table of a level.
+    /// Base-2 logarithm of the largest table of a level.
     pub log2_table: u32,
     /// Resolution of the coarsest level.
     pub coarsest: u32,
     /// Resolution of the finest level.
     pub finest: u32,
-    /// One pair of pixel and light of so many teaches the field in a step, for as many: 1 is all of them. More is quicker and
-    /// noisier, and right in the mean.
+    /// Supervises one in this many (pixel, light) pairs. Larger is faster and noisier, with the same mean.
     pub sample: u32,
-    /// How far above surfaces traced rays begin, in units of the middle one of the Gaussians' largest standard deviations.
+    /// Distance of a ray's start above the surface, in units of the median largest standard deviation of the Gaussians.
     pub offset: f32,
-    /// How far before a light they end, in the same unit: what it is fixed in does not hide it.
+    /// Distance of a ray's end before the light, in the same unit, so that a lamp's own Gaussians do not hide it.
     pub clearance: f32,
-    /// Standard deviation of the jitter that visibility should not notice, as a share of half the scene's box.
+    /// Standard deviation of the jitter of the smoothness loss, as a fraction of half the scene's box.
     pub jitter: f32,
 }
 
@@ -248,22 +243,22 @@ pub enum VisibilityKind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IntrinsicRates {
-    /// Of albedo.
+    /// Rate of albedo.
     pub albedo: f32,
-    /// Of roughness.
+    /// Rate of roughness.
     pub roughness: f32,
-    /// Of metallic.
+    /// Rate of metallic.
     pub metallic: f32,
-    /// Of lights.
+    /// Rate of lights.
     pub lights: f32,
-    /// Of the environment's texels.
+    /// Rate of the environment map's texels.
     pub environment: f32,
-    /// Of hash tables and network.
+    /// Rate of hash tables and network.
     pub visibility: f32,
-    /// Of normals, through what lamps shade; 0, as published, leaves them as they came.
+    /// Rate of normals by the light of point lights. Published: 0, which keeps them fixed.
     pub normals: f32,
-    /// What is left of those of materials and normals at the last step; they fall from the middle of the stage on, evenly in their
-    /// logarithm. Published: 1. Albedo then follows the noise of the view that it saw last.
+    /// Factor on the rates of materials and normals at the last step; log-linear from the middle of the stage. Published: 1,
+    /// with which albedo follows the noise of the last view.
     pub materials_last: f32,
 }
 
@@ -286,38 +281,36 @@ impl Default for IntrinsicRates {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IntrinsicLosses {
-    /// Mean absolute difference of the shaded picture.
+    /// Mean absolute difference of the shaded image.
     pub l1: f32,
-    /// One minus its SSIM.
+    /// 1 - SSIM of the shaded image.
     pub dssim: f32,
-    /// Of the albedo prior: times the same two and the gradients. Published: 0.3, which leaves more of albedo to what lights
-    /// cannot explain.
+    /// Albedo prior: L1, SSIM and gradients. Published: 0.3.
     pub albedo: f32,
-    /// Of the roughness prior, likewise.
+    /// Roughness prior: L1, SSIM and gradients.
     pub roughness: f32,
-    /// Of the metallic prior, likewise but without gradients.
+    /// Metallic prior: L1 and SSIM.
     pub metallic: f32,
-    /// Differences of gradients at four scales, within the weights of the priors.
+    /// Gradients at four scales, within the weights of the priors.
     pub gradients: f32,
-    /// Edge-aware smoothness of albedo. Published: 1, which wipes out what is painted on a floor.
+    /// Edge-aware smoothness of albedo. Published: 1, which removes texture.
     pub albedo_smooth: f32,
-    /// The same of roughness.
+    /// Edge-aware smoothness of roughness.
     pub roughness_smooth: f32,
-    /// Smoothness of the environment.
+    /// Smoothness of the environment map.
     pub environment_smooth: f32,
-    /// Nearness of lights to surfaces.
+    /// Distance of lights from surfaces.
     pub light_position: f32,
     /// Amplitudes of lights.
     pub light_value: f32,
-    /// How much visibility notices a jitter of places.
+    /// Smoothness of visibility under a jitter of points and lights.
     pub visibility_jitter: f32,
-    /// Albedo of a region in other views.
+    /// L_cross_semantic: albedo of a region between views.
     pub cross_view: f32,
-    /// L_relight: albedo of a region against what a provider of materials estimates under perturbed lights. Needs
-    /// `relight.provider`.
+    /// L_relight: albedo of a region against a provider's estimates under perturbed lights. Needs `relight.provider`.
     pub relight: f32,
     /// Albedo of a region against the view's own prior, in the steps of `relight`; not in the paper. "auto": the weight of
-    /// `relight` where no provider is asked, else 0.
+    /// `relight` without a provider, else 0.
     pub own_prior: OwnPrior,
 }
 

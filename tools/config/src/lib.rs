@@ -42,31 +42,31 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// The scene directory.
+    /// Scene directory.
     pub scene: PathBuf,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Which views are training views and which are test views: "auto", "every:N", "linspace:N" or a file like split.json.
+    /// Training and test views: "auto", "every:N", "linspace:N", or a file like split.json.
     pub split: SplitRule,
-    /// How many training views, spread evenly; 0 for all.
+    /// Number of training views, spread evenly; 0 uses all.
     pub views: usize,
-    /// Factor on the images' size.
+    /// Factor on the size of images, at most 1.
     pub scale: f64,
-    /// Exposure of linear images; 0 chooses it from the training views.
+    /// Factor on linear images; 0 chooses it from the training views.
     pub exposure: f32,
-    /// Whether pixels that the data set marks as invalid are left out of training and of measures of color.
+    /// Leaves invalid pixels of the data set out of losses and measures.
     pub masks: bool,
-    /// Random points where the scene has none.
+    /// Number of random points for a scene without points.
     pub random_points: usize,
-    /// Memory of the device.
+    /// Device memory.
     pub memory: MemorySettings,
-    /// What is traded for speed.
+    /// Accuracy traded for speed.
     pub accuracy: Accuracy,
-    /// Noise on what training begins with.
+    /// Noise on the inputs of training.
     pub noise: NoiseSettings,
-    /// A network that is asked while training.
+    /// Provider of region masks during training.
     pub provider: ProviderSettings,
-    /// What both stages have in common.
+    /// Settings of both stages.
     pub train: TrainSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
@@ -100,49 +100,47 @@ impl Default for Settings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometrySettings {
-    /// Training steps.
+    /// Number of training steps.
     pub steps: u32,
-    /// Highest band of spherical harmonics, or "auto": training begins with none but the first; early on all are tried, and
-    /// those stay that are worth it.
+    /// Highest band of spherical harmonics: 0 to 3, or "auto" to measure which bands gain `sh_gain`.
     pub sh_degree: ShDegree,
-    /// Steps after which the next band is switched on; 0 switches all on at once. Means nothing to "auto".
+    /// Steps between bands of spherical harmonics; 0 starts with all. Unused with "auto".
     pub sh_interval: u32,
-    /// With "auto", what a band has to be worth in dB at views that were held back while bands were tried.
+    /// PSNR gain in dB that keeps a band with "auto", at held-back training views.
     pub sh_gain: f64,
-    /// Color behind everything.
+    /// Background color, display-referred.
     pub background: [f32; 3],
-    /// Whether priors of normals are used where there are any.
+    /// Uses normal priors.
     pub normals: bool,
-    /// Whether depth smoothness is a loss. It needs no priors.
+    /// Runs the depth smoothness loss; it needs no priors.
     pub depth_smooth: bool,
-    /// Whether depth variance along rays is a loss. It needs no priors.
+    /// Runs the loss on depth variance along rays; it needs no priors.
     pub depth_variance: bool,
-    /// Whether semantic priors are used where there are any.
+    /// Uses semantic priors.
     pub semantics: bool,
-    /// Whether what is asked of semantic features also moves opacities, positions and shapes.
+    /// Lets semantic losses move opacities, positions and shapes.
     pub semantic_geometry: bool,
-    /// The classes' softmax divides its logits, which are cosines, by this.
+    /// Temperature of the softmax over class cosines.
     pub temperature: f32,
-    /// Whether regions are compared with pseudo-views, where there are semantic priors.
+    /// Compares regions with pseudo-views; needs semantic priors.
     pub correspondence: bool,
-    /// The first step that does.
+    /// First step that compares regions with pseudo-views.
     pub correspondence_from: u32,
-    /// Where pseudo-views are.
+    /// Poses of pseudo-views.
     pub pseudo: PseudoOptions,
     /// Learning rates.
     pub rates: Rates,
-    /// Whether Adam also moves Gaussians that a step did not see, by their moments, as 3DGS does. It costs time, and
-    /// results differ slightly.
+    /// Adam also moves Gaussians that a step did not see, as in 3DGS. Slower; results differ slightly.
     pub dense_adam: bool,
     /// Weights of the losses.
     pub losses: LossWeights,
     /// Densification.
     pub densify: DensifyOptions,
-    /// Which kernel takes the picture's gradients to the splats.
+    /// Kernel of the gradients of blending: `auto`, `pixel`, `splat`, or `atomic`, which is not deterministic.
     pub backward: Backward,
-    /// Steps between checkpoints; 0 keeps only the last.
+    /// Steps between checkpoints; 0 writes only the last.
     pub checkpoint_interval: u32,
-    /// Room for tile entries at first; 0 guesses. It grows where it is too small, and no result depends on it.
+    /// Initial capacity of tile entries; 0 estimates it. The capacity grows as needed, with the same results.
     pub entry_capacity: u32,
 }
 
@@ -192,27 +190,27 @@ pub enum Backward {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rates {
-    /// Factor on all of them; 0 chooses it by the number of steps: short runs take larger steps.
+    /// Factor on all rates; 0 chooses it by the number of steps, larger for short runs.
     pub factor: f64,
-    /// Of means at the first step, times the scene's extent.
+    /// Rate of means at the first step, times the extent.
     pub means: f64,
-    /// Of means at the last step, times the scene's extent; log-linear between.
+    /// Rate of means at the last step, times the extent; log-linear between.
     pub means_final: f64,
-    /// Of log scales.
+    /// Rate of log scales.
     pub scales: f64,
-    /// Of quaternions.
+    /// Rate of quaternions.
     pub rotations: f64,
-    /// Of opacity logits.
+    /// Rate of opacity logits.
     pub opacities: f64,
-    /// Of band 0.
+    /// Rate of band 0.
     pub sh0: f64,
-    /// Of the other bands.
+    /// Rate of the other bands.
     pub sh_rest: f64,
-    /// Of normals.
+    /// Rate of normals.
     pub normals: f64,
-    /// Of semantic features.
+    /// Rate of semantic features.
     pub semantics: f64,
-    /// Of the decoder from features to the wide vectors of a network.
+    /// Rate of the feature decoder.
     pub decoder: f64,
 }
 
@@ -240,23 +238,22 @@ impl Default for Rates {
 pub struct LossWeights {
     /// Mean absolute difference.
     pub l1: f32,
-    /// One minus SSIM.
+    /// 1 - SSIM.
     pub dssim: f32,
-    /// One minus the cosine to the normal prior.
+    /// 1 - cosine to the normal prior.
     pub normal: f32,
-    /// Edge-aware smoothness of the normals.
+    /// Edge-aware smoothness of normals.
     pub normal_smooth: f32,
     /// Edge-aware smoothness of depth.
     pub depth_smooth: f32,
-    /// Spread of depth along a ray at step 0; grows tenfold every 5000 steps.
+    /// Depth variance along a ray at step 0; grows tenfold every 5000 steps.
     pub depth_variance: f32,
-    /// By how much that grows at most. Published: 100, which no run as long as the published ones reaches; in longer ones of a
-    /// toy room it outweighed photographs and normals, which got worse. 25 is what 7000 steps come to.
+    /// Largest growth of `depth_variance`. Published: 100, which is reached after 10 000 steps and makes normals worse in
+    /// longer runs. 25 is the growth at step 7000.
     pub depth_variance_growth: f32,
-    /// One minus the cosine of decoded features to the semantic prior. Published: 1, which harms geometry. Features learn as fast
-    /// with any weight, since Adam divides by the size of gradients.
+    /// 1 - cosine of decoded features to the semantic prior. Published: 1, which harms geometry.
     pub semantic: f32,
-    /// Cross-entropy of their class to that of the prior. Published: 1.
+    /// Cross-entropy of the class to that of the prior. Published: 1.
     pub semantic_class: f32,
     /// Difference of a region's features and classes between views. Published: 0.3.
     pub correspondence: f32,

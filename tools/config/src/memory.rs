@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Memory of the device.
+/// Device memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MemorySettings {
-    /// Most bytes that training may take, all in; 0 for what the device or its driver has.
+    /// Device memory of training, in bytes at most; 0 uses the limit of the device or driver.
     pub budget: u64,
 }
 

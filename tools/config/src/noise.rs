@@ -4,19 +4,19 @@ use crate::error::ConfigError;
 use serde::{Deserialize, Serialize};
 use sgs_scene::{Noise, Scene};
 
-/// Noise on what training begins with, to see how much results depend on it. What is measured at is never touched.
+/// Noise on the inputs of training. Test views and ground truth have none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseSettings {
-    /// Standard deviation of every coordinate of the initial points, as a share of the scene's extent.
+    /// Standard deviation of each coordinate of the initial points, as a fraction of the extent.
     pub positions: f64,
-    /// Standard deviation of the turn of normal priors about every axis, degrees; neighboring pixels turn alike.
+    /// Standard deviation of the rotation of normal priors about each axis, in degrees; smooth over neighboring pixels.
     pub normals: f64,
-    /// Share of the cells of semantic priors that hold what belongs to another cell of the view.
+    /// Fraction of the cells of semantic priors that hold another cell of the view.
     pub semantics: f64,
-    /// Standard deviation of the turn of training cameras about every axis, degrees.
+    /// Standard deviation of the rotation of training cameras about each axis, in degrees.
     pub rotations: f64,
-    /// Standard deviation of every coordinate of training cameras, as a share of the scene's extent.
+    /// Standard deviation of each coordinate of training cameras, as a fraction of the extent.
     pub translations: f64,
 }
 

@@ -4,18 +4,18 @@ use crate::error::ConfigError;
 use serde::{Deserialize, Serialize};
 use sgs_provider::{Fallback, ProviderOptions};
 
-/// A network that lives in another process (docs/guide/priors.md).
+/// A provider of region masks (docs/guide/priors.md).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProviderSettings {
-    /// Its command line, split as a shell would; empty for none. It is asked where the step's region is in training view
-    /// and pseudo-views.
+    /// Command line of the provider; empty uses none. Steps that compare a region query it for masks in training view and
+    /// pseudo-views.
     pub command: String,
-    /// Whether its failure stops training (`stop`), or ends what it is asked for (`go-on`).
+    /// After a failure of the provider: `stop` ends training, `go-on` continues without it.
     pub on_failure: Fallback,
-    /// Seconds to wait for its start.
+    /// Time limit of its start, in seconds.
     pub start_seconds: f64,
-    /// Seconds to wait for each answer.
+    /// Time limit of an answer, in seconds.
     pub answer_seconds: f64,
 }
 

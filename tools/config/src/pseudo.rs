@@ -23,19 +23,19 @@ pub enum Position {
     Cubic,
 }
 
-/// Where pseudo-views are.
+/// Poses of pseudo-views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PseudoOptions {
-    /// Poses of a sequence, both ends among them.
+    /// Number of poses of a sequence, both ends included.
     pub poses: u32,
-    /// Weight of the distance of positions, in units of the scene, when neighbors are chosen.
+    /// Weight of the distance of positions when neighbors are chosen, in scene units.
     pub lambda_t: f64,
-    /// Weight of the angle between orientations, in radians.
+    /// Weight of the angle between orientations when neighbors are chosen, in radians.
     pub lambda_r: f64,
-    /// Where the second sequence comes from.
+    /// Source of the second sequence's neighbor: `training` or `test` views.
     pub neighbors: Neighbors,
-    /// How positions go.
+    /// Interpolation of positions: `linear` or `cubic`.
     pub position: Position,
 }
 

@@ -6,17 +6,16 @@ use serde::{Deserialize, Serialize};
 use sgs_engine::DeviceInfo;
 use sgs_passes::Tuning;
 
-/// What both stages have in common.
+/// Settings of both stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainSettings {
-    /// What happens where training has diverged.
+    /// After divergence: `stop`, `roll-back` to the last good state, or `go-on`.
     pub on_divergence: OnDivergence,
-    /// Most returns to the last good state, each of which halves the learning rates from there on.
+    /// Number of rollbacks at most. Each halves the learning rates.
     pub roll_backs: u32,
-    /// Rows of pixels of the picture's tiles: 8, 16 or 32; 0 takes as many as suit the device. A pixel passes over every splat
-    /// of its tile, and a splat is sorted once for each tile. Tiles are 16 pixels wide, or 8 where subgroups are. Results are
-    /// the same but for the order of sums.
+    /// Rows of pixels per tile: 8, 16 or 32; 0 chooses for the device. Tiles have 16 columns, or 8 with subgroups of 8.
+    /// Results differ by the order of sums.
     pub tile_rows: u32,
 }
 

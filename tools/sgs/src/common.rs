@@ -22,7 +22,7 @@ pub struct Common {
     /// Errors only.
     #[arg(short, long, global = true)]
     pub quiet: bool,
-    /// After how long a wait for the device gives up.
+    /// Time limit of a wait for the device, in seconds.
     #[arg(long, global = true, value_name = "SECONDS", value_parser = seconds)]
     pub timeout: Option<Duration>,
     /// Run with Vulkan validation; any message is an error.

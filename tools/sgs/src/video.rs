@@ -14,10 +14,10 @@ const GIF_SPEED: i32 = 10;
 /// Options of a video.
 #[derive(clap::Args)]
 pub struct VideoArgs {
-    /// Also write the frames as a video, or as nothing else without --output. MP4 and WebP need the program ffmpeg.
+    /// Video file of the frames. Without --output only the video is written. MP4 and WebP need the program ffmpeg.
     #[arg(long, value_name = "FILE.mp4|webp|gif")]
     pub video: Option<PathBuf>,
-    /// Frames a second of the video.
+    /// Frames per second of the video.
     #[arg(long, value_name = "N", requires = "video", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=100))]
     fps: u32,
 }

@@ -14,15 +14,15 @@ W A S D R F           walk; R up, F down; Shift faster
 N B Home              next, previous, first camera
 1 to 9                rgb pbr albedo roughness normal
                       depth diffuse specular direct
-, .                   all channels, one by one
+, .                   previous, next channel
 + - 0                 exposure
 L                     handles of lights on and off
 [ ]  ; '              hue, saturation of the chosen light
-O  Backspace          switch it, put it back as it was
+O  Backspace          switch it, reset it
 I  Delete             new light, remove it
-J K                   surroundings darker, brighter
-Z                     all light as it was
-P                     save the picture and its camera
+J K                   environment map darker, brighter
+Z                     reset all light
+P                     save the image and its camera
 E                     save the edit for sgs relight
 H  Esc                help, leave";
 

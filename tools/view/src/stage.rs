@@ -303,7 +303,7 @@ impl Stage {
             Action::Add => handles.add(relighter, target, reach)?,
             Action::Sky(factor) => {
                 handles.dim_sky(relighter, factor)?;
-                self.message = format!("surroundings {:.3}", handles.sky);
+                self.message = format!("environment map {:.3}", handles.sky);
             }
             Action::Reset => handles.reset(relighter)?,
             _ => {

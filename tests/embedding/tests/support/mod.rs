@@ -1,4 +1,4 @@
-//! The C interface as tests call it: structs with their sizes, a context that checks its end, answers that are expected.
+//! The C interface in tests: sized structs, checked contexts, expected results.
 
 #![allow(dead_code, reason = "not every test needs all of it")]
 
@@ -50,7 +50,7 @@ impl Context {
         assert_eq!(result, SgsResult::SGS_OK, "{}", self.error());
     }
 
-    /// The call failed as it should, and said why.
+    /// Checks that the call failed with the expected result and message.
     #[track_caller]
     pub fn refused(&self, result: SgsResult, code: SgsResult, words: &str) {
         assert_eq!(result, code, "{}", self.error());

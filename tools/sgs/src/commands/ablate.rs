@@ -12,17 +12,16 @@ use std::path::PathBuf;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Variants. Of geometry: rgb, depth, normal, semantic, correspondence; each uses what those before it use. The full
-    /// method of geometry without one term: no_normal, no_depth, no_semantic, no_correspondence. Of materials, each with one
-    /// thing changed: gray_start, no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_own_prior, no_priors; and full, with
-    /// --stage intrinsic. By default all that differ on this scene.
+    /// Variants. Geometry: rgb, depth, normal, semantic, correspondence, each adding one term; no_normal, no_depth,
+    /// no_semantic, no_correspondence, the full method without one term. Intrinsic: full, gray_start, no_lights,
+    /// no_environment, no_visibility, no_cross_view, no_relight, no_own_prior, no_priors. By default all that differ on this
+    /// scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// What is compared: geometry; materials on the same geometry; or all, so that variants of geometry get materials, too, and
-    /// those of materials lie on the geometry that uses most.
+    /// Variants to train: of geometry; of the intrinsic stage on one geometry; or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry for --stage intrinsic from elsewhere: a PLY of any 3DGS program, or glTF. By default it is trained for each seed.
+    /// Geometry for --stage intrinsic: a 3DGS PLY or a glTF file; by default trained for each seed.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
 }

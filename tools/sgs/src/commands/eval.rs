@@ -22,21 +22,20 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory.
     run: PathBuf,
-    /// Another place of the scene than the run remembers.
+    /// Scene directory, if the scene has moved.
     #[arg(long)]
     scene: Option<PathBuf>,
     /// Which views.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
-    /// Also write every view as PNG into this directory: color, normals, depth, classes, and truth beside them.
+    /// Directory for PNG images of every view: color, normals, depth, classes, and ground truth.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Weights of LPIPS, of VGG or AlexNet, which is measured, too; tools/priors/sgs_priors/lpips_weights.py makes the file of
-    /// published ones.
+    /// Weights of LPIPS (VGG or AlexNet), to measure it. tools/priors/sgs_priors/lpips_weights.py converts published
+    /// weights.
     #[arg(long, value_name = "FILE.safetensors")]
     lpips: Option<PathBuf>,
-    /// Let LPIPS see pictures between -1 and 1, for which it is made, not between 0 and 1, as evaluations of 3DGS and tables of
-    /// papers have it.
+    /// Feed LPIPS images in -1 to 1, its own convention, instead of 0 to 1, the convention of 3DGS evaluations.
     #[arg(long, requires = "lpips")]
     lpips_signed: bool,
 }

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory, or a PLY or glTF file of this or another program.
     source: PathBuf,
-    /// File to write. What it cannot hold of lights and surroundings is put beside it.
+    /// File to write. Lights and an environment map that its format cannot hold go beside it.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Format; by default that which the name ends in (see docs/reference/exchange.md).
+    /// Format; by default by the file's extension (docs/reference/exchange.md).
     #[arg(long, value_enum)]
     format: Option<Format>,
 }

@@ -17,23 +17,22 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Which stage: geometry, or materials, lights and shadows, or both.
+    /// Stage: geometry, intrinsic (materials, lights and shadows), or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry of the intrinsic stage, as a PLY or glTF file; by default the scene's points as the geometry stage begins
-    /// with them.
+    /// Geometry of the intrinsic stage, as a PLY or glTF file; by default the initial points of the geometry stage.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
-    /// How many Gaussians training may end with: what it takes then is reckoned. By default as many as there are, twice and four
-    /// times as many.
+    /// Final number of Gaussians for the estimate of memory and time. By default the initial number, twice and four times
+    /// that.
     #[arg(long, value_name = "N")]
     gaussians: Option<u32>,
-    /// Print the compiled graph of a step as well: as text below the summary; as json, dot or html in its place.
+    /// Also print the compiled graph of a step: text below the summary, or json, dot or html instead of it.
     #[arg(long, value_enum, num_args = 0..=1, default_missing_value = "text", value_name = "FORMAT")]
     graph: Option<Format>,
-    /// Write the graph there, in the format that the name ends in unless --graph says another.
+    /// File for the graph. Its extension selects the format unless --graph does.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

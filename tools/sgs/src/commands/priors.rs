@@ -15,31 +15,31 @@ pub struct Args {
     /// Command line of the provider, for instance "tools/priors/serve stable-normal=WEIGHTS" (see docs/guide/priors.md).
     #[arg(long, value_name = "CMD")]
     provider: String,
-    /// Only these kinds: normal, semantic, masks, albedo, roughness, metallic; by default all that it offers.
+    /// Kinds of priors: normal, semantic, masks, albedo, roughness, metallic; by default all that the provider offers.
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     only: Vec<Prior>,
-    /// Which views are held out for tests, as for training: "every:N", "linspace:N", a file like split.json, or "auto".
+    /// Test views, as for training: "every:N", "linspace:N", a file like split.json, or "auto".
     #[arg(long, value_name = "every:N|linspace:N|FILE", default_value = "auto")]
     split: SplitRule,
     /// Which views.
     #[arg(long, value_enum, default_value = "train")]
     views: Views,
-    /// Make files anew that exist.
+    /// Replace existing files.
     #[arg(long)]
     force: bool,
-    /// Names of the classes, separated by commas; by default those there are, or what the provider finds.
+    /// Names of the classes, separated by commas; by default the existing ones, or those that the provider finds.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     labels: Vec<String>,
-    /// Seconds to wait for each answer.
+    /// Time limit of an answer, in seconds.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().answer_seconds)]
     answer_seconds: f64,
-    /// Seconds to wait for the provider to start and load its weights.
+    /// Time limit of the provider's start, in seconds.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().start_seconds)]
     start_seconds: f64,
-    /// Seed of everything random in the answers.
+    /// Seed of the answers.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().seed)]
     seed: u64,
-    /// Factor that linear (EXR) photographs are multiplied with; chosen from the training views by default, as for training.
+    /// Factor on linear (EXR) photographs; by default chosen from the training views, as for training.
     #[arg(long, value_name = "F")]
     exposure: Option<f32>,
 }

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Transforms file to write; its cameras are called as the masks in priors/masks/pseudo.
+    /// Transforms file to write. Its cameras have the names of the masks in priors/masks/pseudo.
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
     /// Those of the training: geometry.pseudo says where pseudo-views are, views and scale matter too.

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory, or a PLY or glTF file with materials.
     source: PathBuf,
-    /// What changes: see docs/guide/relight.md. Nothing by default.
+    /// Edit to apply (docs/guide/relight.md); none by default.
     #[arg(long, value_name = "FILE.json")]
     edit: Option<PathBuf>,
     #[command(flatten)]
@@ -31,30 +31,30 @@ pub struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     video: VideoArgs,
-    /// Also write the scene as it is lit now as a PLY with plain spherical harmonics, for any viewer of 3DGS. Colors are
-    /// fitted to pictures from the run's training views and between them; from --cameras, if the source is a PLY.
+    /// Also write the relit scene as a PLY with plain spherical harmonics, for any 3DGS viewer. Colors are fitted to relit
+    /// images from and between the training views, or from --cameras if the source is a PLY.
     #[arg(long, value_name = "FILE.ply")]
     bake: Option<PathBuf>,
-    /// Highest band of the harmonics of --bake; that of the scene by default.
+    /// Highest band of the harmonics of --bake; by default that of the scene.
     #[arg(long, value_name = "0..3", requires = "bake", value_parser = clap::value_parser!(u32).range(0..=3))]
     bake_degree: Option<u32>,
-    /// Steps of the fit of --bake; 0 takes what each Gaussian would show alone.
+    /// Steps of the fit of --bake; 0 shades each Gaussian alone.
     #[arg(long, value_name = "N", requires = "bake", default_value_t = 600)]
     bake_steps: u32,
-    /// What to write. "relit": all light.
+    /// Channels to write. "relit": all light.
     #[arg(long, value_delimiter = ',', default_value = "relit")]
     channels: Vec<Channel>,
-    /// Write among files of other kinds, too.
+    /// Write into a directory with other files.
     #[arg(long)]
     force: bool,
-    /// File format: exr keeps the values (float32, linear), png shows them.
+    /// File format: exr (linear values, float32) or png (display values).
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
-    /// What lights see: learned with the run, traced through the Gaussians, or none: nothing is in their way. As the run has
-    /// it by default, but traced where it was learned and none of the run's own lights is left at its place.
+    /// Shadows: learned (visibility field), traced (rays through the Gaussians), or none. By default those of the run;
+    /// traced if no light of the run is left at its position.
     #[arg(long, value_enum)]
     visibility: Option<Seen>,
-    /// Color behind everything.
+    /// Background color.
     #[arg(
         long,
         value_name = "r,g,b",

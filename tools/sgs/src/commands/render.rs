@@ -31,27 +31,27 @@ pub struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     video: VideoArgs,
-    /// What to write. "semantic": classes, whose numbers and colors labels.json in the directory explains. From
-    /// "albedo" on the source needs materials, from "pbr" on also light; "lights" is --lights.
+    /// Channels to write. "semantic": classes; labels.json in the directory lists ids and colors. "albedo" and later need
+    /// materials, "pbr" and later also light. "lights" is --lights.
     #[arg(long, value_delimiter = ',', default_value = "rgb")]
     channels: Vec<Channel>,
-    /// Also write how probably each pixel belongs to this class; may be repeated. PNG: black at chance, white at the most
-    /// that the class gets; exr: the probability.
+    /// Also write the probability of this class per pixel; may be repeated. PNG: black at chance, white at the maximum of
+    /// the class; EXR: the probability.
     #[arg(long, value_name = "CLASS")]
     query: Vec<String>,
-    /// Also write what each light alone sends, in a picture of its own: STEM_light_NN.
+    /// Also write the contribution of each light: STEM_light_NN.
     #[arg(long)]
     lights: bool,
-    /// Of the probabilities of --query: the lower, the surer; that of training by default.
+    /// Temperature of the probabilities of --query; by default that of training.
     #[arg(long, value_name = "T")]
     temperature: Option<f32>,
-    /// Write among files of other kinds, too.
+    /// Write into a directory with other files.
     #[arg(long)]
     force: bool,
-    /// File format: exr keeps the blended values (float32), png shows them.
+    /// File format: exr (blended values, float32) or png (display values).
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
-    /// Color behind everything.
+    /// Background color.
     #[arg(
         long,
         value_name = "r,g,b",

@@ -23,19 +23,19 @@ pub struct Args {
     /// The page to write.
     #[arg(short, long, value_name = "FILE.html")]
     output: PathBuf,
-    /// Another place of the scene than the run remembers.
+    /// Scene directory, if the scene has moved.
     #[arg(long)]
     scene: Option<PathBuf>,
     /// Which views.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
-    /// So many of them at most are shown, spread evenly; tables have all.
+    /// Number of views with images, spread evenly; tables have all views.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// So many lights, the brightest, have pictures of their own in each view.
+    /// Number of lights, the brightest first, with images of their own.
     #[arg(long, value_name = "N", default_value_t = 6)]
     lights: u32,
-    /// Pictures that are wider are made smaller.
+    /// Largest width of an image; wider images are reduced.
     #[arg(long, value_name = "PIXELS", default_value_t = 640, value_parser = clap::value_parser!(u32).range(16..))]
     width: u32,
 }

@@ -10,11 +10,11 @@ use sgs_study::Case;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Cases: clean, positions (of initial points), normals, semantics (priors), poses (of training cameras). How much noise:
-    /// noise.positions and so on, by --set or --config. By default all that differ on this scene.
+    /// Cases: clean, positions (initial points), normals, semantics (priors), poses (training cameras); by default all that
+    /// differ on this scene. noise.* sets the amounts.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// Up to which stage: geometry alone, or all, so that materials are measured.
+    /// Stages to train: geometry, or all to measure materials, too.
     #[arg(long, value_enum, default_value = "all")]
     stage: Stage,
 }

@@ -28,16 +28,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Series {
     /// Scene directory, with test views.
     pub scene: PathBuf,
-    /// Directory for a run of each row and seed, and for the table as Markdown and JSON.
+    /// Directory for the runs, and for the table as Markdown and JSON.
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
-    /// How many seeds, from --seed on.
+    /// Number of seeds, from --seed on.
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
-    /// Weights of LPIPS, which is measured, too.
+    /// Weights of LPIPS, to measure it.
     #[arg(long, value_name = "FILE.safetensors")]
     pub lpips: Option<PathBuf>,
-    /// Train rows again whose runs have other settings.
+    /// Replace runs with other settings.
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Completions {
-    /// For which shell.
+    /// Shell.
     #[arg(value_enum)]
     shell: Shell,
 }

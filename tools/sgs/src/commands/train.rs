@@ -57,19 +57,19 @@ pub struct Options {
     /// Keep the number of Gaussians as it is.
     #[arg(long)]
     pub no_densify: bool,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
-    /// Most device memory that training may take, as bytes or as 512M, 4G (memory.budget in config.toml): growth is slowed to stay
-    /// within, many points are thinned, and only a start that does not fit is refused.
+    /// Device memory of training at most, as bytes or as 512M, 4G (memory.budget in config.toml). Limits growth and thins
+    /// points. Refuses only a start that does not fit.
     #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_config::parse_bytes)]
     pub memory_budget: Option<u64>,
-    /// Settings to begin with: "draft" (quick, on a processor), "default", "paper" (the paper's sizes and
-    /// weights), "parity" (those of the published code). What --config, --set and other options say goes over them.
+    /// Preset: "draft" (quick, on a processor), "default", "paper" (the paper's sizes and weights), "parity" (those of the
+    /// published code). --config, --set and other options override it.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
-    /// What is traded for speed: "exact" (nothing), "balanced" or "fast" (docs/how/accuracy.md); sets all of accuracy.*, and how
-    /// often surroundings move and visibility is taught.
+    /// Accuracy level: "exact", "balanced" or "fast" (docs/how/accuracy.md). Sets accuracy.*, intrinsic.environment.every
+    /// and intrinsic.visibility.sample.
     #[arg(long, value_name = "NAME", value_parser = Names(|| vec!["exact", "balanced", "fast"]))]
     pub accuracy: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.
@@ -84,25 +84,25 @@ pub struct Options {
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Run directory to make.
+    /// Run directory to create.
     #[arg(short, long, value_name = "RUN")]
     output: PathBuf,
-    /// Which stage: geometry, or materials, lights and shadows on the geometry that is in the run, or both.
+    /// Stage: geometry, intrinsic (materials, lights and shadows on the run's geometry), or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry for the intrinsic stage from elsewhere: a PLY of any 3DGS program, or glTF.
+    /// Geometry of the intrinsic stage: a 3DGS PLY or a glTF file.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
     options: Options,
-    /// Continue an interrupted run; a finished one is left as it is.
+    /// Continue an interrupted run. A finished run stays unchanged.
     #[arg(long)]
     resume: bool,
-    /// Replace the run that is in the directory.
+    /// Replace the run in the directory.
     #[arg(long, conflicts_with = "resume")]
     force: bool,
-    /// Serve a page of the training while it goes on, to this machine alone: curves, and pictures of views that are held
-    /// back, for which it stops no more than a twentieth of its time. 0 takes any port that is free.
+    /// Serve a page of the training to this machine: curves and images of held-back views. Takes at most 5 % of the time. 0
+    /// chooses a free port.
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8117", require_equals = true)]
     watch: Option<u16>,
 }

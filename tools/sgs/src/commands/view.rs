@@ -11,16 +11,16 @@ use std::path::PathBuf;
 pub struct Args {
     /// Run directory, or a PLY or glTF file.
     source: PathBuf,
-    /// Cameras to look from at first, and to step through: a transforms file; those of the run's scene by default.
+    /// Cameras to start from and step through: a transforms file; by default those of the run's scene.
     #[arg(long, value_name = "FILE.json")]
     cameras: Option<PathBuf>,
-    /// What is shown first, by its name in `sgs render --channels`.
+    /// First channel, by its name in `sgs render --channels`.
     #[arg(long, value_name = "NAME", value_parser = channel)]
     channel: Option<Channel>,
-    /// Size of the window's inside; the shape of the first camera by default.
+    /// Size of the window's inside; by default the shape of the first camera.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[u32; 2]>,
-    /// Where pictures (P) and edits (E) are written.
+    /// Directory for images (P) and edits (E).
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
     /// Draw so many frames, then close the window.

@@ -20,7 +20,7 @@ pub struct ViewpointArgs {
     /// The scene's own views of this split; test by default.
     #[arg(long, value_enum, value_name = "SPLIT", conflicts_with_all = ["orbit", "path"])]
     views: Option<Views>,
-    /// N cameras on a circle around the center of the scene, at the training cameras' height and distance.
+    /// N cameras on a circle around the scene's center, at the training cameras' height and distance.
     #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     orbit: Option<u32>,
     /// Cameras on a smooth path through the training cameras.
@@ -29,7 +29,7 @@ pub struct ViewpointArgs {
     /// Number of cameras on the path.
     #[arg(long, value_name = "N", requires = "path", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
-    /// Scene directory; the one that the run was trained on by default.
+    /// Scene directory; by default that of the training.
     #[arg(long, value_name = "DIR")]
     pub scene: Option<PathBuf>,
 }
