@@ -163,7 +163,9 @@ fn ledger_resumes_where_it_ends() {
     let (said, again) = fuzz("0.5");
     assert_eq!(again, first, "all have had enough");
     assert!(said.contains("lights") && said.contains("profile"), "{said}");
-    let (_, more) = fuzz("1");
-    assert!(number(&more, "lights", "seconds") >= 1.0);
+    // A slice lasts a second at least: how much the first run fed depends on how busy the machine is.
+    let longer = number(&first, "lights", "seconds") + 0.5;
+    let (_, more) = fuzz(&longer.to_string());
+    assert!(number(&more, "lights", "seconds") >= longer);
     assert!(number(&more, "lights", "slices") > number(&first, "lights", "slices"), "with another seed");
 }
